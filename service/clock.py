@@ -1,0 +1,96 @@
+"""Process time: the wall clock, or a faster clock that a virtual bench shares."""
+
+import asyncio
+import json
+import math
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+MICROSECONDS = 1_000_000
+_ANCHOR_FILE = "clock.json"
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class ProcessClock:
+    """Tells process time in UTC microseconds since the epoch.
+
+    At rate 1 it is the system clock. At any other rate it runs ``rate`` process seconds per wall
+    second from an anchor, the pair of one wall time and one process time; a service that keeps
+    its anchor (`ProcessClock.resume`) finds the same process time after a restart as if it had
+    never been away, so no sample is dated before one that is already stored.
+
+    Parameters
+    ----------
+    rate : float
+        Process seconds per wall second, positive.
+    anchor : tuple of float and int, optional
+        Wall time in seconds since the epoch and the process time in microseconds that belongs to
+        it. Default: process time equals wall time now.
+    """
+
+    def __init__(self, rate: float = 1.0, anchor: tuple[float, int] | None = None) -> None:
+        if not (math.isfinite(rate) and rate > 0):
+            raise ValueError(f"clock rate {rate!r}: expected a positive number")
+        self.rate = float(rate)
+        self._anchor = anchor or (time.time(), time.time_ns() // 1000)
+
+    @classmethod
+    def resume(cls, rate: float, data_dir: Path) -> "ProcessClock":
+        """Continue the process time that a service with this data directory was in.
+
+        Parameters
+        ----------
+        rate : float
+            Process seconds per wall second.
+        data_dir : pathlib.Path
+            Directory that holds the anchor; written when there is none or the rate changed.
+        """
+        if rate == 1.0:
+            return cls()
+        path = data_dir / _ANCHOR_FILE
+        if path.exists():
+            kept = json.loads(path.read_text())
+            earlier = cls(kept["rate"], (kept["wall_s"], kept["process_us"]))
+            if kept["rate"] == rate:
+                return earlier
+            clock = cls(rate, (time.time(), max(earlier.now_us(), time.time_ns() // 1000)))
+        else:
+            clock = cls(rate)
+        wall_s, process_us = clock._anchor
+        path.write_text(json.dumps({"rate": rate, "wall_s": wall_s, "process_us": process_us}))
+        return clock
+
+    def now_us(self) -> int:
+        """Process time in UTC microseconds since the epoch."""
+        if self.rate == 1.0:
+            return time.time_ns() // 1000
+        wall_s, process_us = self._anchor
+        return process_us + round((time.time() - wall_s) * self.rate * MICROSECONDS)
+
+    async def sleep(self, process_seconds: float) -> None:
+        """Wait for a span of process time, in seconds."""
+        await asyncio.sleep(max(process_seconds, 0.0) / self.rate)
+
+
+def rfc3339(time_us: int) -> str:
+    """UTC microseconds as RFC 3339 with milliseconds, for example ``2026-11-21T08:00:00.000Z``."""
+    moment = datetime.fromtimestamp(time_us / MICROSECONDS, UTC)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def from_rfc3339(text: str) -> int:
+    """RFC 3339 text as UTC microseconds.
+
+    Raises
+    ------
+    ValueError
+        If the text is not RFC 3339 or has no offset.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"time {text!r}: expected RFC 3339 such as 2026-11-21T08:00:00Z") from None
+    if moment.tzinfo is None:
+        raise ValueError(f"time {text!r}: expected an offset, such as Z or +01:00")
+    return (moment - _EPOCH) // timedelta(microseconds=1)
