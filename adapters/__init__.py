@@ -1,1 +1,1 @@
-"""The data acquisition layer: field-bus drivers, and a virtual bench that talks real Modbus and CAN."""
+"""The data acquisition layer: field-bus drivers and a virtual bench on real Modbus and CAN."""

@@ -1,0 +1,1 @@
+"""CAN with a DBC file: a listening driver over any python-can interface."""

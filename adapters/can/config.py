@@ -1,0 +1,50 @@
+"""Configuration models of the CAN driver."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+
+from adapters.configuration import StrictModel, ascending
+
+
+class CanSource(StrictModel):
+    """A CAN bus. Keys not named here are handed to `can.Bus` of the interface as they are.
+
+    A relative `dbc` is taken relative to the directory given as ``context={"base_dir": ...}`` on
+    validation, else to the working directory.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+    name: str = Field(min_length=1)
+    driver: Literal["can"] = "can"
+    interface: str = Field(default="slcan", min_length=1)
+    channel: str | int
+    dbc: Path
+
+    @field_validator("dbc")
+    @classmethod
+    def _relative_to_configuration(cls, dbc: Path, info: ValidationInfo) -> Path:
+        base = (info.context or {}).get("base_dir")
+        return Path(base) / dbc if base is not None else dbc
+
+    @property
+    def bus_options(self) -> dict[str, Any]:
+        """The keys that only python-can knows, such as ``bitrate``."""
+        return dict(self.model_extra or {})
+
+
+class CanChannel(StrictModel):
+    """Which signal of which message a channel is."""
+
+    source: str
+    message: str
+    signal: str
+    valid_range: tuple[float, float] | None = None
+    max_age_s: float | None = Field(default=None, gt=0.0)
+
+    @field_validator("valid_range")
+    @classmethod
+    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        return ascending(limits)

@@ -1,0 +1,51 @@
+"""Common ground of the drivers' configuration models."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+
+class ConfigurationError(ValueError):
+    """A setting that the user can mend; the message is one line that names key and value."""
+
+
+class StrictModel(BaseModel):
+    """A frozen model that refuses unknown keys and says which ones there are."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            for key in data:
+                if key not in known:
+                    raise ValueError(f"unknown key {key!r}; {suggestion(key, known)}")
+        return data
+
+
+def suggestion(wrong: str, known: Iterable[str]) -> str:
+    """Say what a misspelt name may have meant, or which names there are.
+
+    Parameters
+    ----------
+    wrong
+        The name that was given.
+    known
+        The names that exist.
+    """
+    names = sorted(known)
+    close = get_close_matches(str(wrong), names, n=3, cutoff=0.6)
+    if close:
+        return "did you mean " + " or ".join(repr(name) for name in close) + "?"
+    return "expected one of " + ", ".join(names) if names else "there are none"
+
+
+def ascending(limits: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Return the limits when the first is below the second, else raise ValueError."""
+    if limits is not None and not limits[0] < limits[1]:
+        raise ValueError(f"expected [low, high] with low < high, got {list(limits)}")
+    return limits

@@ -1,0 +1,106 @@
+"""Configuration models of the Modbus driver."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from adapters.configuration import StrictModel, ascending
+
+Kind = Literal["input", "holding", "coil", "discrete"]
+ValueType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64", "bool"]
+Order = Literal["big", "little"]
+Register = Annotated[int, Field(ge=0, le=65535)]
+Unit = Annotated[int, Field(ge=0, le=255)]
+
+BIT_KINDS = ("coil", "discrete")
+PLAN_ROW_REGISTERS = 6
+
+
+class ModbusTcpSource(StrictModel):
+    """A Modbus TCP server: a device, or a gateway with several units behind it.
+
+    `poll_interval_s` is process time, `timeout_s` (connecting and answering) wall time.
+    """
+
+    name: str = Field(min_length=1)
+    driver: Literal["modbus-tcp"] = "modbus-tcp"
+    host: str = Field(min_length=1)
+    port: int = Field(default=502, ge=1, le=65535)
+    unit: Unit = 1
+    poll_interval_s: float = Field(default=1.0, ge=0.01)
+    timeout_s: float = Field(default=1.0, ge=0.05, le=60.0)
+
+
+class ModbusStatus(StrictModel):
+    """A status word beside a channel: any of the named bits set makes the channel bad.
+
+    `kind` defaults to the channel's. For coils and discrete inputs, bit n is address register + n.
+    """
+
+    address: Register = Field(alias="register")
+    kind: Kind | None = None
+    bits: dict[Annotated[int, Field(ge=0, le=15)], str] = Field(min_length=1)
+
+
+class ModbusChannel(StrictModel):
+    """Where a channel is found and what its raw value means.
+
+    value = raw * scale + offset, then the conversion. `register` counts from 0, as on the wire.
+    `word_order = "little"` means that the low word comes first (CDAB), `byte_order = "little"`
+    that the bytes within each register are swapped. `sentinels` are raw values, as decoded, that
+    mean "no value".
+    """
+
+    source: str
+    address: Register = Field(alias="register")
+    kind: Kind = "holding"
+    type: ValueType = "int16"
+    word_order: Order = "big"
+    byte_order: Order = "big"
+    scale: float = 1.0
+    offset: float = 0.0
+    unit_id: Unit | None = None
+    sentinels: tuple[float, ...] = ()
+    conversion: Literal["pt100_ohm"] | None = None
+    valid_range: tuple[float, float] | None = None
+    max_age_s: float | None = Field(default=None, gt=0.0)
+    status: ModbusStatus | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bits_are_bool(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("kind") in BIT_KINDS:
+            return {"type": "bool", **data}
+        return data
+
+    @field_validator("scale")
+    @classmethod
+    def _scale_is_not_zero(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("scale must not be 0")
+        return scale
+
+    @field_validator("valid_range")
+    @classmethod
+    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        return ascending(limits)
+
+    @model_validator(mode="after")
+    def _type_fits_kind(self) -> Self:
+        if (self.kind in BIT_KINDS) != (self.type == "bool"):
+            raise ValueError(
+                f"type {self.type!r} does not fit kind {self.kind!r}: "
+                "coil and discrete carry bool, input and holding the other types"
+            )
+        return self
+
+
+class ModbusPlan(StrictModel):
+    """The controller's planned profile: rows of uint32 duration_s, float32 speed, float32 load."""
+
+    source: str
+    address: Register = Field(alias="register")
+    rows: int = Field(ge=1, le=200)
+    kind: Literal["holding", "input"] = "holding"
+    unit_id: Unit | None = None
+    word_order: Order = "big"

@@ -1,0 +1,92 @@
+"""What every driver hands over: samples with their quality, and the controller's plan ahead."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+
+class Quality(IntEnum):
+    """Quality of one sample as the OPC DA byte.
+
+    Below 64 is bad, 64 to 191 uncertain, 192 and above good.
+    """
+
+    BAD = 0
+    CONFIG_ERROR = 4
+    NOT_CONNECTED = 8
+    DEVICE_FAILURE = 12
+    SENSOR_FAILURE = 16
+    LAST_KNOWN = 20
+    COMM_FAILURE = 24
+    OUT_OF_SERVICE = 28
+    WAITING_FOR_INITIAL_DATA = 32
+    UNCERTAIN = 64
+    LAST_USABLE = 68
+    SENSOR_NOT_ACCURATE = 80
+    EU_EXCEEDED = 84
+    SUB_NORMAL = 88
+    GOOD = 192
+    LOCAL_OVERRIDE = 216
+
+
+def is_good(quality: int) -> bool:
+    """Tell whether a value of this quality may be used without reserve."""
+    return quality >= 192
+
+
+def is_bad(quality: int) -> bool:
+    """Tell whether a value of this quality must not be used at all."""
+    return quality < 64
+
+
+class Sample(NamedTuple):
+    """One value of one channel.
+
+    Attributes
+    ----------
+    asset, channel
+        Names as in the configuration.
+    time_us
+        Process time at which the value was valid, microseconds since the epoch (UTC).
+    value
+        In the channel's unit; NaN when the quality is bad.
+    quality
+        OPC DA byte, see `Quality`.
+    received_us
+        Process time at which the service received it.
+    """
+
+    asset: str
+    channel: str
+    time_us: int
+    value: float
+    quality: int
+    received_us: int
+
+
+class PlanStep(NamedTuple):
+    """One step of a planned profile: for so long at this speed and radial load."""
+
+    duration_s: float
+    speed_rpm: float
+    load_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedProfile:
+    """The controller's plan ahead, as read at `time_us` (process time).
+
+    `steps[0]` is what is left of the present step; no steps mean that nothing is planned.
+    """
+
+    asset: str
+    time_us: int
+    steps: tuple[PlanStep, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """What one driver hands over at once."""
+
+    samples: list[Sample] = field(default_factory=list)
+    plans: list[PlannedProfile] = field(default_factory=list)
