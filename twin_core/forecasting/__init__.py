@@ -1,0 +1,1 @@
+"""Forecasts with honest intervals, and the naive ones that they must beat."""

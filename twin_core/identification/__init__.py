@@ -1,0 +1,1 @@
+"""Parameters of the thermal network from measured low-risk windows."""
