@@ -1,0 +1,1 @@
+"""REST, WebSocket and the static page: one router per noun, all under ``/api/v1``."""

@@ -1,0 +1,305 @@
+"""Numbered live messages: made once, kept for resuming, handed to any number of subscribers.
+
+A subscriber that reads too slowly loses the oldest measurements and states first, then forecasts
+and health; it never loses an alarm or a job. If those alone overflow its queue it is cut off with
+a reason, so that it comes back and starts from a fresh snapshot.
+"""
+
+import asyncio
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic_core import to_json
+
+from adapters.drivers import Clock
+from service.clock import rfc3339
+
+MessageType = Literal["measurement", "state", "forecast", "alarm", "job", "health", "heartbeat"]
+
+# What goes first when a subscriber is slow; a message of the last tier never goes.
+_TIER: Mapping[MessageType, int] = {
+    "heartbeat": 0,
+    "measurement": 0,
+    "state": 0,
+    "forecast": 1,
+    "health": 1,
+    "alarm": 2,
+    "job": 2,
+}
+_TIERS = 3
+
+HISTORY_MESSAGES = 4096
+HISTORY_BYTES = 16 * 1024 * 1024
+SUBSCRIPTION_MESSAGES = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message as it goes out; the text is made once for all subscribers.
+
+    Attributes
+    ----------
+    type
+        What the data are.
+    seq
+        Number of the message, counted from 1 at the start of the service.
+    asset
+        Asset that it is about, None for the service as a whole.
+    text
+        The JSON text with type, seq, epoch, asset, time, sent_at and data.
+    """
+
+    type: MessageType
+    seq: int
+    asset: str | None
+    text: str
+
+
+class SubscriptionClosedError(Exception):
+    """No more messages come; the text says why."""
+
+
+class Subscription:
+    """The messages waiting for one subscriber. Made by `Bus.subscribe`; read in its event loop.
+
+    Attributes
+    ----------
+    start_seq
+        Number after which this subscription goes on: the resume point, or the latest message.
+    gap
+        True when messages after the resume point are gone, so that a fresh snapshot is needed.
+    dropped
+        Messages left out so far because the subscriber was slow.
+    """
+
+    def __init__(
+        self, bus: "Bus", assets: frozenset[str] | None, start_seq: int, gap: bool, capacity: int
+    ) -> None:
+        self.start_seq = start_seq
+        self.gap = gap
+        self.dropped = 0
+        self._bus = bus
+        self._assets = assets
+        self._capacity = capacity
+        self._tiers: tuple[deque[Message], ...] = tuple(deque() for _ in range(_TIERS))
+        self._closed: str | None = None
+        self._loop = asyncio.get_running_loop()
+        self._thread = threading.get_ident()
+        self._something = asyncio.Event()
+
+    def wants(self, message: Message) -> bool:
+        """Tell whether the message is about one of the assets asked for, or about all."""
+        return message.asset is None or self._assets is None or message.asset in self._assets
+
+    async def get(self) -> Message:
+        """Wait for the next message, in order of number.
+
+        Raises
+        ------
+        SubscriptionClosedError
+            When the subscription was closed and what had been waiting is read.
+        """
+        while True:
+            message = self._take()
+            if message is not None:
+                return message
+            if self._closed is not None:
+                raise SubscriptionClosedError(self._closed)
+            await self._something.wait()
+
+    def close(self, reason: str = "closed") -> None:
+        """End the subscription; a waiting `get` raises once the queue is empty."""
+        self._bus._forget(self)
+        self._end(reason)
+
+    def _take(self) -> Message | None:
+        with self._bus._lock:
+            waiting = [tier for tier in self._tiers if tier]
+            if waiting:
+                return min(waiting, key=lambda tier: tier[0].seq).popleft()
+            if self._closed is None:
+                self._something.clear()
+            return None
+
+    def _put(self, message: Message) -> bool:
+        """Queue a message (the bus holds the lock); False when the subscriber must be cut off."""
+        self._tiers[_TIER[message.type]].append(message)
+        if sum(map(len, self._tiers)) > self._capacity:
+            victims = next((tier for tier in self._tiers[:-1] if tier), None)
+            if victims is None:
+                return False
+            victims.popleft()
+            self.dropped += 1
+        return True
+
+    def _end(self, reason: str) -> None:
+        if self._closed is None:
+            self._closed = reason
+        self._wake()
+
+    def _wake(self) -> None:
+        if threading.get_ident() == self._thread:
+            self._something.set()
+        elif not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._something.set)
+
+
+class Bus:
+    """Numbers messages, keeps the latest for resuming and hands them to the subscribers.
+
+    `publish` may be called from any thread.
+
+    Parameters
+    ----------
+    clock : Clock
+        Process time of the messages.
+    epoch : str, optional
+        Names this start of the service; numbers of different epochs do not compare.
+    history_messages, history_bytes : int
+        How many messages, and how many bytes of them, are kept for resuming.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        epoch: str | None = None,
+        *,
+        history_messages: int = HISTORY_MESSAGES,
+        history_bytes: int = HISTORY_BYTES,
+    ) -> None:
+        self.epoch = epoch or uuid.uuid4().hex[:12]
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._seq = 0
+        self._forgotten_seq = 0  # the highest number that can no longer be resumed from before
+        self._history: deque[Message] = deque()
+        self._history_bytes = 0
+        self._history_limits = (history_messages, history_bytes)
+        self._subscriptions: set[Subscription] = set()
+        self._closed: str | None = None
+
+    @property
+    def seq(self) -> int:
+        """Number of the latest message, 0 before the first."""
+        return self._seq
+
+    @property
+    def subscribers(self) -> int:
+        """How many subscriptions are open."""
+        return len(self._subscriptions)
+
+    def publish(
+        self,
+        type: MessageType,
+        asset: str | None,
+        data: Mapping[str, Any],
+        time_us: int | None = None,
+    ) -> Message:
+        """Give a message its number and hand it to all who want it.
+
+        Parameters
+        ----------
+        type : str
+            What the data are.
+        asset : str or None
+            Asset that it is about; None reaches every subscriber.
+        data : mapping
+            Plain JSON types; NaN and infinities become null.
+        time_us : int, optional
+            Process time of the data in microseconds; default now.
+        """
+        body = to_json(data, inf_nan_mode="null").decode()
+        with self._lock:
+            self._seq += 1
+            text = self.envelope(type, self._seq, asset, body, time_us)
+            message = Message(type, self._seq, asset, text)
+            if type != "heartbeat":
+                self._remember(message)
+            for subscription in list(self._subscriptions):
+                if not subscription.wants(message):
+                    continue
+                if subscription._put(message):
+                    subscription._wake()
+                else:
+                    subscription.close("too slow: alarms and jobs alone overflowed the queue")
+        return message
+
+    def envelope(
+        self,
+        type: str,
+        seq: int,
+        asset: str | None,
+        body: str,
+        time_us: int | None = None,
+        extra: Mapping[str, Any] | None = None,
+    ) -> str:
+        """JSON text of a message around the JSON text of its data."""
+        head = {
+            "type": type,
+            "seq": seq,
+            "epoch": self.epoch,
+            "asset": asset,
+            "time": rfc3339(self._clock.now_us() if time_us is None else time_us),
+            "sent_at": rfc3339(time.time_ns() // 1000),
+            **(extra or {}),
+        }
+        return f'{to_json(head).decode()[:-1]},"data":{body}}}'
+
+    def subscribe(
+        self,
+        assets: Iterable[str] | None = None,
+        resume_from: int | None = None,
+        capacity: int = SUBSCRIPTION_MESSAGES,
+    ) -> Subscription:
+        """Open a subscription in the running event loop.
+
+        Parameters
+        ----------
+        assets : iterable of str, optional
+            Only messages about these (and about the service as a whole); default all.
+        resume_from : int, optional
+            Number of the last message that the subscriber saw in this epoch. What came after it
+            is waiting in the subscription, or its ``gap`` says that it is gone.
+        capacity : int
+            How many messages may wait.
+        """
+        wanted = None if assets is None else frozenset(assets)
+        with self._lock:
+            gap = resume_from is not None and not (self._forgotten_seq <= resume_from <= self._seq)
+            start_seq = self._seq if gap or resume_from is None else resume_from
+            missed = [message for message in self._history if message.seq > start_seq]
+            # What is promised by resuming comes on top of what may wait.
+            subscription = Subscription(self, wanted, start_seq, gap, capacity + len(missed))
+            for message in missed:
+                if subscription.wants(message):
+                    subscription._put(message)
+            if self._closed is None:
+                self._subscriptions.add(subscription)
+            else:
+                subscription._end(self._closed)
+            return subscription
+
+    def close(self, reason: str = "the service is stopping") -> None:
+        """End every subscription, now and later."""
+        with self._lock:
+            self._closed = reason
+            for subscription in list(self._subscriptions):
+                subscription.close(reason)
+
+    def _remember(self, message: Message) -> None:
+        self._history.append(message)
+        self._history_bytes += len(message.text)
+        most_messages, most_bytes = self._history_limits
+        while len(self._history) > most_messages or self._history_bytes > most_bytes:
+            oldest = self._history.popleft()
+            self._history_bytes -= len(oldest.text)
+            self._forgotten_seq = oldest.seq
+
+    def _forget(self, subscription: Subscription) -> None:
+        with self._lock:
+            self._subscriptions.discard(subscription)
