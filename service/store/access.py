@@ -1,0 +1,151 @@
+"""API keys and browser sessions, by their hashes.
+
+A key and a session cookie are 256 random bits each, so a plain SHA-256 protects them: there is
+nothing to guess and no dictionary to try. Times are wall time in UTC microseconds.
+"""
+
+from uuid import uuid4
+
+from sqlalchemy import RowMapping, delete, insert, select, update
+
+from service.store.records import ApiKey, BrowserSession, Role
+from service.store.section import Section
+from service.store.tables import ApiKeyRow, BrowserSessionRow
+
+_KEY_COLUMNS = (
+    ApiKeyRow.id,
+    ApiKeyRow.prefix,
+    ApiKeyRow.role,
+    ApiKeyRow.created_us,
+    ApiKeyRow.expires_us,
+    ApiKeyRow.revoked_us,
+)
+
+
+class Access(Section):
+    """The text of a key is never stored, only its prefix and its hash."""
+
+    def add_api_key(
+        self, *, prefix: str, sha256: str, role: Role, created_us: int, expires_us: int | None
+    ) -> ApiKey:
+        """Store a key.
+
+        Parameters
+        ----------
+        prefix : str
+            The first characters of the key, by which people recognise it.
+        sha256 : str
+            Hash of the key, hexadecimal.
+        role : str
+            What the key may do.
+        created_us, expires_us : int
+            Wall time, UTC microseconds; a key without expiry lives until it is revoked.
+        """
+        key = ApiKey(uuid4().hex, prefix, role, created_us, expires_us, revoked_us=None)
+        with self._database.writing() as connection:
+            connection.execute(
+                insert(ApiKeyRow).values(
+                    id=key.id,
+                    prefix=prefix,
+                    sha256=sha256,
+                    role=role,
+                    created_us=created_us,
+                    expires_us=expires_us,
+                    revoked_us=None,
+                )
+            )
+        return key
+
+    def api_keys(self) -> list[ApiKey]:
+        """All keys, revoked and expired ones too, oldest first."""
+        query = select(*_KEY_COLUMNS).order_by(ApiKeyRow.created_us, ApiKeyRow.id)
+        with self._database.reading() as connection:
+            return [_key(row._mapping) for row in connection.execute(query)]
+
+    def find_api_key(self, sha256: str) -> ApiKey | None:
+        """Find the key of this hash, valid or not (see `ApiKey.is_valid`), or None."""
+        query = select(*_KEY_COLUMNS).where(ApiKeyRow.sha256 == sha256)
+        with self._database.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return _key(row._mapping) if row else None
+
+    def revoke_api_key(self, key_id: str, at_us: int) -> bool:
+        """Revoke a key and with it its sessions; False when there is no such key."""
+        with self._database.writing() as connection:
+            connection.execute(delete(BrowserSessionRow).where(BrowserSessionRow.key_id == key_id))
+            connection.execute(
+                update(ApiKeyRow)
+                .where(ApiKeyRow.id == key_id, ApiKeyRow.revoked_us.is_(None))
+                .values(revoked_us=at_us)
+            )
+            found = connection.scalar(select(ApiKeyRow.id).where(ApiKeyRow.id == key_id))
+        return found is not None
+
+    def add_session(
+        self, *, sha256: str, key_id: str, created_us: int, expires_us: int
+    ) -> BrowserSession:
+        """Store a browser session of a key; sessions that are over by then are cleared away.
+
+        Parameters
+        ----------
+        sha256 : str
+            Hash of the cookie, hexadecimal.
+        key_id : str
+            The key that opened the session.
+        created_us, expires_us : int
+            Wall time, UTC microseconds.
+
+        Raises
+        ------
+        KeyError
+            If there is no such key.
+        """
+        with self._database.writing() as connection:
+            row = connection.execute(
+                select(*_KEY_COLUMNS).where(ApiKeyRow.id == key_id)
+            ).one_or_none()
+            if row is None:
+                raise KeyError(f"no API key {key_id!r}")
+            session = BrowserSession(uuid4().hex, _key(row._mapping), created_us, expires_us)
+            connection.execute(
+                delete(BrowserSessionRow).where(BrowserSessionRow.expires_us <= created_us)
+            )
+            connection.execute(
+                insert(BrowserSessionRow).values(
+                    id=session.id,
+                    sha256=sha256,
+                    key_id=key_id,
+                    created_us=created_us,
+                    expires_us=expires_us,
+                )
+            )
+        return session
+
+    def find_session(self, sha256: str) -> BrowserSession | None:
+        """Find the session of this hash, valid or not (see `BrowserSession.is_valid`), or None."""
+        query = (
+            select(
+                BrowserSessionRow.id.label("session_id"),
+                BrowserSessionRow.created_us.label("session_created_us"),
+                BrowserSessionRow.expires_us.label("session_expires_us"),
+                *_KEY_COLUMNS,
+            )
+            .join(ApiKeyRow, ApiKeyRow.id == BrowserSessionRow.key_id)
+            .where(BrowserSessionRow.sha256 == sha256)
+        )
+        with self._database.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        if row is None:
+            return None
+        return BrowserSession(
+            row.session_id, _key(row._mapping), row.session_created_us, row.session_expires_us
+        )
+
+    def end_session(self, sha256: str) -> None:
+        """Forget a session (log out)."""
+        with self._database.writing() as connection:
+            connection.execute(delete(BrowserSessionRow).where(BrowserSessionRow.sha256 == sha256))
+
+
+def _key(row: RowMapping) -> ApiKey:
+    return ApiKey(**{column.key: row[column.key] for column in _KEY_COLUMNS})

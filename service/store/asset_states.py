@@ -1,0 +1,23 @@
+"""What the live twin of an asset needs to go on after a restart."""
+
+from sqlalchemy import delete, insert, select
+
+from service.store.records import JsonDocument
+from service.store.section import Section
+from service.store.tables import AssetStateRow
+
+
+class AssetStates(Section):
+    """One JSON document per asset; a new one replaces the old one."""
+
+    def save_asset_state(self, asset: str, document: JsonDocument) -> None:
+        """Keep a document for `load_asset_state`."""
+        with self._database.writing() as connection:
+            connection.execute(delete(AssetStateRow).where(AssetStateRow.asset == asset))
+            connection.execute(insert(AssetStateRow).values(asset=asset, document=document))
+
+    def load_asset_state(self, asset: str) -> JsonDocument | None:
+        """Give back the document saved last, or None."""
+        query = select(AssetStateRow.document).where(AssetStateRow.asset == asset)
+        with self._database.reading() as connection:
+            return connection.scalar(query)

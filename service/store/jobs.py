@@ -1,0 +1,149 @@
+"""Identification jobs: rows, so that a job outlives the service that started it."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import fields
+from typing import Unpack
+from uuid import uuid4
+
+from sqlalchemy import insert, select, update
+
+from service.store.errors import ActiveJobError
+from service.store.records import Job, JobChanges, JobStatus, JsonDocument
+from service.store.section import Section
+from service.store.tables import JobRow
+
+#: Statuses of a job that has not ended.
+UNFINISHED: Sequence[JobStatus] = ("queued", "running")
+_COLUMNS = tuple(getattr(JobRow, field.name) for field in fields(Job))
+
+
+class Jobs(Section):
+    """At most one job per asset is unfinished, and a job that has ended never changes again."""
+
+    def add_job(
+        self,
+        asset: str,
+        request: JsonDocument,
+        created_at_us: int,
+        idempotency_key: str | None = None,
+    ) -> tuple[Job, bool]:
+        """Queue a job.
+
+        Parameters
+        ----------
+        asset : str
+            Asset to identify.
+        request : dict
+            What was asked for; plain JSON values.
+        created_at_us : int
+            Process time, UTC microseconds.
+        idempotency_key : str, optional
+            A second call for the asset with the same key gives the first job back.
+
+        Returns
+        -------
+        job : Job
+            The new job, or the one that the key already stands for.
+        created : bool
+            False when it was there before.
+
+        Raises
+        ------
+        ActiveJobError
+            If another job of the asset is queued or running.
+        """
+        job = Job(
+            id=uuid4().hex,
+            asset=asset,
+            status="queued",
+            progress=0.0,
+            best_fitness=None,
+            evaluations=0,
+            created_at_us=created_at_us,
+            started_at_us=None,
+            ended_at_us=None,
+            error=None,
+            model_version=None,
+            request=request,
+            idempotency_key=idempotency_key,
+            attempts=0,
+        )
+        with self._database.writing() as connection:
+            if idempotency_key is not None:
+                known = connection.execute(
+                    select(*_COLUMNS).where(
+                        JobRow.asset == asset, JobRow.idempotency_key == idempotency_key
+                    )
+                ).one_or_none()
+                if known:
+                    return Job(**known._mapping), False
+            in_the_way = connection.scalar(
+                select(JobRow.id).where(JobRow.asset == asset, JobRow.status.in_(UNFINISHED))
+            )
+            if in_the_way is not None:
+                raise ActiveJobError(in_the_way)
+            values = {field.name: getattr(job, field.name) for field in fields(Job)}
+            connection.execute(insert(JobRow).values(values))
+        return job, True
+
+    def update_job(
+        self,
+        job_id: str,
+        *,
+        only_if: Collection[JobStatus] = UNFINISHED,
+        **changes: Unpack[JobChanges],
+    ) -> Job | None:
+        """Change a job, provided that its status is still one of those expected.
+
+        The comparison and the change are one: of two that want to end a job only one does. To
+        take up a job again after a restart: ``update_job(id, only_if=["running"],
+        status="queued")``.
+
+        Parameters
+        ----------
+        job_id : str
+            Which job.
+        only_if : collection of str
+            Statuses in which the change may happen; by default the job must not have ended.
+        **changes
+            The fields to change, see `JobChanges`.
+
+        Returns
+        -------
+        Job or None
+            The changed job; None when there is no such job or its status is another.
+        """
+        with self._database.writing() as connection:
+            row = connection.execute(
+                update(JobRow)
+                .where(JobRow.id == job_id, JobRow.status.in_(only_if))
+                .values(**changes)
+                .returning(*_COLUMNS)
+            ).one_or_none()
+        return Job(**row._mapping) if row else None
+
+    def job(self, job_id: str) -> Job | None:
+        """One job, or None when there is none of this id."""
+        with self._database.reading() as connection:
+            row = connection.execute(select(*_COLUMNS).where(JobRow.id == job_id)).one_or_none()
+        return Job(**row._mapping) if row else None
+
+    def jobs(self, asset: str) -> list[Job]:
+        """All jobs of an asset, newest first."""
+        query = (
+            select(*_COLUMNS)
+            .where(JobRow.asset == asset)
+            .order_by(JobRow.created_at_us.desc(), JobRow.id)
+        )
+        with self._database.reading() as connection:
+            return [Job(**row._mapping) for row in connection.execute(query)]
+
+    def unfinished_jobs(self) -> list[Job]:
+        """All jobs that are queued or running, oldest first; after a restart: to be taken up."""
+        query = (
+            select(*_COLUMNS)
+            .where(JobRow.status.in_(UNFINISHED))
+            .order_by(JobRow.created_at_us, JobRow.id)
+        )
+        with self._database.reading() as connection:
+            return [Job(**row._mapping) for row in connection.execute(query)]

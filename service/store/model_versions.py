@@ -1,0 +1,163 @@
+"""Model versions of each asset, and the journal of which one was active when."""
+
+from sqlalchemy import Connection, func, insert, select, update
+
+from service.store.records import Activation, JsonDocument, ModelStatus, ModelVersion
+from service.store.section import Section
+from service.store.tables import ActivationRow, ModelVersionRow
+
+_VERSION_COLUMNS = (
+    ModelVersionRow.asset,
+    ModelVersionRow.version,
+    ModelVersionRow.status,
+    ModelVersionRow.reason,
+    ModelVersionRow.created_at_us,
+    ModelVersionRow.document,
+)
+
+
+class ModelVersions(Section):
+    """Models are only ever added; exactly one per asset may be active."""
+
+    def add_model_version(
+        self,
+        asset: str,
+        status: ModelStatus,
+        reason: str,
+        document: JsonDocument,
+        created_at_us: int,
+    ) -> int:
+        """Store a new model and return its version, counted from 1 per asset.
+
+        Parameters
+        ----------
+        asset : str
+            Asset the model belongs to.
+        status : str
+            "candidate" or "rejected"; a model becomes active through `activate` alone.
+        reason : str
+            Why it has this status, for people.
+        document : dict
+            Posterior, parameters, windows, scores and so on; plain JSON values.
+        created_at_us : int
+            Process time, UTC microseconds.
+
+        Raises
+        ------
+        ValueError
+            If the status is "active" or "retired".
+        """
+        if status not in ("candidate", "rejected"):
+            raise ValueError(f"status {status!r}: a new model is 'candidate' or 'rejected'")
+        with self._database.writing() as connection:
+            last = connection.scalar(
+                select(func.max(ModelVersionRow.version)).where(ModelVersionRow.asset == asset)
+            )
+            version = (last or 0) + 1
+            connection.execute(
+                insert(ModelVersionRow).values(
+                    asset=asset,
+                    version=version,
+                    status=status,
+                    reason=reason,
+                    created_at_us=created_at_us,
+                    document=document,
+                )
+            )
+        return version
+
+    def model_versions(self, asset: str) -> list[ModelVersion]:
+        """All models of an asset, oldest first."""
+        query = (
+            select(*_VERSION_COLUMNS)
+            .where(ModelVersionRow.asset == asset)
+            .order_by(ModelVersionRow.version)
+        )
+        with self._database.reading() as connection:
+            return [ModelVersion(**row._mapping) for row in connection.execute(query)]
+
+    def model_version(self, asset: str, version: int) -> ModelVersion | None:
+        """One model, or None when there is none of this version."""
+        with self._database.reading() as connection:
+            return _one(connection, asset, version)
+
+    def active_model(self, asset: str) -> ModelVersion | None:
+        """Give the active model of an asset, or None before the first activation."""
+        query = select(*_VERSION_COLUMNS).where(
+            ModelVersionRow.asset == asset, ModelVersionRow.status == "active"
+        )
+        with self._database.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return ModelVersion(**row._mapping) if row else None
+
+    def activate(
+        self, asset: str, version: int, who: str, comment: str, at_us: int
+    ) -> ModelVersion:
+        """Make a version the active one; the one before it is retired. Also rolls back.
+
+        Whether a rejected model may be activated is for the caller to decide. Activating the
+        active version again changes nothing and leaves no line in the journal.
+
+        Parameters
+        ----------
+        asset, version
+            Which model.
+        who, comment : str
+            For the journal.
+        at_us : int
+            Process time, UTC microseconds.
+
+        Raises
+        ------
+        KeyError
+            If there is no such version.
+        """
+        with self._database.writing() as connection:
+            wanted = _one(connection, asset, version)
+            if wanted is None:
+                raise KeyError(f"asset {asset!r} has no model version {version}")
+            if wanted.status == "active":
+                return wanted
+            connection.execute(
+                update(ModelVersionRow)
+                .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
+                .values(status="retired", reason=f"replaced by version {version}")
+            )
+            connection.execute(
+                update(ModelVersionRow)
+                .where(ModelVersionRow.asset == asset, ModelVersionRow.version == version)
+                .values(status="active", reason=comment)
+            )
+            connection.execute(
+                insert(ActivationRow).values(
+                    asset=asset, version=version, at_us=at_us, who=who, comment=comment
+                )
+            )
+            active = _one(connection, asset, version)
+        assert active is not None  # noqa: S101 - written two lines above
+        return active
+
+    def activations(self, asset: str) -> list[Activation]:
+        """Read the journal of activations of an asset, oldest first."""
+        query = (
+            select(
+                ActivationRow.asset,
+                ActivationRow.version,
+                ActivationRow.at_us,
+                ActivationRow.who,
+                ActivationRow.comment,
+            )
+            .where(ActivationRow.asset == asset)
+            .order_by(ActivationRow.id)
+        )
+        with self._database.reading() as connection:
+            return [Activation(**row._mapping) for row in connection.execute(query)]
+
+
+def _one(connection: Connection, asset: str, version: int) -> ModelVersion | None:
+    row = connection.execute(
+        select(*_VERSION_COLUMNS).where(
+            ModelVersionRow.asset == asset, ModelVersionRow.version == version
+        )
+    ).one_or_none()
+    return ModelVersion(**row._mapping) if row else None

@@ -1,0 +1,211 @@
+"""What the store hands out and takes in: plain typed records, never live database rows.
+
+All times are UTC microseconds since the epoch: process time, but for the keys and sessions, whose
+life is counted on the wall clock.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+ModelStatus = Literal["candidate", "active", "retired", "rejected"]
+JobStatus = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+Role = Literal["viewer", "operator", "engineer", "admin", "gateway"]
+
+JsonDocument = dict[str, Any]
+
+
+class WriteCounts(NamedTuple):
+    """What became of a batch of samples: newly stored (or mended) and already known."""
+
+    stored: int
+    duplicates: int
+
+
+class StoredSample(NamedTuple):
+    """One raw sample; the value is None when there is none (bad quality)."""
+
+    channel: str
+    time_us: int
+    value: float | None
+    quality: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rollup:
+    """One bucket of one channel: statistics over its good samples.
+
+    ``time_us`` is the start of the bucket. ``count`` is the number of good samples; without any,
+    the statistics are None and ``quality`` is the worst quality in the bucket.
+    """
+
+    channel: str
+    time_us: int
+    mean: float | None
+    min: float | None
+    max: float | None
+    count: int
+    quality: int
+
+
+@dataclass(frozen=True, slots=True)
+class MinuteTable:
+    """Averages per minute of several channels, for the minutes that have any sample at all.
+
+    Attributes
+    ----------
+    minute_us : ndarray of int64, shape (n,)
+        Start of each minute, ascending.
+    mean : dict of ndarray of float64, shape (n,)
+        Mean of the good samples per channel, NaN where a minute has none.
+    good_count, bad_count : dict of ndarray of int64, shape (n,)
+        Samples of good quality, and of any other quality, per channel.
+    """
+
+    minute_us: NDArray[np.int64]
+    mean: dict[str, NDArray[np.float64]]
+    good_count: dict[str, NDArray[np.int64]]
+    bad_count: dict[str, NDArray[np.int64]]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelVersion:
+    """One immutable model of an asset; only its status and the reason for it ever change."""
+
+    asset: str
+    version: int
+    status: ModelStatus
+    reason: str
+    created_at_us: int
+    document: JsonDocument
+
+
+@dataclass(frozen=True, slots=True)
+class Activation:
+    """One line of the activation journal: who made a version the active one, when and why."""
+
+    asset: str
+    version: int
+    at_us: int
+    who: str
+    comment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One identification job."""
+
+    id: str
+    asset: str
+    status: JobStatus
+    progress: float
+    best_fitness: float | None
+    evaluations: int
+    created_at_us: int
+    started_at_us: int | None
+    ended_at_us: int | None
+    error: str | None
+    model_version: int | None
+    request: JsonDocument
+    idempotency_key: str | None
+    attempts: int
+
+
+class JobChanges(TypedDict, total=False):
+    """The fields of a job that may change."""
+
+    status: JobStatus
+    progress: float
+    best_fitness: float | None
+    evaluations: int
+    started_at_us: int | None
+    ended_at_us: int | None
+    error: str | None
+    model_version: int | None
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
+class StoredAlarm:
+    """One life cycle of an alarm, from its raise until it is normal and acknowledged.
+
+    ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began.
+    """
+
+    id: str
+    asset: str
+    kind: str
+    channel: str
+    level: str
+    state: str
+    priority: int
+    message: str
+    predicted: bool
+    raised_at_us: int
+    since_us: int
+    returned_at_us: int | None
+    acknowledged_at_us: int | None
+    acknowledged_by: str | None
+    value: float | None
+    limit_value: float | None
+    unit: str | None
+    lead_time_s: float | None
+    probability: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmTransition:
+    """One line of the alarm journal: who or what moved an alarm from one state to another."""
+
+    alarm_id: str
+    asset: str
+    kind: str
+    channel: str
+    level: str
+    time_us: int
+    from_state: str
+    to_state: str
+    who: str
+    comment: str
+    value: float | None
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmJournalPage:
+    """Part of the alarm journal, newest first; ``next_cursor`` is None on the last page."""
+
+    items: list[AlarmTransition]
+    next_cursor: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ApiKey:
+    """An API key as the store knows it: never the key itself (times on the wall clock)."""
+
+    id: str
+    prefix: str
+    role: Role
+    created_us: int
+    expires_us: int | None
+    revoked_us: int | None
+
+    def is_valid(self, now_us: int) -> bool:
+        """Tell whether the key opens anything at this wall time (UTC microseconds)."""
+        return self.revoked_us is None and (self.expires_us is None or now_us < self.expires_us)
+
+
+@dataclass(frozen=True, slots=True)
+class BrowserSession:
+    """A browser that logged in with a key; it lives no longer than that key."""
+
+    id: str
+    key: ApiKey
+    created_us: int
+    expires_us: int
+
+    def is_valid(self, now_us: int) -> bool:
+        """Tell whether the session opens anything at this wall time (UTC microseconds)."""
+        return now_us < self.expires_us and self.key.is_valid(now_us)

@@ -1,0 +1,190 @@
+"""Raw samples: written in batches, each time of a channel once, read in order."""
+
+import heapq
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from operator import itemgetter
+
+from sqlalchemy import Connection, select
+from sqlalchemy.dialects.sqlite import insert as insert_or_ignore
+
+from adapters.samples import Quality, Sample, is_good
+from service.store.database import PATIENCE_S, Database
+from service.store.records import StoredSample, WriteCounts
+from service.store.section import Section
+from service.store.tables import ChannelRow, SampleRow
+
+#: The first good value of a time wins; a good one replaces one that is not; the rest changes
+#: nothing and is not counted as a change.
+_WRITE = f"""
+INSERT INTO samples (channel_id, time_us, value, quality) VALUES (?, ?, ?, ?)
+ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
+"""
+
+_LONG = 2**63
+_in_time_order = itemgetter(1, 0)
+
+
+class Samples(Section):
+    """Raw samples of all channels of all assets."""
+
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
+        self._ids: dict[tuple[str, str], int] = {}
+
+    def write_samples(
+        self, samples: Collection[Sample], patience_s: float = PATIENCE_S
+    ) -> WriteCounts:
+        """Store a batch in one transaction; when this returns, it is on the disk.
+
+        The first good value of a channel and time wins. A good one replaces a bad or uncertain
+        one of the same time; anything else that is sent again is a duplicate. A value that is
+        not a finite number is stored as none, and then its quality cannot be good.
+
+        Parameters
+        ----------
+        samples : collection of Sample
+            In any order, of any assets.
+        patience_s : float
+            Wall seconds to wait for other writers.
+
+        Raises
+        ------
+        ValueError
+            If a time is outside 0 to 2**63 - 1 microseconds or a quality outside 0 to 255.
+        StoreUnavailableError
+            If the store cannot take them now; nothing of the batch is stored then.
+        """
+        if not samples:
+            return WriteCounts(0, 0)
+        for sample in samples:
+            if not (0 <= sample.time_us < _LONG and 0 <= sample.quality <= 255):
+                raise ValueError(f"sample {sample}: expected a time after 1970 and a quality byte")
+        names = {(sample.asset, sample.channel) for sample in samples}
+        with self._database.writing(patience_s) as connection:
+            ids = self._ids
+            if missing := names - ids.keys():
+                ids = ids | {name: _make_channel(connection, *name) for name in missing}
+            rows = list(_rows(samples, ids))
+            stored = connection.exec_driver_sql(_WRITE, rows).rowcount
+        # Only now: had the transaction failed, the new channels would not be there.
+        self._ids = ids
+        return WriteCounts(stored, len(rows) - stored)
+
+    def channels(self, asset: str) -> list[str]:
+        """Names of the channels of an asset that were ever stored, sorted."""
+        with self._database.reading() as connection:
+            return sorted(channel_ids(connection, asset))
+
+    def read_samples(
+        self,
+        asset: str,
+        channels: Sequence[str] | None,
+        start_us: int,
+        end_us: int,
+        limit: int,
+        after: tuple[int, str] | None = None,
+    ) -> list[StoredSample]:
+        """Raw samples, ascending by time, then by channel name.
+
+        Parameters
+        ----------
+        asset : str
+            Asset to read.
+        channels : sequence of str or None
+            Which channels; None for all. Unknown ones have no samples.
+        start_us, end_us : int
+            UTC microseconds; the start is included, the end is not.
+        limit : int
+            Samples at most.
+        after : tuple of int and str, optional
+            Time and channel of the last sample of the page before: go on behind it.
+        """
+        with self._database.reading() as connection:
+            ids = channel_ids(connection, asset, channels)
+            # One ordered walk along the primary key per channel, then a merge: the work is
+            # bounded by the limit however long the span is.
+            per_channel = []
+            for name, channel_id in ids.items():
+                first_us = start_us
+                if after is not None:
+                    first_us = max(start_us, after[0] + (name <= after[1]))
+                query = (
+                    select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+                    .where(
+                        SampleRow.channel_id == channel_id,
+                        SampleRow.time_us >= first_us,
+                        SampleRow.time_us < end_us,
+                    )
+                    .order_by(SampleRow.time_us)
+                    .limit(limit)
+                )
+                rows = connection.execute(query)
+                per_channel.append([StoredSample(name, *row) for row in rows])
+        merged = heapq.merge(*per_channel, key=_in_time_order)
+        return [sample for sample, _ in zip(merged, range(limit), strict=False)]
+
+    def latest(self, asset: str) -> dict[str, StoredSample]:
+        """Give the newest sample of each channel of an asset, whatever its quality."""
+        newest = {}
+        with self._database.reading() as connection:
+            for name, channel_id in channel_ids(connection, asset).items():
+                query = (
+                    select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+                    .where(SampleRow.channel_id == channel_id)
+                    .order_by(SampleRow.time_us.desc())
+                    .limit(1)
+                )
+                for row in connection.execute(query):
+                    newest[name] = StoredSample(name, *row)
+        return newest
+
+    def first_time_us(self, asset: str) -> int | None:
+        """Time of the oldest sample of an asset, UTC microseconds; None when there is none."""
+        with self._database.reading() as connection:
+            ids = channel_ids(connection, asset)
+            firsts = [first_time_us(connection, channel_id, 0) for channel_id in ids.values()]
+        return min((first for first in firsts if first is not None), default=None)
+
+
+def channel_ids(
+    connection: Connection, asset: str, channels: Sequence[str] | None = None
+) -> dict[str, int]:
+    """Numbers of the channels of an asset by name; of those asked for, the ones there are."""
+    query = select(ChannelRow.name, ChannelRow.id).where(ChannelRow.asset == asset)
+    if channels is not None:
+        query = query.where(ChannelRow.name.in_(channels))
+    return dict(connection.execute(query.order_by(ChannelRow.name)).t.all())
+
+
+def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int | None:
+    """Time of the first sample of a channel at or after a time."""
+    query = (
+        select(SampleRow.time_us)
+        .where(SampleRow.channel_id == channel_id, SampleRow.time_us >= start_us)
+        .order_by(SampleRow.time_us)
+        .limit(1)
+    )
+    return connection.scalar(query)
+
+
+def _make_channel(connection: Connection, asset: str, name: str) -> int:
+    connection.execute(
+        insert_or_ignore(ChannelRow).values(asset=asset, name=name).on_conflict_do_nothing()
+    )
+    return connection.execute(
+        select(ChannelRow.id).where(ChannelRow.asset == asset, ChannelRow.name == name)
+    ).scalar_one()
+
+
+def _rows(
+    samples: Iterable[Sample], ids: dict[tuple[str, str], int]
+) -> Iterator[tuple[int, int, float | None, int]]:
+    isfinite = math.isfinite
+    for asset, channel, time_us, value, quality, _ in samples:
+        if isfinite(value):
+            yield ids[asset, channel], time_us, value, int(quality)
+        else:
+            kept = Quality.BAD if is_good(quality) else quality
+            yield ids[asset, channel], time_us, None, int(kept)

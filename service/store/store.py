@@ -1,0 +1,55 @@
+"""The store: one object with everything that the service keeps."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from service.store.access import Access
+from service.store.alarm_journal import AlarmJournal
+from service.store.asset_states import AssetStates
+from service.store.database import open_database
+from service.store.history import History
+from service.store.jobs import Jobs
+from service.store.model_versions import ModelVersions
+from service.store.samples import Samples
+
+
+class Store(Samples, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access):
+    """Samples, models, jobs, alarms and keys in one database.
+
+    The methods come from the parts, one module per noun. All are synchronous and safe to call
+    from any thread.
+    """
+
+    @classmethod
+    def open(cls, database_url: str, data_dir: Path) -> Self:
+        """Open the store; a new one is made, an older one is brought up to date.
+
+        Parameters
+        ----------
+        database_url : str
+            Empty for the SQLite file in the data directory, or ``sqlite:///PATH``.
+        data_dir : pathlib.Path
+            The service's directory; made when it does not exist.
+
+        Raises
+        ------
+        StoreError
+            If the store cannot be used; one line that names the file.
+        """
+        return cls(open_database(database_url, data_dir))
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

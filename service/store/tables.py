@@ -1,0 +1,224 @@
+"""The tables. Types are those that SQLite and PostgreSQL share."""
+
+from typing import Any, ClassVar
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Double,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    SmallInteger,
+    text,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+#: Key of a row that the database numbers by itself; SQLite only does so for plain INTEGER.
+_Serial = BigInteger().with_variant(Integer(), "sqlite")
+
+
+class Base(DeclarativeBase):
+    """All tables, with constraint names that migrations can rely on."""
+
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        int: BigInteger(),
+        float: Double(),
+        dict[str, Any]: JSON(),
+    }
+
+
+class ChannelRow(Base):
+    """One channel of one asset; samples point to it by a small number."""
+
+    __tablename__ = "channels"
+    __table_args__ = (Index("uq_channels_asset_name", "asset", "name", unique=True),)
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True)
+    asset: Mapped[str]
+    name: Mapped[str]
+
+
+class SampleRow(Base):
+    """One raw sample; a time can be sent again and is still stored once."""
+
+    __tablename__ = "samples"
+    __table_args__ = ({"sqlite_with_rowid": False},)
+
+    channel_id: Mapped[int] = mapped_column(Integer, ForeignKey("channels.id"), primary_key=True)
+    time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    value: Mapped[float | None]
+    quality: Mapped[int] = mapped_column(SmallInteger)
+
+
+class ModelVersionRow(Base):
+    """One model of one asset; at most one is active."""
+
+    __tablename__ = "model_versions"
+    __table_args__ = (
+        Index(
+            "uq_model_versions_active",
+            "asset",
+            unique=True,
+            sqlite_where=text("status = 'active'"),
+            postgresql_where=text("status = 'active'"),
+        ),
+    )
+
+    asset: Mapped[str] = mapped_column(primary_key=True)
+    version: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    status: Mapped[str]
+    reason: Mapped[str]
+    created_at_us: Mapped[int]
+    document: Mapped[dict[str, Any]]
+
+
+class ActivationRow(Base):
+    """Journal of the active model: one line per change."""
+
+    __tablename__ = "model_activations"
+    __table_args__ = (Index("ix_model_activations_asset_id", "asset", "id"),)
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    asset: Mapped[str]
+    version: Mapped[int]
+    at_us: Mapped[int]
+    who: Mapped[str]
+    comment: Mapped[str]
+
+
+class JobRow(Base):
+    """One identification job; at most one per asset is queued or running."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (
+        Index(
+            "uq_jobs_unfinished",
+            "asset",
+            unique=True,
+            sqlite_where=text("status IN ('queued', 'running')"),
+            postgresql_where=text("status IN ('queued', 'running')"),
+        ),
+        Index("uq_jobs_asset_idempotency_key", "asset", "idempotency_key", unique=True),
+    )
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    asset: Mapped[str]
+    status: Mapped[str]
+    progress: Mapped[float]
+    best_fitness: Mapped[float | None]
+    evaluations: Mapped[int]
+    created_at_us: Mapped[int]
+    started_at_us: Mapped[int | None]
+    ended_at_us: Mapped[int | None]
+    error: Mapped[str | None]
+    model_version: Mapped[int | None]
+    request: Mapped[dict[str, Any]]
+    idempotency_key: Mapped[str | None]
+    attempts: Mapped[int]
+
+
+class AssetStateRow(Base):
+    """What the live twin of an asset needs to go on after a restart."""
+
+    __tablename__ = "asset_states"
+
+    asset: Mapped[str] = mapped_column(primary_key=True)
+    document: Mapped[dict[str, Any]]
+
+
+class AlarmRow(Base):
+    """One life cycle of an alarm; of one (asset, kind, channel, level) at most one is not over."""
+
+    __tablename__ = "alarms"
+    __table_args__ = (
+        Index(
+            "uq_alarms_open",
+            "asset",
+            "kind",
+            "channel",
+            "level",
+            unique=True,
+            sqlite_where=text("state <> 'NORM'"),
+            postgresql_where=text("state <> 'NORM'"),
+        ),
+    )
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    asset: Mapped[str]
+    kind: Mapped[str]
+    channel: Mapped[str]
+    level: Mapped[str]
+    state: Mapped[str]
+    priority: Mapped[int] = mapped_column(SmallInteger)
+    message: Mapped[str]
+    predicted: Mapped[bool]
+    raised_at_us: Mapped[int]
+    since_us: Mapped[int]
+    returned_at_us: Mapped[int | None]
+    acknowledged_at_us: Mapped[int | None]
+    acknowledged_by: Mapped[str | None]
+    value: Mapped[float | None]
+    limit_value: Mapped[float | None]
+    unit: Mapped[str | None]
+    lead_time_s: Mapped[float | None]
+    probability: Mapped[float | None]
+
+
+class AlarmTransitionRow(Base):
+    """Journal of the alarms: one line per change of state."""
+
+    __tablename__ = "alarm_journal"
+    __table_args__ = (Index("ix_alarm_journal_time_us", "time_us"),)
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    alarm_id: Mapped[str] = mapped_column(ForeignKey("alarms.id"))
+    asset: Mapped[str]
+    kind: Mapped[str]
+    channel: Mapped[str]
+    level: Mapped[str]
+    time_us: Mapped[int]
+    from_state: Mapped[str]
+    to_state: Mapped[str]
+    who: Mapped[str]
+    comment: Mapped[str]
+    value: Mapped[float | None]
+    message: Mapped[str]
+
+
+class ApiKeyRow(Base):
+    """An API key: only its hash is kept.
+
+    A key is 256 random bits, so a plain SHA-256 is enough: there is no dictionary to try.
+    """
+
+    __tablename__ = "api_keys"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    prefix: Mapped[str]
+    sha256: Mapped[str] = mapped_column(unique=True)
+    role: Mapped[str]
+    created_us: Mapped[int]
+    expires_us: Mapped[int | None]
+    revoked_us: Mapped[int | None]
+
+
+class BrowserSessionRow(Base):
+    """A browser session; its cookie holds 256 random bits, of which only the hash is kept."""
+
+    __tablename__ = "browser_sessions"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    sha256: Mapped[str] = mapped_column(unique=True)
+    key_id: Mapped[str] = mapped_column(ForeignKey("api_keys.id"))
+    created_us: Mapped[int]
+    expires_us: Mapped[int]
