@@ -71,7 +71,12 @@ class History(Section):
         return [rollup for rollup, _ in zip(merged, range(limit), strict=False)]
 
     def minute_averages(
-        self, asset: str, channels: Sequence[str], start_us: int, end_us: int
+        self,
+        asset: str,
+        channels: Sequence[str],
+        start_us: int,
+        end_us: int,
+        offset_us: int = 0,
     ) -> MinuteTable:
         """Averages per minute of the good samples, on one time axis for all channels.
 
@@ -83,12 +88,15 @@ class History(Section):
             Which channels; one that was never stored is all NaN.
         start_us, end_us : int
             UTC microseconds; samples in the half-open span count.
+        offset_us : int
+            Minutes begin so much after the full minute; minus half a minute centres the averages
+            on the full minutes, as an instantaneous value there.
         """
         per_channel: dict[str, list[tuple[int, float | None, int, int]]] = {}
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
             for name, channel_id in ids.items():
-                minute = _bucket(MINUTE_US)
+                minute = _bucket(MINUTE_US, offset_us)
                 query = select(minute, _mean, _good_count, func.count()).where(
                     SampleRow.channel_id == channel_id,
                     SampleRow.time_us >= start_us,
@@ -118,8 +126,8 @@ class History(Section):
         return table
 
 
-def _bucket(bucket_us: int) -> ColumnElement[int]:
-    return SampleRow.time_us - SampleRow.time_us % bucket_us
+def _bucket(bucket_us: int, offset_us: int = 0) -> ColumnElement[int]:
+    return SampleRow.time_us - (SampleRow.time_us - offset_us) % bucket_us
 
 
 def _buckets(
