@@ -9,6 +9,7 @@ from service.store.errors import (
 from service.store.locking import DataDirectoryLock, lock_data_directory
 from service.store.records import (
     Activation,
+    Alarm,
     AlarmJournalPage,
     AlarmTransition,
     ApiKey,
@@ -21,7 +22,6 @@ from service.store.records import (
     ModelVersion,
     Role,
     Rollup,
-    StoredAlarm,
     StoredSample,
     WriteCounts,
 )
@@ -30,6 +30,7 @@ from service.store.store import Store
 __all__ = [
     "Activation",
     "ActiveJobError",
+    "Alarm",
     "AlarmJournalPage",
     "AlarmTransition",
     "ApiKey",
@@ -47,7 +48,6 @@ __all__ = [
     "Store",
     "StoreError",
     "StoreUnavailableError",
-    "StoredAlarm",
     "StoredSample",
     "WriteCounts",
     "lock_data_directory",

@@ -5,11 +5,11 @@ from dataclasses import asdict, fields
 
 from sqlalchemy import insert, select, update
 
-from service.store.records import AlarmJournalPage, AlarmTransition, StoredAlarm
+from service.store.records import Alarm, AlarmJournalPage, AlarmTransition
 from service.store.section import Section
 from service.store.tables import AlarmRow, AlarmTransitionRow
 
-_ALARM_COLUMNS = tuple(getattr(AlarmRow, field.name) for field in fields(StoredAlarm))
+_ALARM_COLUMNS = tuple(getattr(AlarmRow, field.name) for field in fields(Alarm))
 _JOURNAL_COLUMNS = tuple(
     getattr(AlarmTransitionRow, field.name) for field in fields(AlarmTransition)
 )
@@ -18,7 +18,7 @@ _JOURNAL_COLUMNS = tuple(
 class AlarmJournal(Section):
     """An alarm and the line in the journal that tells of its change are written together."""
 
-    def save_alarm(self, alarm: StoredAlarm, transitions: Sequence[AlarmTransition] = ()) -> None:
+    def save_alarm(self, alarm: Alarm, transitions: Sequence[AlarmTransition] = ()) -> None:
         """Write an alarm as it is now, and what happened to it, in one transaction."""
         values = asdict(alarm)
         with self._database.writing() as connection:
@@ -30,7 +30,7 @@ class AlarmJournal(Section):
             if transitions:
                 connection.execute(insert(AlarmTransitionRow), [asdict(one) for one in transitions])
 
-    def load_alarms(self) -> list[StoredAlarm]:
+    def load_alarms(self) -> list[Alarm]:
         """All alarms that are not over (state other than NORM), oldest first."""
         query = (
             select(*_ALARM_COLUMNS)
@@ -38,7 +38,7 @@ class AlarmJournal(Section):
             .order_by(AlarmRow.raised_at_us, AlarmRow.id)
         )
         with self._database.reading() as connection:
-            return [StoredAlarm(**row._mapping) for row in connection.execute(query)]
+            return [Alarm(**row._mapping) for row in connection.execute(query)]
 
     def alarm_journal(
         self,

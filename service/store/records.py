@@ -128,7 +128,7 @@ class JobChanges(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True)
-class StoredAlarm:
+class Alarm:
     """One life cycle of an alarm, from its raise until it is normal and acknowledged.
 
     ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began.

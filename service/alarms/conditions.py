@@ -1,0 +1,75 @@
+"""What the rules of the twin tell the alarm book."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+AlarmKind = Literal["measured limit", "forecast limit", "sensor fault", "stale data"]
+Priority = Literal[1, 2, 3]
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmCondition:
+    """The present truth of one alarm condition; (asset, kind, channel, level) names it.
+
+    Attributes
+    ----------
+    asset, channel : str
+        What it is about.
+    kind : str
+        Kind of condition.
+    level : str
+        The limit's level, "warning" or "alarm"; empty for a condition without levels.
+    active : bool or None
+        Whether the condition holds; None when that cannot be told (no good sample): then the
+        alarm stays as it is and its delays stand still.
+    value : float or None
+        The quantity that is compared, in ``unit``.
+    message : str
+        One line for operators.
+    priority : int
+        1 high, 2 medium, 3 low.
+    predicted : bool
+        True when this is not measured but forecast; then ``lead_time_s`` and ``probability``.
+    lead_time_s, probability : float or None
+        Process seconds until it is expected to happen, and how probable that is.
+    on_delay_s, off_delay_s : float
+        Process seconds that the condition must hold before the alarm is raised, and must be gone
+        before the alarm returns to normal.
+    limit_value : float or None
+        The upper limit that the value is compared with, in ``unit``.
+    deadband : float
+        The alarm returns only when the value is this far below the limit, in ``unit``.
+    unit : str or None
+        Unit of value, limit and deadband.
+    """
+
+    asset: str
+    kind: AlarmKind
+    channel: str
+    level: str
+    active: bool | None
+    value: float | None
+    message: str
+    priority: Priority
+    predicted: bool = False
+    lead_time_s: float | None = None
+    probability: float | None = None
+    on_delay_s: float = 0.0
+    off_delay_s: float = 0.0
+    limit_value: float | None = None
+    deadband: float = 0.0
+    unit: str | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """What tells one condition from another."""
+        return self.asset, self.kind, self.channel, self.level
+
+    @property
+    def in_deadband(self) -> bool:
+        """True when the value is not clear enough of the limit for the alarm to return."""
+        return (
+            self.value is not None
+            and self.limit_value is not None
+            and self.value > self.limit_value - self.deadband
+        )

@@ -1,0 +1,82 @@
+"""Writes what happens to the alarms into the store, in order, without making anybody wait."""
+
+import logging
+import threading
+import time
+from collections import deque
+
+from service.store import Alarm, AlarmTransition, Store, StoreUnavailableError
+
+_log = logging.getLogger(__name__)
+_RETRY_S = 0.5
+
+
+class AlarmRecorder:
+    """A queue in front of the store with a thread of its own.
+
+    While the store does not answer, the changes wait and nothing else does.
+
+    Parameters
+    ----------
+    store : Store
+        Where the alarms and their journal go.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._changes: deque[tuple[Alarm, tuple[AlarmTransition, ...]]] = deque()
+        self._condition = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="alarm-journal", daemon=True)
+        self._thread.start()
+
+    def record(self, alarm: Alarm, *transitions: AlarmTransition) -> None:
+        """Have an alarm written as it is now, with the lines for the journal; returns at once."""
+        with self._condition:
+            self._changes.append((alarm, transitions))
+            self._condition.notify_all()
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until all is written that was recorded so far; False when that took too long."""
+        with self._condition:
+            return self._condition.wait_for(lambda: not self._changes, timeout_s)
+
+    def close(self, timeout_s: float) -> None:
+        """Write what is left, for at most so many wall seconds, and stop."""
+        written = self.flush(timeout_s)
+        with self._condition:
+            self._closing = True
+            self._condition.notify_all()
+        if not written:
+            _log.error(
+                "%d alarm changes could not be written: the store did not answer for %g s",
+                len(self._changes),
+                timeout_s,
+            )
+        self._thread.join(_RETRY_S)
+
+    def _run(self) -> None:
+        failing = False
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._changes or self._closing)
+                if self._closing:
+                    return
+                alarm, transitions = self._changes[0]
+            try:
+                self._store.save_alarm(alarm, transitions)
+            except StoreUnavailableError as error:
+                if not failing:
+                    _log.warning("the alarm journal waits for the store: %s", error)
+                failing = True
+                time.sleep(_RETRY_S)
+                continue
+            except Exception:
+                # A change that the store refuses must not hold up the ones behind it.
+                _log.exception("an alarm change was not written: %s", alarm)
+            if failing:
+                failing = False
+                _log.info("the alarm journal is written again")
+            with self._condition:
+                self._changes.popleft()
+                self._condition.notify_all()
