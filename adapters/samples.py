@@ -86,7 +86,11 @@ class PlannedProfile:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What one driver hands over at once."""
+    """What one driver hands over at once.
+
+    `poll_s` is how long the poll behind it took in wall seconds; None for a listening driver.
+    """
 
     samples: list[Sample] = field(default_factory=list)
     plans: list[PlannedProfile] = field(default_factory=list)
+    poll_s: float | None = None

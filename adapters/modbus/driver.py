@@ -1,0 +1,377 @@
+"""The Modbus TCP driver: polls on the process clock and hands over what can be trusted."""
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
+from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusTcpSource
+from adapters.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
+from adapters.modbus.mapping import MAX_REGISTERS, Group, Point, UnitMap, check, compile_units
+from adapters.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.samples import Batch, PlannedProfile, Quality, Sample, is_bad, is_good
+
+logger = logging.getLogger(__name__)
+
+# Wall seconds.
+RECONNECT_FIRST_S = 0.2
+RECONNECT_LAST_S = 5.0
+SILENT_UNIT_LAST_S = 30.0  # between two tries of a dead unit while others are alive
+REFUSED_READ_S = 5.0  # before a read that the device refused as wrong is tried again
+PLAN_INTERVAL_S = 0.2
+PLAN_FAILED_FIRST_S = 5.0
+LOG_INTERVAL_S = 10.0  # between two lines on the same channel
+PLAN_ROWS_PER_READ = MAX_REGISTERS // PLAN_ROW_REGISTERS
+
+
+class Backoff:
+    """Growing waits: each twice the one before, up to a limit."""
+
+    def __init__(self, first_s: float, last_s: float) -> None:
+        self._first_s = first_s
+        self._last_s = last_s
+        self._next_s = first_s
+
+    def next(self) -> float:
+        """Return the next wait in seconds and double the one after."""
+        wait_s, self._next_s = self._next_s, min(2.0 * self._next_s, self._last_s)
+        return wait_s
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._next_s = self._first_s
+
+
+@dataclass(slots=True)
+class _Unit:
+    """A unit with its standing: alive, or silent and tried again now and then."""
+
+    map: UnitMap
+    backoff: Backoff
+    silent: str = ""  # why, or empty
+    retry_at: float = 0.0  # wall, monotonic
+    lost: bool = False  # the bad samples that mark the gap have been handed over
+    probe: asyncio.Task[bool] | None = None
+    probe_failed_to_connect: bool = False
+
+
+class ModbusTcpDriver:
+    """Polls one Modbus TCP server, see `adapters.drivers.Driver`.
+
+    Requests go out one at a time over one connection. A unit that does not answer is left out and
+    tried again, over a connection of its own, after growing waits, so that it costs the others
+    one time-out and no more. When a cycle comes too late it is skipped and counted; requests
+    never queue up.
+    """
+
+    def __init__(
+        self,
+        source: ModbusTcpSource,
+        channels: Sequence[ChannelBinding],
+        plans: Sequence[PlanBinding],
+        clock: Clock,
+    ) -> None:
+        check(source, channels, plans)
+        self._source = source
+        self._clock = clock
+        self._link = Link(source.host, source.port, source.timeout_s)
+        self._was_connected = False
+        self._reconnect_backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
+        maps = compile_units(source, channels, plans, clock.rate)
+        last_s = RECONNECT_LAST_S if len(maps) == 1 else SILENT_UNIT_LAST_S
+        self._units = [_Unit(unit, Backoff(RECONNECT_FIRST_S, last_s)) for unit in maps]
+        self._health = SourceHealth(source.name, "modbus-tcp")
+        self._link_problem = "not connected yet"
+        self._plan_problem = ""
+        self._plans_due = 0.0  # wall, monotonic
+        self._plan_backoff = Backoff(PLAN_FAILED_FIRST_S, SILENT_UNIT_LAST_S)
+
+    @property
+    def name(self) -> str:
+        """The source's name in the configuration."""
+        return self._source.name
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self._close()
+
+    def health(self) -> SourceHealth:
+        """Tell how the source is doing."""
+        health = self._health
+        health.up = not self._link_problem and any(not unit.silent for unit in self._units)
+        problems = [self._link_problem] if self._link_problem else []
+        problems += [f"unit {u.map.unit}: {u.silent}" for u in self._units if u.silent]
+        points = [point for unit in self._units for point in unit.map.points if point.problem]
+        problems += [f"{point.label}: {point.problem}" for point in points[:5]]
+        if len(points) > 5:
+            problems.append(f"and {len(points) - 5} more channels")
+        if self._plan_problem:
+            problems.append(self._plan_problem)
+        health.detail = "; ".join(problems) or "ok"
+        return health
+
+    async def batches(self) -> AsyncIterator[Batch]:
+        """Yield one batch per poll for ever; cancel to stop."""
+        due_us = self._clock.now_us()
+        interval_us = round(self._source.poll_interval_s * 1e6)
+        try:
+            while True:
+                if not self._link.connected and not await self._connect():
+                    lost = self._lose_everything()
+                    if lost:
+                        yield Batch(lost)
+                    await asyncio.sleep(self._reconnect_backoff.next())
+                    continue
+                now_us = self._clock.now_us()
+                if now_us < due_us:
+                    await self._clock.sleep((due_us - now_us) / 1e6)
+                else:
+                    late = (now_us - due_us) // interval_us
+                    self._health.skipped += late
+                    due_us += late * interval_us
+                due_us += interval_us
+                batch = await self._poll()
+                if batch.samples or batch.plans:
+                    yield batch
+        finally:
+            await self._close()
+
+    async def _connect(self) -> bool:
+        if await self._link.connect():
+            if self._was_connected:
+                self._health.reconnects += 1
+                logger.info("source %s: connected again", self.name)
+            self._was_connected = True
+            self._reconnect_backoff.reset()
+            self._link_problem = ""
+            return True
+        where = f"{self._source.host}:{self._source.port}"
+        if not self._link_problem.startswith("cannot"):
+            logger.warning("source %s: cannot connect to %s, trying on", self.name, where)
+        self._link_problem = f"cannot connect to {where}"
+        self._health.count_error("connect")
+        return False
+
+    async def _close(self) -> None:
+        probes = [unit.probe for unit in self._units if unit.probe is not None]
+        for probe in probes:
+            probe.cancel()
+        await asyncio.gather(*probes, return_exceptions=True)
+        for unit in self._units:
+            unit.probe = None
+        self._link.drop()
+
+    async def _poll(self) -> Batch:
+        """Read every unit that is due once."""
+        started = time.monotonic()
+        samples: list[Sample] = []
+        plans: list[PlannedProfile] = []
+        answered = False
+        for unit in self._units:
+            if unit.silent and not self._is_due_on_this_link(unit):
+                continue
+            answered |= await self._poll_unit(unit, samples)
+            if not self._link.connected and not await self._connect():
+                break
+        if self._link.connected and started >= self._plans_due:
+            self._plans_due = started + PLAN_INTERVAL_S
+            await self._read_plans(plans)
+        if not self._link.connected and not await self._connect():
+            samples += self._lose_everything()
+        if answered:
+            self._health.polls += 1
+        return Batch(samples, plans, time.monotonic() - started if answered else None)
+
+    def _is_due_on_this_link(self, unit: _Unit) -> bool:
+        """Decide how a silent unit is tried again: on this link only if that delays nobody."""
+        if unit.probe is not None:
+            if not unit.probe.done():
+                return False
+            alive = unit.probe.result()
+            unit.probe = None
+            if alive:
+                return True
+            if not unit.probe_failed_to_connect:
+                unit.retry_at = time.monotonic() + unit.backoff.next()
+                return False
+            return True  # a gateway with room for one connection only: there is no other way
+        if time.monotonic() < unit.retry_at:
+            return False
+        if all(other.silent for other in self._units):
+            return True
+        unit.probe = asyncio.create_task(self._probe(unit))
+        return False
+
+    async def _probe(self, unit: _Unit) -> bool:
+        """Ask a silent unit for its first group over a second connection; tell if it answers."""
+        link = Link(self._source.host, self._source.port, self._source.timeout_s)
+        group = unit.map.groups[0]
+        try:
+            unit.probe_failed_to_connect = not await link.connect()
+            if unit.probe_failed_to_connect:
+                return False
+            await link.read(group.kind, unit.map.unit, group.start, group.count)
+        except DeviceRefusedError:
+            return True
+        except (NoAnswerError, LinkLostError):
+            return False
+        finally:
+            link.drop()
+        return True
+
+    async def _poll_unit(self, unit: _Unit, samples: list[Sample]) -> bool:
+        """Read one unit's channels; tell if it answered."""
+        if not unit.map.groups:
+            return False
+        try:
+            try:
+                await self._read_groups(unit.map)
+            except LinkLostError:
+                # a server that closes now and then costs no sample
+                self._health.count_error("connection")
+                if not await self._connect():
+                    return False
+                await self._read_groups(unit.map)
+        except (NoAnswerError, LinkLostError) as error:
+            self._health.count_error("no_answer")
+            self._silence(unit, str(error), samples)
+            return False
+        if unit.silent:
+            logger.info("source %s: unit %d answers again", self.name, unit.map.unit)
+            unit.silent = ""
+        unit.backoff.reset()
+        unit.lost = False
+        samples += [self._sample(point) for point in unit.map.points]
+        self._health.samples += len(unit.map.points)
+        return True
+
+    def _silence(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
+        """Leave a unit out for a while and mark the gap in its channels."""
+        if not unit.silent:
+            logger.warning("source %s: unit %d: %s", self.name, unit.map.unit, reason)
+        unit.silent = reason
+        unit.retry_at = time.monotonic() + unit.backoff.next()
+        samples += self._lose(unit)
+
+    def _lose_everything(self) -> list[Sample]:
+        return [sample for unit in self._units for sample in self._lose(unit)]
+
+    def _lose(self, unit: _Unit) -> list[Sample]:
+        """One bad sample per channel, once per loss."""
+        if unit.lost:
+            return []
+        unit.lost = True
+        now_us = self._clock.now_us()
+        samples = []
+        for point in unit.map.points:
+            point.last_good_us = 0
+            point.problem = ""
+            samples.append(_stamped(point, now_us, math.nan, Quality.COMM_FAILURE))
+        self._health.samples += len(samples)
+        return samples
+
+    async def _read_groups(self, unit: UnitMap) -> None:
+        """Read all groups; one that the device calls wrong is split to find the wrong cell."""
+        groups: list[Group] = []
+        for group in unit.groups:
+            if time.monotonic() < group.retry_at:
+                group.repeat(self._clock.now_us())
+                groups.append(group)
+            else:
+                groups += await self._read_group(unit.unit, group)
+        unit.groups = groups
+
+    async def _read_group(self, unit: int, group: Group) -> list[Group]:
+        try:
+            values = await self._link.read(group.kind, unit, group.start, group.count)
+        except DeviceRefusedError as error:
+            halves = group.halves() if error.code in (2, 3) else None
+            if halves:
+                low, high = halves
+                return await self._read_group(unit, low) + await self._read_group(unit, high)
+            group.fail(error.code, self._clock.now_us())
+            if error.code in (1, 2, 3):
+                group.retry_at = time.monotonic() + REFUSED_READ_S
+        else:
+            group.store(values, self._clock.now_us())
+        return [group]
+
+    def _sample(self, point: Point) -> Sample:
+        value, quality, kind, reason = point.evaluate(point.reading.time_us)
+        if kind:
+            self._health.count_error(kind)
+        if reason != point.problem:
+            point.problem = reason
+            now = time.monotonic()
+            if now >= point.quiet_until:
+                point.quiet_until = now + LOG_INTERVAL_S
+                level = logging.WARNING if is_bad(quality) else logging.INFO
+                what = reason or "good again"
+                logger.log(level, "source %s: channel %s: %s", self.name, point.label, what)
+        sample = _stamped(point, point.reading.time_us, value, quality)
+        if is_good(quality):
+            self._health.last_good_us = sample.time_us
+        return sample
+
+    async def _read_plans(self, plans: list[PlannedProfile]) -> None:
+        """Read the planned profiles; whatever fails here leaves the channels alone."""
+        problem = ""
+        for unit in self._units:
+            if unit.silent:
+                continue
+            for binding in unit.map.plans:
+                config = binding.config
+                if not isinstance(config, ModbusPlan):
+                    continue
+                try:
+                    registers = await self._read_plan(unit.map.unit, config)
+                    steps = decode_plan(registers, config.word_order)
+                except (NoAnswerError, LinkLostError, DeviceRefusedError) as error:
+                    problem = f"plan of {binding.asset}: {error}"
+                    if not (isinstance(error, DeviceRefusedError) and error.busy):
+                        self._plans_due = time.monotonic() + self._plan_backoff.next()
+                except ImplausiblePlanError as error:
+                    problem = f"plan of {binding.asset}: implausible {error}"
+                else:
+                    plans.append(PlannedProfile(binding.asset, self._clock.now_us(), steps))
+        if problem:
+            self._health.count_error("plan")
+            if not self._plan_problem:
+                logger.warning("source %s: %s", self.name, problem)
+        else:
+            self._plan_backoff.reset()
+        self._plan_problem = problem
+
+    async def _read_plan(self, unit: int, config: ModbusPlan) -> list[int]:
+        """Read all rows; raise ImplausiblePlanError when the table moved between two requests."""
+        registers: list[int] = []
+        while len(registers) < config.rows * PLAN_ROW_REGISTERS:
+            left = config.rows * PLAN_ROW_REGISTERS - len(registers)
+            count = min(left, PLAN_ROWS_PER_READ * PLAN_ROW_REGISTERS)
+            address = config.address + len(registers)
+            registers += await self._link.read(config.kind, unit, address, count)
+        if config.rows > PLAN_ROWS_PER_READ:
+            first = await self._link.read(config.kind, unit, config.address, PLAN_ROW_REGISTERS)
+            if list(first[2:]) != registers[2:PLAN_ROW_REGISTERS]:
+                raise ImplausiblePlanError("table: the step changed while it was read")
+        return registers
+
+
+def _stamped(point: Point, time_us: int, value: float, quality: Quality) -> Sample:
+    """Make a sample whose time is later than the channel's last one."""
+    point.last_time_us = max(time_us, point.last_time_us + 1)
+    return Sample(
+        point.asset, point.channel, point.last_time_us, value, int(quality), point.last_time_us
+    )

@@ -1,0 +1,395 @@
+"""From the configured channels to grouped register reads, and from raw registers to samples."""
+
+import logging
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from adapters.configuration import ConfigurationError
+from adapters.drivers import ChannelBinding, PlanBinding
+from adapters.modbus.config import (
+    BIT_KINDS,
+    PLAN_ROW_REGISTERS,
+    Kind,
+    ModbusChannel,
+    ModbusPlan,
+    ModbusTcpSource,
+)
+from adapters.pt100 import fault, temperature_from_resistance
+from adapters.samples import Quality
+
+logger = logging.getLogger(__name__)
+
+ADDRESSES = 65536
+MAX_REGISTERS = 125  # of one read request, by the Modbus specification
+MAX_BITS = 2000
+REGISTER_GAP = 8  # unasked-for addresses that one request may bridge
+BIT_GAP = 64
+
+_FORMATS = {
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "float32": "f",
+    "float64": "d",
+}
+_WORDS = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2, "float64": 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One raw value on the wire: where it is and how its registers make a number."""
+
+    kind: Kind
+    address: int
+    count: int  # registers or bits
+    structure: str  # struct format; empty for bits, which become an integer (first bit lowest)
+    swap_bytes: bool  # unpack from the registers packed little endian
+
+
+@dataclass(slots=True)
+class Reading:
+    """What the latest read of a cell gave: a raw number, or the code of the exception."""
+
+    raw: float = math.nan
+    exception: int = 0
+    time_us: int = 0
+
+
+@dataclass(slots=True)
+class Group:
+    """Cells of one unit and kind that are read with one request."""
+
+    kind: Kind
+    cells: list[tuple[Cell, Reading]]
+    start: int = 0
+    count: int = 0
+    retry_at: float = 0.0  # wall (monotonic) time before which a refused read is not repeated
+    _decode: list[tuple[Reading, Callable[..., tuple[float, ...]], bool, int]] = field(
+        default_factory=list
+    )
+
+    def __post_init__(self) -> None:
+        self.start = min(cell.address for cell, _ in self.cells)
+        self.count = max(cell.address + cell.count for cell, _ in self.cells) - self.start
+        if self.kind not in BIT_KINDS:
+            self._decode = [
+                (
+                    reading,
+                    struct.Struct(cell.structure).unpack_from,
+                    cell.swap_bytes,
+                    2 * (cell.address - self.start),
+                )
+                for cell, reading in self.cells
+            ]
+
+    def store(self, values: Sequence[int | bool], time_us: int) -> None:
+        """Decode the registers or bits of an answer into the cells' readings."""
+        if self.kind in BIT_KINDS:
+            for cell, reading in self.cells:
+                first = cell.address - self.start
+                reading.raw = sum(
+                    1 << n for n, bit in enumerate(values[first : first + cell.count]) if bit
+                )
+                reading.exception = 0
+                reading.time_us = time_us
+            return
+        straight = struct.pack(f">{len(values)}H", *values)
+        swapped = struct.pack(f"<{len(values)}H", *values)
+        for reading, unpack_from, swap_bytes, offset in self._decode:
+            (reading.raw,) = unpack_from(swapped if swap_bytes else straight, offset)
+            reading.exception = 0
+            reading.time_us = time_us
+
+    def fail(self, exception: int, time_us: int) -> None:
+        """Note that the device refused the read."""
+        for _, reading in self.cells:
+            reading.exception = exception
+            reading.time_us = time_us
+
+    def repeat(self, time_us: int) -> None:
+        """Let the readings stand as of now, without a read."""
+        for _, reading in self.cells:
+            reading.time_us = time_us
+
+    def halves(self) -> tuple["Group", "Group"] | None:
+        """Split between two cells; None when there is nothing to split."""
+        spans = sorted({(cell.address, cell.count) for cell, _ in self.cells})
+        if len(spans) < 2:
+            return None
+        middle = spans[len(spans) // 2]
+        low = [pair for pair in self.cells if (pair[0].address, pair[0].count) < middle]
+        high = [pair for pair in self.cells if (pair[0].address, pair[0].count) >= middle]
+        return Group(self.kind, low), Group(self.kind, high)
+
+
+@dataclass(slots=True)
+class Point:
+    """A channel, compiled for decoding."""
+
+    asset: str
+    channel: str
+    config: ModbusChannel
+    unit: int
+    reading: Reading
+    status: Reading | None
+    sentinels: frozenset[float]
+    status_bits: tuple[tuple[int, str], ...]
+    age_limit_us: float
+    last_time_us: int = 0
+    last_good: float = math.nan
+    last_good_us: int = 0
+    problem: str = ""
+    quiet_until: float = 0.0  # wall (monotonic) time before which no further line is logged
+
+    @property
+    def label(self) -> str:
+        """The channel's full name for messages."""
+        return f"{self.asset}/{self.channel}"
+
+    def evaluate(self, time_us: int) -> tuple[float, Quality, str, str]:
+        """Turn the latest readings into a value.
+
+        Parameters
+        ----------
+        time_us
+            Process time of the sample that will be made.
+
+        Returns
+        -------
+        tuple
+            Value (NaN when bad), quality, kind of error for counting and a reason for people
+            (both empty when good). Never good unless the device said so in every respect.
+        """
+        exception = self.reading.exception
+        if not exception and self.status is not None:
+            exception = self.status.exception
+        if exception:
+            return self._refused(exception, time_us)
+        if self.status is not None:
+            word = int(self.status.raw)
+            set_bits = [name for bit, name in self.status_bits if word >> bit & 1]
+            if set_bits:
+                return self._bad(Quality.SENSOR_FAILURE, "status", "status: " + ", ".join(set_bits))
+        raw = self.reading.raw
+        if not math.isfinite(raw):
+            return self._bad(Quality.SENSOR_FAILURE, "not_a_number", "not a number")
+        if raw in self.sentinels:
+            return self._bad(Quality.SENSOR_FAILURE, "sentinel", f"no value (sentinel {raw:g})")
+        value = raw * self.config.scale + self.config.offset
+        if self.config.conversion == "pt100_ohm":
+            broken = fault(value)
+            if broken:
+                return self._bad(Quality.SENSOR_FAILURE, "pt100", broken)
+            value = temperature_from_resistance(value)
+        limits = self.config.valid_range
+        if limits is not None and not limits[0] <= value <= limits[1]:
+            self.last_good_us = 0
+            reason = f"outside the valid range {list(limits)}"
+            return value, Quality.EU_EXCEEDED, "valid_range", reason
+        self.last_good = value
+        self.last_good_us = time_us
+        return value, Quality.GOOD, "", ""
+
+    def _bad(self, quality: Quality, kind: str, reason: str) -> tuple[float, Quality, str, str]:
+        self.last_good_us = 0
+        return math.nan, quality, kind, reason
+
+    def _refused(self, code: int, time_us: int) -> tuple[float, Quality, str, str]:
+        kind = f"exception_{code:02x}"
+        if code in (5, 6):  # acknowledged but not ready, busy: the device keeps its old value
+            if not self.last_good_us:
+                reason = "device busy, no value yet"
+                return math.nan, Quality.WAITING_FOR_INITIAL_DATA, kind, reason
+            if time_us - self.last_good_us > self.age_limit_us:
+                return self._bad(Quality.COMM_FAILURE, kind, "device busy for too long")
+            return self.last_good, Quality.LAST_USABLE, kind, "device busy, last value kept"
+        config = self.config
+        where = f"register {config.address} ({config.kind}, unit {self.unit})"
+        if code == 1:
+            return self._bad(
+                Quality.CONFIG_ERROR, kind, f"{where} cannot be read: illegal function"
+            )
+        if code == 2:
+            if not self.reading.exception and config.status is not None:
+                where = f"status register {config.status.address} (unit {self.unit})"
+            return self._bad(
+                Quality.CONFIG_ERROR, kind, f"{where} does not exist: illegal data address"
+            )
+        if code == 3:
+            return self._bad(Quality.CONFIG_ERROR, kind, f"{where} refused: illegal data value")
+        if code in (4, 7, 8):
+            return self._bad(Quality.DEVICE_FAILURE, kind, f"{where}: device failure ({code:02X})")
+        return self._bad(Quality.BAD, kind, f"{where}: exception {code:02X}")
+
+
+@dataclass(slots=True)
+class UnitMap:
+    """All that is read from one unit."""
+
+    unit: int
+    points: list[Point]
+    groups: list[Group]
+    plans: list[PlanBinding]
+
+
+def check(
+    source: ModbusTcpSource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
+) -> None:
+    """Check what is bound to a Modbus source; opens no connection.
+
+    Raises
+    ------
+    ConfigurationError
+        A channel is bound twice, or its registers run past the last address.
+    """
+    seen: set[tuple[str, str]] = set()
+    for binding in channels:
+        config = _channel(binding)
+        if (binding.asset, binding.channel) in seen:
+            raise ConfigurationError(
+                f"source {source.name!r}: channel {binding.asset}/{binding.channel} is bound twice"
+            )
+        seen.add((binding.asset, binding.channel))
+        for cell in filter(None, (_value_cell(config), _status_cell(config))):
+            if cell.address + cell.count > ADDRESSES:
+                raise ConfigurationError(
+                    f"channel {binding.asset}/{binding.channel}: register {cell.address} with "
+                    f"{cell.count} addresses runs past the last address, {ADDRESSES - 1}"
+                )
+    for plan in plans:
+        bound = _plan(plan)
+        if bound.address + bound.rows * PLAN_ROW_REGISTERS > ADDRESSES:
+            raise ConfigurationError(
+                f"plan of {plan.asset}: register {bound.address} with {bound.rows} rows of "
+                f"{PLAN_ROW_REGISTERS} registers runs past the last address, {ADDRESSES - 1}"
+            )
+
+
+def compile_units(
+    source: ModbusTcpSource,
+    channels: Sequence[ChannelBinding],
+    plans: Sequence[PlanBinding],
+    rate: float,
+) -> list[UnitMap]:
+    """Group everything bound to a source into as few reads per unit as sensible.
+
+    `rate` is the clock's; no age is judged tighter than 1.5 wall seconds.
+    """
+    units: dict[int, UnitMap] = {}
+    cells: dict[int, dict[Cell, Reading]] = {}
+
+    def unit_map(unit_id: int | None) -> UnitMap:
+        unit = source.unit if unit_id is None else unit_id
+        cells.setdefault(unit, {})
+        return units.setdefault(unit, UnitMap(unit, [], [], []))
+
+    for binding in channels:
+        config = _channel(binding)
+        unit = unit_map(config.unit_id)
+        readings = cells[unit.unit]
+        status_cell = _status_cell(config)
+        point = Point(
+            asset=binding.asset,
+            channel=binding.channel,
+            config=config,
+            unit=unit.unit,
+            reading=readings.setdefault(_value_cell(config), Reading()),
+            status=readings.setdefault(status_cell, Reading()) if status_cell else None,
+            sentinels=_sentinels(binding, config),
+            status_bits=tuple(sorted(config.status.bits.items())) if config.status else (),
+            age_limit_us=1e6 * max(config.max_age_s or 60.0, 1.5 * rate),
+        )
+        unit.points.append(point)
+    for plan in plans:
+        unit_map(_plan(plan).unit_id).plans.append(plan)
+    for unit in units.values():
+        unit.groups = group(cells[unit.unit])
+    return list(units.values())
+
+
+def group(cells: dict[Cell, Reading]) -> list[Group]:
+    """Join cells of the same kind that lie close together, within the limits of one request."""
+    groups: list[Group] = []
+    kinds: tuple[Kind, ...] = ("input", "holding", "coil", "discrete")
+    for kind in kinds:
+        most, gap = (MAX_BITS, BIT_GAP) if kind in BIT_KINDS else (MAX_REGISTERS, REGISTER_GAP)
+        run: list[tuple[Cell, Reading]] = []
+        start = end = 0
+        for cell, reading in sorted(
+            ((c, r) for c, r in cells.items() if c.kind == kind), key=lambda pair: pair[0].address
+        ):
+            cell_end = cell.address + cell.count
+            if run and (cell.address > end + gap or max(end, cell_end) - start > most):
+                groups.append(Group(kind, run))
+                run = []
+            if not run:
+                start = end = cell.address
+            run.append((cell, reading))
+            end = max(end, cell_end)
+        if run:
+            groups.append(Group(kind, run))
+    return groups
+
+
+def _value_cell(config: ModbusChannel) -> Cell:
+    if config.type == "bool":
+        return Cell(config.kind, config.address, 1, "", False)
+    # With both orders big the bytes lie as ">": ABCD. Each order that is little reverses its own
+    # level, so unpacking "<" undoes both and packing the registers little endian undoes one.
+    return Cell(
+        kind=config.kind,
+        address=config.address,
+        count=_WORDS[config.type],
+        structure=("<" if config.word_order == "little" else ">") + _FORMATS[config.type],
+        swap_bytes=config.word_order != config.byte_order,
+    )
+
+
+def _status_cell(config: ModbusChannel) -> Cell | None:
+    status = config.status
+    if status is None:
+        return None
+    kind = status.kind or config.kind
+    if kind in BIT_KINDS:
+        return Cell(kind, status.address, max(status.bits) + 1, "", False)
+    swap = config.byte_order == "little" and config.kind not in BIT_KINDS
+    return Cell(kind, status.address, 1, ">H", swap)
+
+
+def _sentinels(binding: ChannelBinding, config: ModbusChannel) -> frozenset[float]:
+    if config.type == "bool":
+        return frozenset(config.sentinels)
+    structure = struct.Struct(">" + _FORMATS[config.type])
+    found = set()
+    for sentinel in config.sentinels:
+        try:
+            number = sentinel if config.type.startswith("float") else int(sentinel)
+            (decoded,) = structure.unpack(structure.pack(number))
+        except (struct.error, OverflowError):
+            decoded = None
+        if decoded is None or (decoded != sentinel and not config.type.startswith("float")):
+            logger.warning(
+                "channel %s/%s: sentinel %g can never occur in %s",
+                binding.asset,
+                binding.channel,
+                sentinel,
+                config.type,
+            )
+            continue
+        found.add(float(decoded))
+    return frozenset(found)
+
+
+def _channel(binding: ChannelBinding) -> ModbusChannel:
+    if not isinstance(binding.config, ModbusChannel):
+        raise TypeError(f"{binding.asset}/{binding.channel}: expected a ModbusChannel")
+    return binding.config
+
+
+def _plan(binding: PlanBinding) -> ModbusPlan:
+    if not isinstance(binding.config, ModbusPlan):
+        raise TypeError(f"plan of {binding.asset}: expected a ModbusPlan")
+    return binding.config

@@ -1,0 +1,59 @@
+"""The controller's planned profile as rows of registers."""
+
+import math
+import struct
+from collections.abc import Sequence
+
+from adapters.modbus.config import Order
+from adapters.samples import PlanStep
+
+# A word-swapped or foreign table shows itself in numbers that no bearing ever meets.
+LONGEST_STEP_S = 366 * 86400
+FASTEST_RPM = 1e6
+HEAVIEST_N = 1e8
+
+
+class ImplausiblePlanError(ValueError):
+    """The table does not hold a plan."""
+
+
+def decode_plan(registers: Sequence[int], word_order: Order) -> tuple[PlanStep, ...]:
+    """Decode rows of uint32 duration_s, float32 speed_rpm and float32 load_n.
+
+    Parameters
+    ----------
+    registers
+        Six per row.
+    word_order
+        "big" when the high word comes first.
+
+    Returns
+    -------
+    tuple of PlanStep
+        Rows with a duration of zero are unused and left out.
+
+    Raises
+    ------
+    ImplausiblePlanError
+        A used row holds a value that cannot be.
+    """
+    # packed little endian, low word first becomes plain little endian
+    order = "<" if word_order == "little" else ">"
+    rows = struct.iter_unpack(f"{order}Iff", struct.pack(f"{order}{len(registers)}H", *registers))
+    steps = []
+    for number, (duration_s, speed_rpm, load_n) in enumerate(rows):
+        if not duration_s:
+            continue
+        plausible = (
+            duration_s <= LONGEST_STEP_S
+            and math.isfinite(speed_rpm)
+            and abs(speed_rpm) <= FASTEST_RPM
+            and math.isfinite(load_n)
+            and 0.0 <= load_n <= HEAVIEST_N
+        )
+        if not plausible:
+            raise ImplausiblePlanError(
+                f"row {number}: duration_s {duration_s}, speed_rpm {speed_rpm:g}, load_n {load_n:g}"
+            )
+        steps.append(PlanStep(float(duration_s), speed_rpm, load_n))
+    return tuple(steps)
