@@ -338,7 +338,7 @@ class Nutcracker:
                 self._coin((members, dimensions)),
             )
         )
-        phi = rng.random(members)
+        phi: FloatArray = rng.random((members,))
         if settings.variant == "released":
             recovers = phi < settings.recovery_threshold
         else:
