@@ -1,14 +1,16 @@
 """Writes what happens to the alarms into the store, in order, without making anybody wait."""
 
-import logging
 import threading
 import time
 from collections import deque
 
+import structlog
+
 from service.store import Alarm, AlarmTransition, Store, StoreUnavailableError
 
-_log = logging.getLogger(__name__)
 _RETRY_S = 0.5
+
+_log = structlog.get_logger(__name__)
 
 
 class AlarmRecorder:
@@ -48,11 +50,7 @@ class AlarmRecorder:
             self._closing = True
             self._condition.notify_all()
         if not written:
-            _log.error(
-                "%d alarm changes could not be written: the store did not answer for %g s",
-                len(self._changes),
-                timeout_s,
-            )
+            _log.error("alarm_changes_lost", count=len(self._changes), waited_s=timeout_s)
         self._thread.join(_RETRY_S)
 
     def _run(self) -> None:
@@ -67,16 +65,16 @@ class AlarmRecorder:
                 self._store.save_alarm(alarm, transitions)
             except StoreUnavailableError as error:
                 if not failing:
-                    _log.warning("the alarm journal waits for the store: %s", error)
+                    _log.warning("alarm_journal_waits", error=str(error))
                 failing = True
                 time.sleep(_RETRY_S)
                 continue
             except Exception:
                 # A change that the store refuses must not hold up the ones behind it.
-                _log.exception("an alarm change was not written: %s", alarm)
+                _log.exception("alarm_change_refused", alarm=alarm)
             if failing:
                 failing = False
-                _log.info("the alarm journal is written again")
+                _log.info("alarm_journal_written_again")
             with self._condition:
                 self._changes.popleft()
                 self._condition.notify_all()

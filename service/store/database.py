@@ -5,10 +5,17 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DatabaseError,
+    DBAPIError,
+    InternalError,
+    OperationalError,
+)
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.pool import ConnectionPoolEntry
 
@@ -70,10 +77,8 @@ class Database:
             raise StoreUnavailableError(f"{self.name}: busy with another write")
         try:
             with self._translated(), self.engine.connect() as connection:
-                connection.exec_driver_sql(f"PRAGMA busy_timeout = {round(patience_s * 1000)}")
-                connection.rollback()
                 connection = connection.execution_options(**{_WRITES: True})
-                with connection.begin():
+                with _busy_timeout(connection, patience_s), connection.begin():
                     yield connection
         finally:
             self._turn.release()
@@ -82,13 +87,28 @@ class Database:
     def _translated(self) -> Iterator[None]:
         try:
             yield
-        except (OperationalError, PoolTimeoutError) as error:
-            cause = error.orig if isinstance(error, OperationalError) else error
-            raise StoreUnavailableError(f"{self.name}: {cause}") from error
+        except PoolTimeoutError as error:
+            raise StoreUnavailableError(f"{self.name}: {error}") from error
+        except DatabaseError as error:
+            # Locked, full, I/O error, damaged: the state of the disk. The other kinds (a broken
+            # constraint, a wrong statement) are the caller's.
+            if isinstance(error, OperationalError | InternalError) or type(error) is DatabaseError:
+                raise StoreUnavailableError(f"{self.name}: {error.orig}") from error
+            raise
 
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+
+
+@contextmanager
+def _busy_timeout(connection: Connection, patience_s: float) -> Iterator[None]:
+    raw: Any = connection.connection.driver_connection
+    raw.execute(f"PRAGMA busy_timeout = {round(patience_s * 1000)}")
+    try:
+        yield
+    finally:
+        raw.execute(f"PRAGMA busy_timeout = {round(PATIENCE_S * 1000)}")
 
 
 def open_database(database_url: str, data_dir: Path) -> Database:

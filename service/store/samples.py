@@ -8,7 +8,7 @@ from operator import itemgetter
 from sqlalchemy import Connection, select
 from sqlalchemy.dialects.sqlite import insert as insert_or_ignore
 
-from adapters.samples import Quality, Sample, is_good
+from adapters.samples import Quality, Sample, is_bad, is_good
 from service.store.database import PATIENCE_S, Database
 from service.store.records import StoredSample, WriteCounts
 from service.store.section import Section
@@ -130,15 +130,24 @@ class Samples(Section):
         newest = {}
         with self._database.reading() as connection:
             for name, channel_id in channel_ids(connection, asset).items():
-                query = (
-                    select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
-                    .where(SampleRow.channel_id == channel_id)
-                    .order_by(SampleRow.time_us.desc())
-                    .limit(1)
-                )
-                for row in connection.execute(query):
+                if row := _newest(connection, channel_id):
                     newest[name] = StoredSample(name, *row)
         return newest
+
+    def open_ends(self) -> dict[tuple[str, str], int]:
+        """Find the channels, of all assets, whose newest sample is not bad, and its time.
+
+        At the start of a service these are the channels that were recorded when the last run
+        ended.
+        """
+        ends = {}
+        with self._database.reading() as connection:
+            channels = connection.execute(select(ChannelRow.asset, ChannelRow.name, ChannelRow.id))
+            for asset, name, channel_id in channels.all():
+                newest = _newest(connection, channel_id)
+                if newest is not None and not is_bad(newest[2]):
+                    ends[asset, name] = newest[0]
+        return ends
 
     def first_time_us(self, asset: str) -> int | None:
         """Time of the oldest sample of an asset, UTC microseconds; None when there is none."""
@@ -167,6 +176,18 @@ def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int
         .limit(1)
     )
     return connection.scalar(query)
+
+
+def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None, int] | None:
+    query = (
+        select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+        .where(SampleRow.channel_id == channel_id)
+        .order_by(SampleRow.time_us.desc())
+        .limit(1)
+    )
+    for time_us, value, quality in connection.execute(query):
+        return time_us, value, quality
+    return None
 
 
 def _make_channel(connection: Connection, asset: str, name: str) -> int:

@@ -1,0 +1,166 @@
+"""From the drivers to the live twins and the store."""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+
+import structlog
+from prometheus_client import CollectorRegistry
+
+from adapters.drivers import Clock, Driver
+from adapters.samples import Batch, Quality, Sample
+from service.ingest.metrics import SampleLedger, SourceMetrics
+from service.ingest.writer import SampleWriter
+from service.store import Store, WriteCounts
+
+#: Wall seconds before a driver that failed is started again: first, and at most.
+RESTART_FIRST_S = 1.0
+RESTART_LAST_S = 30.0
+#: Wall seconds that a store which does not answer is given when the service stops.
+DRAIN_S = 6.0
+
+_log = structlog.get_logger(__name__)
+
+
+class Ingest:
+    """Takes samples from everywhere, hands them to the live twins and stores them.
+
+    Storing happens in a thread of its own behind a bounded queue, so a slow disk delays neither
+    the drivers nor the twins. Every accepted sample is accounted for, see `counts`.
+
+    Parameters
+    ----------
+    store : Store
+        Where the samples go.
+    clock : Clock
+        Process time.
+    on_batch : callable
+        Gets every batch of a driver, and pushed samples as a batch, in the event loop. It must
+        return quickly; what it raises is logged and does not hold up the samples.
+    registry : prometheus_client.CollectorRegistry
+        Where the metrics are shown.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        clock: Clock,
+        on_batch: Callable[[Batch], None],
+        *,
+        registry: CollectorRegistry,
+    ) -> None:
+        self._store = store
+        self._clock = clock
+        self._on_batch = on_batch
+        self._ledger = SampleLedger(registry)
+        self._source_metrics = SourceMetrics(registry)
+        self._writer = SampleWriter(store, self._ledger)
+        self._unmarked_gaps: dict[tuple[str, str], int] = {}
+
+    @property
+    def problem(self) -> str | None:
+        """Why the store takes no samples at the moment; None while all is well."""
+        return self._writer.problem
+
+    def counts(self) -> Mapping[str, int]:
+        """Count the samples accepted, and of those the stored, duplicate, skipped and waiting."""
+        return self._ledger.counts()
+
+    async def run(self, drivers: Sequence[Driver]) -> None:
+        """Pump every driver until cancelled; then stop them and store everything accepted.
+
+        A driver that fails is logged and entered again after a growing wait; it must allow that.
+
+        Parameters
+        ----------
+        drivers : sequence of Driver
+            Not entered yet. May be empty when samples are only pushed.
+        """
+        self._unmarked_gaps = await asyncio.to_thread(self._store.open_ends)
+        self._writer.start()
+        try:
+            async with asyncio.TaskGroup() as group:
+                for driver in drivers:
+                    self._source_metrics.watch(driver)
+                    group.create_task(self._pump(driver), name=f"source {driver.name}")
+                await asyncio.Event().wait()  # for ever: the group ends when it is cancelled
+        finally:
+            await asyncio.to_thread(self._writer.close, DRAIN_S)
+
+    async def accept(self, samples: Sequence[Sample]) -> WriteCounts:
+        """Take pushed samples: the live twins get them, and they are on the disk at the end.
+
+        Parameters
+        ----------
+        samples : sequence of Sample
+            In any order. Sending the same again is harmless.
+
+        Raises
+        ------
+        StoreUnavailableError
+            If the store cannot take them now; send them again later.
+        """
+        if not samples:
+            return WriteCounts(0, 0)
+        stored = asyncio.wrap_future(self._writer.put_and_tell(samples))
+        self._hand_over(Batch(list(samples)))
+        return await stored
+
+    def submit(self, samples: Sequence[Sample]) -> None:
+        """Have the twins' own samples stored; returns at once."""
+        if samples:
+            self._writer.put(samples)
+
+    async def _pump(self, driver: Driver) -> None:
+        wait_s = RESTART_FIRST_S
+        poll_seconds = self._source_metrics.poll_seconds.labels(driver.name)
+        while True:
+            try:
+                async with driver:
+                    async for batch in driver.batches():
+                        wait_s = RESTART_FIRST_S
+                        if batch.poll_s is not None:
+                            poll_seconds.observe(batch.poll_s)
+                        self._take(batch)
+                _log.warning("source_ended", source=driver.name, restart_in_s=wait_s)
+            except Exception:
+                # Whatever a driver stumbles over must not end the other sources, nor itself.
+                _log.exception("source_failed", source=driver.name, restart_in_s=wait_s)
+            await asyncio.sleep(wait_s)
+            wait_s = min(2.0 * wait_s, RESTART_LAST_S)
+
+    def _take(self, batch: Batch) -> None:
+        if batch.samples:
+            if self._unmarked_gaps:
+                self._mark_gaps(batch.samples)
+            self._writer.put(batch.samples)
+        self._hand_over(batch)
+
+    def _hand_over(self, batch: Batch) -> None:
+        try:
+            self._on_batch(batch)
+        except Exception:
+            # A fault in a twin must not cost the samples that the next poll would bring.
+            _log.exception("batch_not_taken", samples=len(batch.samples), plans=len(batch.plans))
+
+    def _mark_gaps(self, samples: Sequence[Sample]) -> None:
+        """Close what the last run left open: from there to now nothing was recorded.
+
+        Without the mark a reader would draw a line from the last value before the service was
+        away to the first one after.
+        """
+        marks = []
+        now_us = self._clock.now_us()
+        for sample in samples:
+            last_us = self._unmarked_gaps.pop((sample.asset, sample.channel), None)
+            if last_us is not None and last_us + 1 < sample.time_us:
+                marks.append(
+                    Sample(
+                        sample.asset,
+                        sample.channel,
+                        last_us + 1,
+                        float("nan"),
+                        Quality.OUT_OF_SERVICE,
+                        now_us,
+                    )
+                )
+        self.submit(marks)

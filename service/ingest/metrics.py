@@ -1,0 +1,126 @@
+"""What ingest tells Prometheus."""
+
+import threading
+from collections.abc import Iterable, Mapping
+
+from prometheus_client import CollectorRegistry, Gauge, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+
+from adapters.drivers import Driver
+
+#: Why an accepted sample may not reach the store.
+SKIP_REASONS = ("queue_full", "refused", "store_unavailable")
+
+_PREFIX = "bearing_twin_samples"
+
+
+class SampleLedger:
+    """Where every accepted sample is now: stored, known already, skipped or waiting.
+
+    The four always add up to the accepted ones, also in the middle of a scrape: that is why these
+    are not separate counters.
+
+    Parameters
+    ----------
+    registry : prometheus_client.CollectorRegistry
+        Where the figures are shown.
+    """
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        self._lock = threading.Lock()
+        self._stored = 0
+        self._duplicate = 0
+        self._waiting = 0
+        self._skipped = dict.fromkeys(SKIP_REASONS, 0)
+        registry.register(self)
+
+    def accept(self, count: int) -> None:
+        """So many samples came and wait for the store."""
+        with self._lock:
+            self._waiting += count
+
+    def settle(self, *, stored: int, duplicates: int) -> None:
+        """So many waiting samples are in the store now, or were there before."""
+        with self._lock:
+            self._waiting -= stored + duplicates
+            self._stored += stored
+            self._duplicate += duplicates
+
+    def skip(self, count: int, reason: str) -> None:
+        """So many waiting samples will never be stored."""
+        with self._lock:
+            self._waiting -= count
+            self._skipped[reason] += count
+
+    def counts(self) -> Mapping[str, int]:
+        """All figures of one moment: accepted, stored, duplicate, skipped and waiting."""
+        with self._lock:
+            skipped = sum(self._skipped.values())
+            return {
+                "accepted": self._stored + self._duplicate + skipped + self._waiting,
+                "stored": self._stored,
+                "duplicate": self._duplicate,
+                "skipped": skipped,
+                "waiting": self._waiting,
+            }
+
+    def describe(self) -> Iterable[Metric]:
+        """Name the figures, so that the registry refuses a second ledger."""
+        return self.collect()
+
+    def collect(self) -> Iterable[Metric]:
+        """Show the figures to Prometheus."""
+        counts = self.counts()
+        with self._lock:
+            skipped_by_reason = dict(self._skipped)
+        skipped = CounterMetricFamily(
+            f"{_PREFIX}_skipped", "Accepted samples that were not stored.", labels=["reason"]
+        )
+        for reason, count in skipped_by_reason.items():
+            skipped.add_metric([reason], count)
+        return [
+            CounterMetricFamily(
+                f"{_PREFIX}_accepted",
+                "Samples taken from sources, pushes and the twins.",
+                counts["accepted"],
+            ),
+            CounterMetricFamily(f"{_PREFIX}_stored", "Samples stored.", counts["stored"]),
+            CounterMetricFamily(
+                f"{_PREFIX}_duplicate", "Samples that were stored already.", counts["duplicate"]
+            ),
+            skipped,
+            GaugeMetricFamily(
+                "bearing_twin_spool_samples",
+                "Accepted samples that wait to be stored.",
+                counts["waiting"],
+            ),
+        ]
+
+
+class SourceMetrics:
+    """Poll times and state of the sources.
+
+    Parameters
+    ----------
+    registry : prometheus_client.CollectorRegistry
+        Where the figures are shown.
+    """
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        self.poll_seconds = Histogram(
+            "bearing_twin_poll_seconds",
+            "Wall seconds that one poll of a source took.",
+            ["source"],
+            registry=registry,
+            buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
+        )
+        self._source_up = Gauge(
+            "bearing_twin_source_up",
+            "1 while a source answers, 0 while it does not.",
+            ["source"],
+            registry=registry,
+        )
+
+    def watch(self, driver: Driver) -> None:
+        """Show whether a source is up, as its driver sees it at the time of each scrape."""
+        self._source_up.labels(driver.name).set_function(lambda: float(driver.health().up))
