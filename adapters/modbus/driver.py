@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
@@ -120,7 +120,7 @@ class ModbusTcpDriver:
         if self._plan_problem:
             problems.append(self._plan_problem)
         health.detail = "; ".join(problems) or "ok"
-        return health
+        return replace(health, errors=dict(health.errors))
 
     async def batches(self) -> AsyncIterator[Batch]:
         """Yield one batch per poll for ever; cancel to stop."""
