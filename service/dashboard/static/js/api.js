@@ -1,0 +1,86 @@
+// The REST interface, with the session cookie of the browser.
+const PREFIX = '/api/v1';
+
+/** A refused or failed request; `status` 0 means the service did not answer. */
+export class ApiError extends Error {
+  constructor(status, message) {
+    super(message);
+    this.status = status;
+  }
+}
+
+async function describe(response) {
+  try {
+    const problem = await response.json();
+    const details = (problem.errors ?? []).map((error) => error.detail);
+    return [problem.detail ?? problem.title, ...details].filter(Boolean).join(': ');
+  } catch {
+    return `${response.status} ${response.statusText}`;
+  }
+}
+
+/**
+ * Call the service and give its JSON (null for an empty answer).
+ *
+ * options: method, body (an object), query (values may be arrays), headers, signal, timeoutMs.
+ */
+export async function call(path, options = {}) {
+  const { method = 'GET', body, query = {}, headers = {}, timeoutMs = 15000, signal } = options;
+  const parameters = new URLSearchParams();
+  for (const [name, value] of Object.entries(query)) {
+    for (const one of [value].flat()) parameters.append(name, one);
+  }
+  const address = `${PREFIX}${path}${parameters.size ? `?${parameters}` : ''}`;
+  const limits = [AbortSignal.timeout(timeoutMs), ...(signal ? [signal] : [])];
+  let response;
+  try {
+    response = await fetch(address, {
+      method,
+      credentials: 'same-origin',
+      cache: 'no-store',
+      headers: { ...(body ? { 'Content-Type': 'application/json' } : {}), ...headers },
+      body: body ? JSON.stringify(body) : undefined,
+      signal: AbortSignal.any(limits),
+    });
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    throw new ApiError(0, 'the service does not answer');
+  }
+  if (!response.ok) throw new ApiError(response.status, await describe(response));
+  const text = await response.text();
+  return text ? JSON.parse(text) : null;
+}
+
+/** Like `call`, but null where there is nothing (404). */
+export async function callOptional(path, options) {
+  try {
+    return await call(path, options);
+  } catch (error) {
+    if (error.status === 404) return null;
+    throw error;
+  }
+}
+
+/** All pages of a listing with `items` and `next`. */
+export async function callPages(path, query) {
+  const items = [];
+  let cursor = null;
+  do {
+    const page = await call(path, { query: cursor ? { ...query, cursor } : query });
+    items.push(...page.items);
+    cursor = page.next;
+  } while (cursor);
+  return items;
+}
+
+/** Whether anybody is there at all; needs no key. */
+export async function isAlive() {
+  try {
+    const signal = AbortSignal.timeout(3000);
+    return (await fetch('/livez', { cache: 'no-store', signal })).ok;
+  } catch {
+    return false;
+  }
+}
+
+export const assetPath = (assetId, rest = '') => `/assets/${encodeURIComponent(assetId)}${rest}`;

@@ -1,0 +1,416 @@
+// The two charts of the operator: temperatures with their forecast, and a lane of the plan.
+import { token, rem } from './dom.js';
+import { QUANTILES } from './forecast.js';
+import { channelName, fixed, hourMinute, isNumber, utc } from './format.js';
+import {
+  cursor, font, fontSize, hatching, mount, paintAhead, paintNow, paintPredicted, pixelRatio,
+  timeAxis, tooltip, valueAxis, write,
+} from './paint.js';
+
+const CLEAR = 'rgba(0,0,0,0)';
+const NARROW = 620;
+const SERIES_PER_SENSOR = QUANTILES.length + 3;
+
+const nulls = (count) => Array(count).fill(null);
+const highest = (values) => values.reduce((top, v) => (isNumber(v) && v > top ? v : top), -Infinity);
+const lowest = (values) => values.reduce((low, v) => (isNumber(v) && v < low ? v : low), Infinity);
+
+/**
+ * Temperatures: measured (ink), twin (ribbon), forecast (fan), limits.
+ *
+ * A model is { nowMs, fromMs, endMs, times (ms), past: { sensor: { measured, twin } },
+ * sensors: [names], current: { sensor: { value, usable, timeMs } }, limits, fan, ghost, lostMs,
+ * crossings: [{ timeMs, value, priority }] }.
+ */
+export class TrendChart {
+  constructor(box, syncKey) {
+    this.box = box;
+    this.syncKey = syncKey;
+    this.mounted = null;
+  }
+
+  update(model) {
+    this.model = { ...model, limitLines: limitLines(model) };
+    const data = this.columns();
+    if (!this.mounted) this.create(data);
+    else this.mounted.plot.setData(data);
+  }
+
+  destroy() {
+    this.mounted?.destroy();
+    this.tip = null;
+  }
+
+  columns() {
+    const { model } = this;
+    const ahead = model.fan?.times ?? [model.nowMs];
+    const past = (values, now) => [...values, now, ...nulls(ahead.length - 1)];
+    const future = (values) => [...nulls(model.times.length), ...(values ?? nulls(ahead.length))];
+    const ghost = (sensor) => {
+      if (!model.ghost) return null;
+      const along = new Map(model.ghost.times.map((time, i) => [time, i]));
+      const values = model.ghost.bands[sensor]?.q50 ?? [];
+      return ahead.map((time) => values[along.get(time)] ?? interpolate(model.ghost, values, time));
+    };
+    const data = [[...model.times, ...ahead].map((time) => time / 1000)];
+    for (const sensor of model.sensors) {
+      const band = model.fan?.bands[sensor];
+      for (const quantile of QUANTILES) data.push(future(band?.[quantile]));
+      const { measured, twin } = model.past[sensor];
+      const now = model.current[sensor];
+      data.push(future(ghost(sensor)));
+      data.push(past(twin, null));
+      data.push(past(measured, now.usable ? now.value : null));
+    }
+    return data;
+  }
+
+  create(data) {
+    const ink = token('--ink');
+    const blue = token('--twin');
+    const line = (stroke, width, dash) =>
+      ({ stroke, width, dash, points: { show: false }, spanGaps: false });
+    const series = [{}];
+    const bands = [];
+    this.model.sensors.forEach((_, i) => {
+      const first = 1 + i * SERIES_PER_SENSOR;
+      series.push(line(CLEAR, 1), line(CLEAR, 1), line(blue, 2.5), line(CLEAR, 1),
+        line(blue, 0.75), line(token('--ink-3'), 1.5, [3, 5]), line(token('--twin-past'), 8),
+        line(ink, 2.25));
+      bands.push({ series: [first + 4, first], fill: token('--fan95') });
+      bands.push({ series: [first + 3, first + 1], fill: token('--fan50') });
+    });
+    this.tip = tooltip(this.box);
+    this.mounted = mount(this.box, {
+      scales: {
+        x: { time: true, range: () => [this.model.fromMs / 1000, this.model.endMs / 1000] },
+        y: { range: () => this.range() },
+      },
+      axes: [timeAxis(false), valueAxis({ space: 46, values: (_, splits) => splits.map(String) })],
+      series, bands, padding: [6, 8, 4, 0], cursor: cursor(this.syncKey),
+      hooks: {
+        drawClear: [(plot) => paintAhead(plot, this.model.nowMs / 1000)],
+        draw: [(plot) => this.paint(plot)],
+        setCursor: [(plot) => this.point(plot)],
+      },
+    }, data);
+  }
+
+  /** The axis holds still and grows only, in steps, when the fan or a value needs it. */
+  range() {
+    const { model } = this;
+    const alarms = Object.values(model.limits).map((limits) => limits.alarm);
+    const seen = model.sensors.flatMap((sensor) => [
+      highest(model.fan?.bands[sensor]?.q975 ?? []), highest(model.past[sensor].measured),
+      model.current[sensor].value ?? -Infinity,
+    ]);
+    const low = Math.min(...model.sensors.map((sensor) => lowest(model.past[sensor].measured)));
+    const calm = Math.max(...alarms, 60) + 7;
+    const needed = Math.min(Math.max(...seen) + 3, calm + 40);
+    const top = Math.max(calm, Math.ceil(needed / 5) * 5);
+    return [low < 22 ? Math.floor((low - 2) / 10) * 10 : 20, top];
+  }
+
+  paint(plot) {
+    const { ctx: context, bbox } = plot;
+    context.save();
+    context.beginPath();
+    context.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    context.clip();
+    this.paintBeyondLimits(plot);
+    this.paintMedians(plot);
+    this.paintLimits(plot);
+    this.paintLost(plot);
+    paintNow(plot, this.model.nowMs / 1000, hourMinute(this.model.nowMs));
+    this.paintFigures(plot);
+    this.paintCrossings(plot);
+    context.restore();
+  }
+
+  /** The part of the fan beyond a limit takes the limit's colour. */
+  paintBeyondLimits(plot) {
+    const { ctx: context } = plot;
+    const { fan } = this.model;
+    if (!fan) return;
+    const x = (ms) => plot.valToPos(ms / 1000, 'x', true);
+    const y = (value) => plot.valToPos(value, 'y', true);
+    for (const { sensor, value, priority, hit } of this.model.limitLines) {
+      const band = fan.bands[sensor];
+      if (!hit || !band) continue;
+      context.beginPath();
+      fan.times.forEach((time, i) => context.lineTo(x(time), y(Math.max(value, band.q975[i]))));
+      for (let i = fan.times.length - 1; i >= 0; i -= 1) {
+        const low = Math.min(band.q025[i], band.q975[i]);
+        context.lineTo(x(fan.times[i]), y(Math.max(value, low)));
+      }
+      context.closePath();
+      context.fillStyle = token(`--p${priority}`);
+      context.globalAlpha = priority === 1 ? 0.5 : 0.32;
+      context.fill();
+      context.globalAlpha = 1;
+    }
+  }
+
+  paintMedians(plot) {
+    const { ctx: context } = plot;
+    const { fan, sensors } = this.model;
+    if (!fan) return;
+    context.strokeStyle = token('--twin');
+    context.lineWidth = 2.5 * pixelRatio();
+    context.lineJoin = 'round';
+    for (const sensor of sensors.filter((name) => fan.bands[name])) {
+      context.beginPath();
+      fan.times.forEach((time, i) => context.lineTo(plot.valToPos(time / 1000, 'x', true),
+        plot.valToPos(fan.bands[sensor].q50[i], 'y', true)));
+      context.stroke();
+    }
+  }
+
+  paintLimits(plot) {
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    for (const { sensor, level, value, priority, hit, main } of this.model.limitLines) {
+      if (!main && !hit) continue;
+      const y = plot.valToPos(value, 'y', true);
+      context.strokeStyle = token(hit ? `--p${priority}-line` : '--line-2');
+      context.lineWidth = (hit ? 2 : 1.5) * ratio;
+      context.setLineDash(priority === 1 ? [] : [9 * ratio, 5 * ratio]);
+      context.beginPath();
+      context.moveTo(bbox.left, y);
+      context.lineTo(bbox.left + bbox.width, y);
+      context.stroke();
+      context.setLineDash([]);
+      const whose = main ? '' : `${channelName(sensor).toLowerCase()} `;
+      write(context, `${whose}${level} ${value} °C`, bbox.left + 8 * ratio, y - 3 * ratio, {
+        size: fontSize() * ratio, strong: hit, colour: token(hit ? `--p${priority}-text` : '--ink-3'),
+      });
+    }
+  }
+
+  /** From the last usable sample to now there is nothing to see: hatched. */
+  paintLost(plot) {
+    const { lostMs, nowMs } = this.model;
+    if (lostMs === null) return;
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const left = Math.max(bbox.left, plot.valToPos(lostMs / 1000, 'x', true));
+    const area = [left, bbox.top, plot.valToPos(nowMs / 1000, 'x', true) - left, bbox.height];
+    for (const paint of [token('--bad-tint'), hatching(context, token('--bad-hatch'))]) {
+      context.fillStyle = paint;
+      context.fillRect(...area);
+    }
+    context.strokeStyle = token('--bad');
+    context.lineWidth = 2 * ratio;
+    context.setLineDash([4 * ratio, 4 * ratio]);
+    context.strokeRect(...area);
+    context.setLineDash([]);
+    const size = fontSize() * ratio;
+    write(context, 'no data', left - 6 * ratio, bbox.top + 2.6 * size,
+      { size, strong: true, colour: token('--bad-text'), align: 'right', base: 'top' });
+  }
+
+  /** A dot and a figure at the head of every measured line, its name where the line begins. */
+  paintFigures(plot) {
+    const { ctx: context } = plot;
+    const { model } = this;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    const wide = this.box.clientWidth > NARROW;
+    const y = (value) => plot.valToPos(value, 'y', true);
+    const heads = model.sensors.map((sensor) => ({ sensor, ...model.current[sensor] }))
+      .filter((head) => isNumber(head.value)).sort((a, b) => b.value - a.value);
+    heads.forEach((head, i) => {
+      const x = plot.valToPos((head.usable ? model.nowMs : head.timeMs) / 1000, 'x', true);
+      context.fillStyle = token(head.usable ? '--ink' : '--panel');
+      context.strokeStyle = token(head.usable ? '--panel' : '--bad');
+      context.lineWidth = 2 * ratio;
+      context.beginPath();
+      context.arc(x, y(head.value), 5.5 * ratio, 0, 7);
+      context.fill();
+      context.stroke();
+      const near = i > 0 && y(head.value) - y(heads[i - 1].value) < size * 2.2;
+      const under = near && heads.length > 1;
+      this.paintName(plot, head.sensor, under);
+      if (!wide) return;
+      write(context, fixed(head.value), x - 12 * ratio,
+        y(head.value) + (under ? size * 2.2 : -9 * ratio),
+        { size: size * 1.75, strong: true, align: 'right',
+          colour: token(head.usable ? '--ink' : '--bad-text') });
+    });
+  }
+
+  paintName(plot, sensor, under) {
+    const { times, past } = this.model;
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    const values = past[sensor].measured;
+    const first = values.findIndex(isNumber);
+    if (first < 0) return;
+    const left = Math.max(bbox.left, plot.valToPos(times[first] / 1000, 'x', true)) + 8 * ratio;
+    context.font = font(size * 1.15, true);
+    const right = left + context.measureText(channelName(sensor)).width;
+    const room = plot.valToPos(this.model.nowMs / 1000, 'x', true) - 70 * ratio;
+    if (right > room) return;
+    const covered = values.filter((_, i) => {
+      const x = plot.valToPos(times[i] / 1000, 'x', true);
+      return x >= left - 8 * ratio && x <= right;
+    });
+    const gap = 9 * ratio;
+    const at = under
+      ? plot.valToPos(lowest(covered), 'y', true) + gap + size * 1.3
+      : plot.valToPos(highest(covered), 'y', true) - gap;
+    write(context, channelName(sensor), left, at,
+      { size: size * 1.15, strong: true, colour: token('--ink') });
+  }
+
+  /** Where a limit is most likely to be crossed first: the predicted symbol with its time. */
+  paintCrossings(plot) {
+    const { nowMs, crossings } = this.model;
+    const { ctx: context } = plot;
+    const ratio = pixelRatio();
+    for (const { timeMs, value, priority } of crossings) {
+      const x = plot.valToPos(timeMs / 1000, 'x', true);
+      const y = plot.valToPos(value, 'y', true);
+      paintPredicted(context, x, y, 20 * ratio * rem() / 16, priority);
+      const far = plot.valToPos(timeMs / 1000, 'x') - plot.valToPos(nowMs / 1000, 'x') > 90;
+      const left = this.box.clientWidth > NARROW && far;
+      write(context, hourMinute(timeMs), x + (left ? -17 : 17) * ratio, y - 8 * ratio, {
+        size: fontSize() * ratio * 1.15, strong: true, colour: token(`--p${priority}-text`),
+        align: left ? 'right' : 'left', ground: token('--panel'),
+      });
+    }
+  }
+
+  point(plot) {
+    const { idx: index, left } = plot.cursor;
+    if (index === null || index === undefined || left < 0) {
+      this.tip?.hide();
+      return;
+    }
+    const { times, sensors, past, fan } = this.model;
+    const ms = plot.data[0][index] * 1000;
+    const ahead = index - times.length;
+    const lines = [[[hourMinute(ms)], [`  ${utc(ms)}`, true]]];
+    for (const sensor of sensors) {
+      const name = `${channelName(sensor)} `;
+      if (ahead > 0 && fan?.bands[sensor]) {
+        const band = fan.bands[sensor];
+        lines.push([[`${name}${fixed(band.q50[ahead])} °C`],
+          [`  95 % ${fixed(band.q025[ahead])} … ${fixed(band.q975[ahead])}`, true]]);
+      } else if (ahead < 0) {
+        lines.push([[`${name}${fixed(past[sensor].measured[index])} °C`],
+          [`  twin ${fixed(past[sensor].twin[index])}`, true]]);
+      }
+    }
+    this.tip.show(lines, left + plot.bbox.left / pixelRatio() + 14);
+  }
+}
+
+function interpolate(fan, values, time) {
+  const next = fan.times.findIndex((known) => known > time);
+  if (next < 1) return null;
+  const share = (time - fan.times[next - 1]) / (fan.times[next] - fan.times[next - 1]);
+  return values[next - 1] + share * (values[next] - values[next - 1]);
+}
+
+/** All limit lines; those of the first sensor are always drawn, the others once they are hit. */
+function limitLines(model) {
+  const lines = [];
+  Object.entries(model.limits).forEach(([sensor, limits], i) => {
+    if (!model.sensors.includes(sensor)) return;
+    const reach = Math.max(highest(model.fan?.bands[sensor]?.q975 ?? []),
+      model.current[sensor].usable ? model.current[sensor].value : -Infinity);
+    for (const [level, priority] of [['warning', 2], ['alarm', 1]]) {
+      const value = limits[level];
+      lines.push({ sensor, level, value, priority, hit: reach > value, main: i === 0 });
+    }
+  });
+  return lines;
+}
+
+const LANE_STEPS = [500, 1000, 2000, 3000, 5000, 10000, 20000];
+
+/**
+ * One lane of the plan: measured past, planned future with the set-point written on every step.
+ *
+ * A model is { nowMs, fromMs, endMs, times (ms), values, current, steps, key }.
+ */
+export class LaneChart {
+  constructor(box, { label, showTime, syncKey }) {
+    this.box = box;
+    this.options = { label, showTime, syncKey };
+    this.mounted = null;
+    this.step = 1000;
+  }
+
+  update(model) {
+    this.model = model;
+    const top = Math.max(highest(model.values), ...model.steps.map((step) => step[model.key]), 0);
+    this.step = LANE_STEPS.find((step) => top <= 2.5 * step) ?? top / 2;
+    const times = [...model.times, model.nowMs];
+    const planned = nulls(times.length);
+    const values = [...model.values, model.current];
+    for (const step of model.steps) {
+      times.push(step.from + 1, step.to);
+      planned.push(step[model.key], step[model.key]);
+      values.push(null, null);
+    }
+    const data = [times.map((time) => time / 1000), values, planned];
+    if (!this.mounted) this.create(data);
+    else this.mounted.plot.setData(data);
+  }
+
+  destroy() {
+    this.mounted?.destroy();
+  }
+
+  create(data) {
+    const thousands = (value) => (value ? `${value / 1000} k` : '0');
+    this.mounted = mount(this.box, {
+      scales: {
+        x: { time: true, range: () => [this.model.fromMs / 1000, this.model.endMs / 1000] },
+        y: { range: () => [-0.13 * this.step, 2.65 * this.step] },
+      },
+      axes: [timeAxis(this.options.showTime), valueAxis({
+        splits: () => [0, this.step, 2 * this.step],
+        values: (_, splits) => splits.map(thousands),
+      })],
+      series: [{},
+        { stroke: token('--ink'), width: 2, points: { show: false } },
+        { stroke: token('--ink-2'), width: 2, dash: [7, 5], points: { show: false } }],
+      padding: [2, 8, 0, 0], cursor: cursor(this.options.syncKey),
+      hooks: {
+        drawClear: [(plot) => paintAhead(plot, this.model.nowMs / 1000)],
+        draw: [(plot) => this.paint(plot)],
+      },
+    }, data);
+  }
+
+  paint(plot) {
+    const { ctx: context, bbox } = plot;
+    const { model } = this;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    context.save();
+    model.steps.forEach((step, i) => {
+      if (i && model.steps[i - 1][model.key] === step[model.key]) return;
+      const next = i === 1;
+      const left = plot.valToPos(step.from / 1000, 'x', true);
+      const right = Math.min(plot.valToPos(step.to / 1000, 'x', true), bbox.left + bbox.width);
+      const text = fixed(step[model.key], 0);
+      context.font = font(size * (next ? 1.1 : 1), next);
+      if (context.measureText(text).width > right - left - 8 * ratio) return;
+      const y = plot.valToPos(step[model.key], 'y', true);
+      const above = y - size * 1.5 > bbox.top;
+      write(context, text, left + 6 * ratio, y + (above ? -4 : 5) * ratio, {
+        size: size * (next ? 1.1 : 1), strong: next, base: above ? 'bottom' : 'top',
+        colour: token(next ? '--ink' : '--ink-2'),
+      });
+    });
+    write(context, this.options.label, bbox.left + 8 * ratio, bbox.top + 3 * ratio,
+      { size, base: 'top', colour: token('--ink-2') });
+    paintNow(plot, model.nowMs / 1000);
+    context.restore();
+  }
+}

@@ -1,0 +1,122 @@
+// What lies ahead, cut at the present moment. Pure functions over the forecast's JSON.
+import { milliseconds } from './format.js';
+
+export const QUANTILES = ['q025', 'q25', 'q50', 'q75', 'q975'];
+const NORMAL_SCORES = [-1.959964, -0.67449, 0, 0.67449, 1.959964];
+
+const between = (a, b, share) => a + (b - a) * share;
+
+/**
+ * The fan from `nowMs` on: { times (ms), bands: { name: { q025: [], … } } }, with the first point
+ * exactly at now. Null when nothing of the forecast is left.
+ */
+export function fanFrom(forecast, nowMs, names) {
+  if (!forecast) return null;
+  const start = milliseconds(forecast.made_at);
+  const times = forecast.time_s.map((second) => start + second * 1000);
+  const known = usableLength(forecast, names);
+  times.length = known;
+  const next = times.findIndex((time) => time > nowMs);
+  if (next < 0) return null;
+  const share = next ? (nowMs - times[next - 1]) / (times[next] - times[next - 1]) : 0;
+  const cut = (values) => [
+    next ? between(values[next - 1], values[next], share) : values[0],
+    ...values.slice(next, known),
+  ];
+  const bands = {};
+  for (const name of names.filter((one) => forecast.nodes[one])) {
+    bands[name] = {};
+    for (const quantile of QUANTILES) bands[name][quantile] = cut(forecast.nodes[name][quantile]);
+  }
+  return { times: [nowMs, ...times.slice(next)], bands };
+}
+
+/** Rows before the first one that has no figures (a model that ran away). */
+function usableLength(forecast, names) {
+  const holes = names.filter((name) => forecast.nodes[name])
+    .flatMap((name) => QUANTILES.map((quantile) => forecast.nodes[name][quantile].indexOf(null)));
+  return Math.min(forecast.time_s.length, ...holes.filter((index) => index >= 0));
+}
+
+/**
+ * The steps ahead: [{ from, to (ms), speed_rpm, load_n, duration_s }], the first one under way.
+ * `duration_s` is the whole of a coming step and what is left of the present one.
+ */
+export function stepsFrom(forecast, nowMs) {
+  const steps = [];
+  let from = milliseconds(forecast?.made_at);
+  for (const step of forecast?.profile ?? []) {
+    const to = from + step.duration_s * 1000;
+    if (to > nowMs) {
+      const begin = Math.max(from, nowMs);
+      const { speed_rpm, load_n } = step;
+      steps.push({ from: begin, to, speed_rpm, load_n, duration_s: (to - begin) / 1000 });
+    }
+    from = to;
+  }
+  return steps;
+}
+
+/** Neighbouring steps of one and the same operating point made one. */
+export function distinctSteps(steps) {
+  const merged = [];
+  for (const step of steps) {
+    const last = merged.at(-1);
+    const same = last && Math.abs(last.speed_rpm - step.speed_rpm) < 1
+      && Math.abs(last.load_n - step.load_n) < 1;
+    if (same) {
+      last.to = step.to;
+      last.duration_s += step.duration_s;
+    } else {
+      merged.push({ ...step });
+    }
+  }
+  return merged;
+}
+
+/** Probability that a standard normal lies above z (Abramowitz and Stegun 26.2.17). */
+function upperTail(z) {
+  const t = 1 / (1 + 0.2316419 * Math.abs(z));
+  const poly = t * (0.31938153 + t * (-0.356563782
+    + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))));
+  const tail = Math.exp(-z * z / 2) / Math.sqrt(2 * Math.PI) * poly;
+  return z >= 0 ? tail : 1 - tail;
+}
+
+/** Probability of a value over `limit`, from five quantiles read on the normal scale. */
+export function probabilityOver(quantiles, limit) {
+  let upper = quantiles.findIndex((value) => value >= limit);
+  if (upper < 0) upper = quantiles.length - 1;
+  upper = Math.max(1, upper);
+  const [low, high] = [quantiles[upper - 1], quantiles[upper]];
+  if (high - low < 1e-9) return limit > high ? 0 : 1;
+  const share = (limit - low) / (high - low);
+  return upperTail(between(NORMAL_SCORES[upper - 1], NORMAL_SCORES[upper], share));
+}
+
+/** Peak and probability over the limits within a span of the fan. */
+export function overSpan(fan, name, limits, fromMs, toMs) {
+  const band = fan.bands[name];
+  const result = { median: -Infinity, low: -Infinity, high: -Infinity, warning: 0, alarm: 0 };
+  fan.times.forEach((time, i) => {
+    if (time < fromMs || time > toMs) return;
+    const quantiles = QUANTILES.map((quantile) => band[quantile][i]);
+    result.median = Math.max(result.median, band.q50[i]);
+    result.low = Math.max(result.low, band.q025[i]);
+    result.high = Math.max(result.high, band.q975[i]);
+    result.warning = Math.max(result.warning, probabilityOver(quantiles, limits.warning));
+    result.alarm = Math.max(result.alarm, probabilityOver(quantiles, limits.alarm));
+  });
+  return result;
+}
+
+/** Time to a limit counted from now: { probability, median, earliest } in seconds or null. */
+export function timeToLimit(forecast, name, level, nowMs) {
+  const told = forecast?.time_to_limit?.[name]?.[level];
+  if (!told) return { probability: 0, median: null, earliest: null };
+  const passed = (nowMs - milliseconds(forecast.made_at)) / 1000;
+  const left = (second) => (Number.isFinite(second) ? Math.max(0, second - passed) : null);
+  return {
+    probability: told.probability, median: left(told.median_s), earliest: left(told.earliest_s),
+  };
+}

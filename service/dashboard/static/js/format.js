@@ -1,0 +1,100 @@
+// Figures, times and names as the operator reads them. Minus is U+2212, no value is an en dash.
+import { h, unit } from './dom.js';
+
+export const NODE_NAMES = [
+  'House', 'Outer ring', 'Balls', 'Inner ring', 'Shaft left', 'Cage', 'Grease mixture',
+  'End cap L', 'End cap R', 'Sleeve L', 'Sleeve R', 'Shaft centre', 'Bench', 'Air',
+];
+
+const CHANNEL_NAMES = {
+  speed_rpm: 'Speed',
+  load_n: 'Load',
+  ambient_c: 'Ambient',
+  t_inner_ring_c: 'Inner ring',
+  t_outer_ring_c: 'Outer ring',
+};
+
+/** What a channel or node is called on screen. */
+export function channelName(channel) {
+  const node = /^t_node_(\d+)_c$/.exec(channel);
+  return node ? NODE_NAMES[node[1] - 1] : CHANNEL_NAMES[channel] ?? channel;
+}
+
+export const isNumber = (value) => typeof value === 'number' && Number.isFinite(value);
+
+export const fixed = (value, digits = 1) =>
+  isNumber(value) ? value.toFixed(digits).replace('-', '−') : '–';
+
+/** Three significant figures without an exponent, as parameters need. */
+export function significant(value) {
+  if (!isNumber(value)) return '–';
+  const size = Math.abs(value);
+  if (size !== 0 && (size >= 1e5 || size < 1e-3)) {
+    return value.toExponential(2).replace(/-/g, '−');
+  }
+  return String(Number(value.toPrecision(3))).replace('-', '−');
+}
+
+export const celsius = (value) => [fixed(value), unit('°C')];
+
+/** A probability in words that never promise 0 or 100 %. */
+export function percent(probability) {
+  if (!isNumber(probability)) return '–';
+  if (probability < 0.005) return '< 1 %';
+  if (probability > 0.995) return '> 99 %';
+  return `${Math.round(probability * 100)} %`;
+}
+
+const CLOCK = { hour: '2-digit', minute: '2-digit', hourCycle: 'h23' };
+export const hourMinute = (ms) => new Date(ms).toLocaleTimeString([], CLOCK);
+export const hourMinuteSecond = (ms) =>
+  new Date(ms).toLocaleTimeString([], { ...CLOCK, second: '2-digit' });
+export const dayTime = (ms) => {
+  const day = new Date(ms).toLocaleDateString([], { day: 'numeric', month: 'short' });
+  return `${day} ${hourMinute(ms)}`;
+};
+export const utc = (ms) => new Date(ms).toISOString().replace('T', ' ').replace(/\.\d+Z/, ' UTC');
+export const timeZone = (ms) =>
+  new Date(ms).toLocaleTimeString([], { timeZoneName: 'short' }).split(' ').pop();
+
+/** Local time on screen, UTC on hover and for assistive technology. */
+export const timeElement = (ms, text = hourMinute(ms)) =>
+  h('time', { datetime: new Date(ms).toISOString(), title: utc(ms) }, text);
+
+/** A span of time as [number, unit, …] pairs: 33 min, 1 h 40 min, 12 s. */
+function spanParts(seconds) {
+  const minutes = Math.max(0, Math.round(seconds / 60));
+  if (minutes < 100) return [[String(minutes), 'min']];
+  if (minutes < 48 * 60) {
+    return [[String(Math.floor(minutes / 60)), 'h'],
+      [String(minutes % 60).padStart(2, '0'), 'min']];
+  }
+  return [[String(Math.round(minutes / 1440)), 'd']];
+}
+
+export const spanText = (seconds) => spanParts(seconds).flat().join(' ');
+
+/** The same with small units, for large figures. */
+export const spanNodes = (seconds) =>
+  spanParts(seconds).map(([number, name], i) => [i ? ' ' : '', number, unit(name)]);
+
+/** An age that grows: 0.6 s, 42 s, 4 min 05 s, 2 h 10 min. */
+export function ageText(seconds) {
+  if (!isNumber(seconds)) return '–';
+  if (seconds < 9.95) return `${fixed(Math.max(0, seconds))} s`;
+  if (seconds < 60) return `${Math.floor(seconds)} s`;
+  if (seconds < 3600) {
+    const rest = String(Math.floor(seconds % 60)).padStart(2, '0');
+    return `${Math.floor(seconds / 60)} min ${rest} s`;
+  }
+  return spanText(seconds);
+}
+
+/** The same in one short unit, for the header where room is scarce. */
+export function shortAge(seconds) {
+  if (!isNumber(seconds)) return '';
+  if (seconds < 60) return ageText(seconds);
+  return spanText(seconds);
+}
+
+export const milliseconds = (rfc3339) => (rfc3339 ? Date.parse(rfc3339) : NaN);

@@ -1,0 +1,282 @@
+// What surrounds every view: header, lost-data strip, alarm banner, job strip.
+import { detailText, isShown, needsAcknowledge, symbol, worst } from './alarms.js';
+import { h, put, setText } from './dom.js';
+import {
+  ageText, channelName, fixed, hourMinuteSecond, milliseconds, shortAge, significant, timeElement,
+  timeZone, utc,
+} from './format.js';
+import { icon, logo } from './icons.js';
+import { isDistrust, limitedReadings } from './readings.js';
+
+const JOB_SHOWN_AFTER_MS = 15000;
+
+/** Age of what a source gave last, in process seconds. */
+function sourceAge(source, clock) {
+  const since = source.heardMs === null ? 0 : (clock.now() - source.heardMs) / 1000;
+  return source.age_s === null ? null : source.age_s + Math.max(0, since);
+}
+
+export class Header {
+  /** actions: { chooseAsset(id), switchTheme(), logOut() } */
+  constructor(box, actions) {
+    this.tabs = h('nav', { class: 'tabs', 'aria-label': 'Views' });
+    this.asset = h('div', { class: 'asset' });
+    this.sources = h('div', { class: 'conn', 'aria-label': 'Sources' });
+    this.role = h('span', { class: 'mut s role' });
+    this.clockText = h('span', {});
+    this.zone = h('small', {});
+    this.clock = h('div', { class: 'clock' }, this.clockText, this.zone);
+    this.theme = h('button', { class: 'btn sm ghost', type: 'button', onclick: actions.switchTheme });
+    this.exit = h('button', { class: 'btn sm ghost', type: 'button', onclick: actions.logOut },
+      'Log out');
+    this.actions = actions;
+    put(box, h('div', { class: 'brand' }, logo(), h('span', {}, 'Bearing Twin')), this.asset,
+      this.tabs, h('div', { class: 'sp' }), this.sources, this.role, this.theme, this.exit,
+      this.clock);
+  }
+
+  showTheme(theme) {
+    setText(this.theme, theme === 'dark' ? 'Light' : 'Dark');
+    this.theme.setAttribute('aria-label', `Switch to the ${this.theme.textContent} theme`);
+  }
+
+  showSession(session, canLogOut) {
+    setText(this.role, session?.role ?? '');
+    this.exit.hidden = !canLogOut;
+  }
+
+  showViews(views, current) {
+    put(this.tabs, views.map(([name, title]) => h('a', {
+      href: `#${name}`, 'aria-current': name === current ? 'page' : null,
+    }, title)));
+  }
+
+  showAssets(assets, current) {
+    const title = (asset) => (asset.bearing ? `${asset.id} · ${asset.bearing}` : asset.id);
+    if (assets.length === 1) {
+      put(this.asset, h('b', { class: 'nw' }, title(assets[0])));
+      return;
+    }
+    put(this.asset, h('select', {
+      'aria-label': 'Asset', onchange: (event) => this.actions.chooseAsset(event.target.value),
+    }, assets.map((asset) =>
+      h('option', { value: asset.id, selected: asset.id === current }, title(asset)))));
+  }
+
+  /** Sources with the age of their data, and the clock of process time. */
+  tick(state, clock) {
+    const away = state.link.status !== 'live';
+    const chips = state.sources.map((source) => [
+      source.name, source.up && !away,
+      source.up && !away ? shortAge(sourceAge(source, clock)) : 'no data', source.detail ?? '',
+    ]);
+    if (chips.length !== this.sources.children.length) {
+      put(this.sources, chips.map(() => h('span', {}, h('span', {}), h('span', {}),
+        h('span', { class: 'd' }))));
+    }
+    chips.forEach(([name, up, age, detail], i) => {
+      const chip = this.sources.children[i];
+      const look = `src${up ? '' : ' bad'}`;
+      if (chip.className !== look) {
+        chip.className = look;
+        put(chip.children[0], up ? icon('ok', 'filled', '1.05em') : icon('bad', 'current', '1.1em'));
+      }
+      setText(chip.children[1], name);
+      setText(chip.children[2], age);
+      chip.title = detail;
+    });
+    this.tickClock(state, clock);
+  }
+
+  tickClock(state, clock) {
+    const now = clock.now();
+    const away = state.link.status === 'away';
+    this.clock.classList.toggle('bad', away);
+    if (away) {
+      setText(this.clockText, `${ageText((Date.now() - state.link.sinceMs) / 1000)} old`);
+      setText(this.zone, '');
+      return;
+    }
+    setText(this.clockText, now === null ? '--:--:--' : hourMinuteSecond(now));
+    const rate = clock.rate === 1 ? '' : ` ×${fixed(clock.rate, clock.rate % 1 ? 1 : 0)}`;
+    setText(this.zone, now === null ? '' : `${timeZone(now)}${rate}`);
+    this.clock.title = now === null ? '' : utc(now)
+      + (rate ? `, process time runs${rate} against the wall clock` : '');
+  }
+}
+
+/** What is lost at this moment: { title, ageS, text } or null. */
+export function lostState(state, clock) {
+  if (state.link.status === 'away') {
+    const { sinceMs, nextTryMs } = state.link;
+    const waitS = Math.max(0, Math.ceil((nextTryMs - Date.now()) / 1000));
+    return {
+      title: 'The service does not answer', ageS: (Date.now() - sinceMs) / 1000,
+      text: 'Everything on this page is of the past.',
+      aside: waitS ? `next try in ${waitS} s` : 'trying …',
+    };
+  }
+  if (state.link.status !== 'live' || !state.asset || !Object.keys(state.tags).length) return null;
+  const readings = limitedReadings(state, clock);
+  const lost = readings.filter((reading) => !reading.usable);
+  if (lost.length) {
+    const all = lost.length === readings.length;
+    const oldest = lost.reduce((a, b) => ((a.ageS ?? Infinity) > (b.ageS ?? Infinity) ? a : b));
+    const names = lost.map((reading) => channelName(reading.sensor).toLowerCase()).join(', ');
+    const shown = oldest.timeMs === null ? [] : ['Shown: last values of ',
+      timeElement(oldest.timeMs, hourMinuteSecond(oldest.timeMs)), '. '];
+    return {
+      title: all ? 'No temperature data' : `No data of the ${names}`, ageS: oldest.ageS,
+      text: [sentence(lost[0].reason), ' ', shown, state.forecast ? 'Forecast by the twin alone.' : ''],
+    };
+  }
+  const silent = state.sources.find((source) => !source.up);
+  if (!silent) return null;
+  return {
+    title: `No data from ${silent.name}`, ageS: sourceAge(silent, clock),
+    text: sentence(silent.detail || 'The source does not answer'),
+  };
+}
+
+const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/\.?$/, '.');
+
+/** The strip that says which data are lost; the growing age is not read out every second. */
+export class LostStrip {
+  constructor(box) {
+    this.box = box;
+    this.title = h('b', { role: 'alert' });
+    this.age = h('b', { 'aria-live': 'off' });
+    this.text = h('span', { class: 'x' });
+    this.aside = h('span', { class: 's' });
+    this.key = null;
+  }
+
+  tick(lost) {
+    if (!lost) {
+      if (this.key !== null) put(this.box).className = '';
+      this.key = null;
+      return;
+    }
+    if (this.key === null) {
+      this.box.className = 'lost';
+      put(this.box, icon('bad', 'current', '2rem'), this.title, this.age, this.text, this.aside);
+    }
+    const key = h('i', {}, [lost.title, lost.text].flat(Infinity).map((part) =>
+      part.textContent ?? part)).textContent;
+    if (key !== this.key) {
+      setText(this.title, lost.title);
+      put(this.text, lost.text);
+      this.key = key;
+    }
+    setText(this.age, lost.ageS === null ? '' : `for ${ageText(lost.ageS)}`);
+    setText(this.aside, lost.aside ?? '');
+  }
+}
+
+/** The worst active alarm; the bar keeps its place when there is none, so that nothing jumps. */
+export class Banner {
+  constructor(box, { onAcknowledge, mayAcknowledge }) {
+    this.box = box;
+    this.mayAcknowledge = mayAcknowledge;
+    this.symbol = h('span', {});
+    this.message = h('span', { class: 'msg', role: 'status', 'aria-live': 'assertive' });
+    this.detail = h('span', { class: 'msg' });
+    this.since = h('span', { class: 'sub nw' });
+    this.more = h('span', { class: 'sub nw' });
+    this.button = h('button', {
+      class: 'btn', type: 'button', onclick: () => onAcknowledge(this.alarm, this.button),
+    }, 'Acknowledge');
+    this.look = null;
+    put(box, this.symbol, h('div', { class: 'grow' }, this.message, this.detail, this.since),
+      this.more, this.button);
+  }
+
+  update(alarms, live, away) {
+    const alarm = worst(alarms);
+    this.alarm = alarm;
+    const others = [...alarms.values()].filter((one) =>
+      isShown(one) && needsAcknowledge(one) && one.id !== alarm?.id).length;
+    setText(this.more, alarm && others ? `+ ${others} more` : '');
+    this.button.hidden = !alarm || !needsAcknowledge(alarm) || !this.mayAcknowledge();
+    this.button.disabled = away;
+    const look = alarm ? [alarm.id, alarm.state, alarm.priority].join() : 'quiet';
+    if (look !== this.look) this.changeLook(alarm);
+    this.look = look;
+    if (!alarm) {
+      const distrust = [...alarms.values()].some((one) => isShown(one) && isDistrust(one));
+      setText(this.message, distrust ? 'No limit alarms' : 'No active alarms');
+      setText(this.detail, '');
+      put(this.since);
+      return;
+    }
+    setText(this.message, `${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`);
+    setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, live)}`);
+    const raised = milliseconds(alarm.raised_at);
+    if (this.raised !== raised || look !== this.sinceLook) {
+      const state = alarm.state === 'UNACK' ? 'unacknowledged' : 'acknowledged';
+      put(this.since, `  ·  ${state} since `, timeElement(raised));
+      this.raised = raised;
+      this.sinceLook = look;
+    }
+  }
+
+  changeLook(alarm) {
+    delete this.box.dataset.p;
+    if (!alarm) {
+      this.box.className = 'banner quiet';
+      put(this.symbol, icon('ok')).className = '';
+      return;
+    }
+    this.box.className = `banner${alarm.predicted ? ` pred pr${alarm.priority}` : ''}`;
+    if (!alarm.predicted) this.box.dataset.p = alarm.priority;
+    put(this.symbol, symbol(alarm, '2.3rem', true));
+    this.symbol.className = alarm.state === 'UNACK' ? 'blink' : '';
+  }
+}
+
+/** The job that everybody may see: the running one, or for a moment the one that ended. */
+export function currentJob(jobs) {
+  const all = [...jobs.values()];
+  const running = all.find((job) => job.status === 'running') ?? all.find((job) =>
+    job.status === 'queued');
+  return running ?? all.filter((job) => job.heardMs > Date.now() - JOB_SHOWN_AFTER_MS)
+    .sort((a, b) => b.heardMs - a.heardMs)[0] ?? null;
+}
+
+const ENDINGS = {
+  failed: (job) => `failed: ${job.error ?? 'no reason given'}`,
+  cancelled: () => 'was cancelled',
+  succeeded: (job) => `ended: model v${job.model_version}`,
+  queued: () => 'waits for its turn',
+};
+
+export function jobText(job) {
+  if (job.status !== 'running') return `Re-identification ${ENDINGS[job.status]?.(job) ?? ''}`;
+  return `Re-identification: ${job.evaluations} evaluations, `
+    + `best fitness ${significant(job.best_fitness)}`;
+}
+
+export class JobStrip {
+  constructor(box) {
+    this.box = box;
+    this.text = h('span', {});
+    this.share = h('b', {});
+    this.fill = h('i', {});
+    this.bar = h('div', { class: 'bar', role: 'progressbar', 'aria-label': 'Re-identification',
+      'aria-valuemin': 0, 'aria-valuemax': 100 }, this.fill);
+    put(box, this.text, this.bar, this.share);
+  }
+
+  update(jobs) {
+    const job = currentJob(jobs);
+    this.box.className = job ? 'jobstrip' : '';
+    this.box.hidden = !job;
+    if (!job) return;
+    const share = `${Math.round((job.progress ?? 0) * 100)} %`;
+    setText(this.text, jobText(job));
+    setText(this.share, job.status === 'running' ? share : '');
+    this.bar.hidden = job.status !== 'running';
+    this.bar.setAttribute('aria-valuenow', Math.round((job.progress ?? 0) * 100));
+    this.fill.style.width = share;
+  }
+}

@@ -1,0 +1,71 @@
+// Alarm symbols. Shape says priority, line says reality, hatch says distrust: never colour alone.
+import { s } from './dom.js';
+
+const SHAPES = {
+  1: () => s('rect', { x: 2.5, y: 2.5, width: 19, height: 19, rx: 1.5 }),
+  2: () => s('path', { d: 'M12 2 23 21.5H1Z', 'stroke-linejoin': 'round' }),
+  3: () => s('path', { d: 'M12 1.5 22.5 12 12 22.5 1.5 12Z', 'stroke-linejoin': 'round' }),
+  bad: () => s('circle', { cx: 12, cy: 12, r: 10 }),
+  ok: () => s('circle', { cx: 12, cy: 12, r: 9.5 }),
+  none: () => s('circle', { cx: 12, cy: 12, r: 9.5, 'stroke-dasharray': '1.6 2.4' }),
+};
+
+const COLOURS = {
+  1: ['var(--p1)', 'var(--p1-line)', 'var(--p1-on)'],
+  2: ['var(--p2)', 'var(--p2-line)', 'var(--p2-on)'],
+  3: ['var(--p3)', 'var(--p3-line)', 'var(--p3-on)'],
+  bad: ['var(--bad)', 'var(--bad)', 'var(--bad-on)'],
+  ok: ['var(--ink-2)', 'var(--ink-2)', 'var(--ink-2)'],
+  none: ['var(--ink-3)', 'var(--ink-3)', 'var(--ink-3)'],
+};
+
+function mark(kind, colour) {
+  if (kind === 'ok') {
+    return s('path', {
+      d: 'M7 12.5 10.5 16 17 8.5', fill: 'none', stroke: colour, 'stroke-width': 2.4,
+    });
+  }
+  if (kind === 'bad') {
+    return s('path', { d: 'M7 7 17 17M17 7 7 17', stroke: colour, 'stroke-width': 2.6 });
+  }
+  if (kind === 'none') {
+    return s('path', { d: 'M7 12H17', stroke: colour, 'stroke-width': 2.4 });
+  }
+  return s('text', {
+    x: 12, y: kind === 2 ? 19 : 17, 'text-anchor': 'middle', 'font-weight': 700,
+    'font-size': kind === 2 ? 12 : 13.5, fill: colour,
+  }, String(kind));
+}
+
+/**
+ * One symbol.
+ *
+ * kind: 1, 2, 3 (priority), 'bad' (untrusted), 'ok', 'none' (nothing to say).
+ * look: 'filled', 'hollow' (returned), 'dashed' (predicted), 'inverse' (on its own full colour),
+ *       'current' (hollow in the colour of the text around it).
+ */
+export function icon(kind, look = 'filled', size = '1.25em') {
+  let [fill, line, on] = COLOURS[kind];
+  if (look === 'inverse') [fill, line, on] = [on, on, fill];
+  if (look === 'current') fill = line = 'currentColor';
+  const hollow = ['hollow', 'dashed', 'current'].includes(look) || kind === 'ok' || kind === 'none';
+  const shape = s('g', {
+    fill: hollow ? 'none' : fill, stroke: line, 'stroke-width': 2.2,
+    'stroke-dasharray': look === 'dashed' ? '4 2.6' : null,
+  }, SHAPES[kind]());
+  return s('svg', {
+    class: 'ic', viewBox: '0 0 24 24', 'aria-hidden': 'true', style: { width: size, height: size },
+  }, shape, mark(kind, hollow ? line : on));
+}
+
+/** The mark of the product: a ball bearing from the front. */
+export function logo() {
+  const balls = [[12, 4.6], [19, 10], [16.4, 18], [7.6, 18], [5, 10]];
+  return s('svg', {
+    viewBox: '0 0 24 24', fill: 'none', stroke: 'currentColor', 'stroke-width': 2,
+    'aria-hidden': 'true',
+  },
+  s('circle', { cx: 12, cy: 12, r: 10.5 }), s('circle', { cx: 12, cy: 12, r: 4.5 }),
+  s('g', { fill: 'currentColor', stroke: 'none' },
+    balls.map(([x, y]) => s('circle', { cx: x, cy: y, r: 1.9 }))));
+}

@@ -1,0 +1,187 @@
+// Keeps the store in step with the service: a fresh start over REST, then the stream.
+import { applyAlarm, isShown } from './alarms.js';
+import { assetPath, call, callOptional } from './api.js';
+import { isNumber, milliseconds } from './format.js';
+import { History } from './history.js';
+import { GOOD } from './readings.js';
+import { emptyAsset } from './store.js';
+import { Stream } from './stream.js';
+
+export const SENSORS = ['t_inner_ring_c', 't_outer_ring_c'];
+const PAST = ['speed_rpm', 'load_n', ...SENSORS, ...SENSORS.map((sensor) => `${sensor}.twin`)];
+const HOUR_MS = 3600e3;
+const SUMMARY_EVERY_MS = 20000;
+
+export class Live {
+  /** `onLoggedOut` is called when the service no longer knows the session. */
+  constructor(store, clock, onLoggedOut) {
+    this.store = store;
+    this.clock = clock;
+    this.onLoggedOut = onLoggedOut;
+    this.history = null;
+    this.span = HOUR_MS * 3;
+  }
+
+  start(assetId) {
+    this.stop();
+    this.assetId = assetId;
+    this.clock.reset();
+    for (const [topic, value] of Object.entries(emptyAsset())) this.store.set(topic, value);
+    this.store.set('link', { status: 'connecting' });
+    this.history = new History(assetId, PAST);
+    this.stream = new Stream(assetId, {
+      message: (message) => this.receive(message),
+      up: () => this.store.set('link', { status: 'live' }),
+      down: ({ nextTryMs }) => this.goAway(nextTryMs),
+      refused: () => this.isLoggedOut(),
+    });
+    this.summaryTimer = setInterval(() => this.guarded(() => this.loadAsset()), SUMMARY_EVERY_MS);
+  }
+
+  stop() {
+    this.stream?.stop();
+    clearInterval(this.summaryTimer);
+    clearTimeout(this.historyTimer);
+    this.stream = null;
+  }
+
+  goAway(nextTryMs) {
+    const link = this.store.get('link');
+    const sinceMs = link.status === 'away' ? link.sinceMs : Date.now();
+    this.store.set('link', { status: 'away', sinceMs, nextTryMs });
+  }
+
+  async isLoggedOut() {
+    try {
+      await call('/session');
+      return false;
+    } catch (error) {
+      if (error.status !== 401) return false;
+      this.stop();
+      this.onLoggedOut();
+      return true;
+    }
+  }
+
+  /** Run a request whose failure only means that the next one must do. */
+  async guarded(request) {
+    try {
+      await request();
+    } catch (error) {
+      if (error.status === 401) await this.isLoggedOut();
+      else if (!(error.status >= 0)) throw error;
+    }
+  }
+
+  receive(message) {
+    this.clock.tell(milliseconds(message.time), milliseconds(message.sent_at));
+    const handle = {
+      hello: () => this.greet(message),
+      measurement: () => this.takeSamples(message.data.samples),
+      state: () => this.takeState(message.data),
+      forecast: () => this.store.set('forecast', message.data),
+      alarm: () => applyAlarm(this.store, message.data),
+      job: () => this.takeJob(message.data),
+      health: () => this.takeHealth(message.data),
+    }[message.type];
+    handle?.();
+  }
+
+  /** First message of a connection: all that may have been missed is asked for anew. */
+  greet(message) {
+    this.takeSnapshot(message.data.tags ?? message.data[this.assetId]?.tags ?? {});
+    this.guarded(() => this.loadAll());
+  }
+
+  async loadAll() {
+    await this.loadAsset();
+    const path = (rest) => assetPath(this.assetId, rest);
+    const [nodes, forecast, alarms] = await Promise.all([
+      callOptional(path('/state')), callOptional(path('/forecast')),
+      call('/alarms', { query: { asset: this.assetId } }),
+    ]);
+    const mine = (alarms.items ?? alarms).filter((alarm) =>
+      alarm.asset === this.assetId && isShown(alarm));
+    this.store.set('alarms', new Map(mine.map((alarm) => [alarm.id, alarm])));
+    this.store.set('nodes', nodes);
+    if (forecast) this.store.set('forecast', forecast);
+    await this.keepHistory();
+  }
+
+  async loadAsset() {
+    const asset = await call(assetPath(this.assetId));
+    this.clock.setRate(asset.clock_rate);
+    this.store.set('asset', asset);
+  }
+
+  /** The span of the past that the charts show, in milliseconds of process time. */
+  async showPast(spanMs) {
+    this.span = spanMs;
+    await this.guarded(() => this.loadHistory());
+  }
+
+  async loadHistory() {
+    const now = this.clock.now();
+    if (now === null) return;
+    const history = this.history;
+    await history.refresh(now);
+    await history.load(now - this.span, now);
+    if (history === this.history) this.store.set('history', history);
+  }
+
+  /** Fetch the latest means again and again, more often when process time runs fast. */
+  async keepHistory() {
+    if (this.store.get('link').status === 'live') await this.guarded(() => this.loadHistory());
+    if (!this.stream) return;
+    const everyMs = Math.min(30000, Math.max(2000, 60000 / this.clock.rate));
+    clearTimeout(this.historyTimer);
+    this.historyTimer = setTimeout(() => this.keepHistory(), everyMs);
+  }
+
+  takeSnapshot(tags) {
+    const known = {};
+    for (const [name, tag] of Object.entries(tags)) {
+      known[name] = patched(this.store.get('tags')[name], {
+        value: tag.value, quality: tag.quality, time: milliseconds(tag.time),
+      });
+    }
+    this.store.set('tags', { ...this.store.get('tags'), ...known });
+  }
+
+  takeSamples(samples) {
+    const tags = { ...this.store.get('tags') };
+    for (const sample of samples) {
+      const time = milliseconds(sample.time);
+      tags[sample.channel] = patched(tags[sample.channel], { ...sample, time });
+      this.history.add(sample.channel, time, sample.value, sample.quality >= GOOD);
+    }
+    this.store.set('tags', tags);
+  }
+
+  takeState(state) {
+    const { model_version: before } = this.store.get('nodes') ?? {};
+    this.store.set('nodes', state);
+    const changed = before !== undefined && before !== state.model_version;
+    if (changed) this.guarded(() => this.loadAsset());
+  }
+
+  takeJob(job) {
+    const heard = { ...job, heardMs: Date.now() };
+    this.store.set('jobs', new Map(this.store.get('jobs')).set(job.id, heard));
+  }
+
+  takeHealth(health) {
+    const heardMs = this.clock.now();
+    this.store.set('sources', health.sources.map((source) => ({ ...source, heardMs })));
+  }
+}
+
+/** A tag keeps its last good value and time beside the latest word on it. */
+function patched(before, { value, quality, time }) {
+  const good = quality >= GOOD && isNumber(value);
+  return {
+    value, quality, time,
+    goodValue: good ? value : before?.goodValue ?? null,
+    goodTime: good ? time : before?.goodTime ?? null,
+  };
+}

@@ -1,0 +1,157 @@
+// Canvas helpers of the charts, and the axes that all of them share.
+import { h, rem, token } from './dom.js';
+import { hourMinute } from './format.js';
+
+export const pixelRatio = () => window.devicePixelRatio || 1;
+export const fontSize = () => rem() * 0.8125;
+export const font = (pixels, strong) =>
+  `${strong ? 700 : 400} ${Math.round(pixels)}px B612, "Segoe UI", sans-serif`;
+
+const AXIS_WIDTH = 54 / 16;
+
+export function timeAxis(show) {
+  return {
+    show, stroke: token('--ink-2'), font: font(fontSize()), size: rem() * 1.9, space: 90,
+    grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
+    values: (plot, splits) => splits.map((second) => {
+      const room = plot.valToPos(plot.scales.x.max, 'x') - plot.valToPos(second, 'x');
+      return room < 24 ? '' : hourMinute(second * 1000);
+    }),
+  };
+}
+
+export const valueAxis = (options = {}) => ({
+  stroke: token('--ink-3'), font: font(fontSize()), size: AXIS_WIDTH * rem(),
+  grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false }, ...options,
+});
+
+/** A uPlot in a box, that follows the size of the box. */
+export function mount(box, options, data) {
+  const size = () => ({ width: box.clientWidth, height: box.clientHeight });
+  const plot = new uPlot({
+    ...size(), legend: { show: false }, padding: [0, 8, 0, 0],
+    ...options,
+  }, data, box);
+  const observer = new ResizeObserver(() => plot.setSize(size()));
+  observer.observe(box);
+  const destroy = () => {
+    observer.disconnect();
+    plot.destroy();
+  };
+  return { plot, destroy };
+}
+
+export const cursor = (key) => ({
+  y: false, points: { show: false }, drag: { x: false, y: false }, sync: { key },
+});
+
+/** A piece of text with its look. */
+export function write(context, text, x, y, look) {
+  context.font = font(look.size, look.strong);
+  context.textAlign = look.align ?? 'left';
+  context.textBaseline = look.base ?? 'bottom';
+  if (look.ground) {
+    const width = context.measureText(text).width;
+    const left = look.align === 'right' ? x - width : x;
+    context.save();
+    context.fillStyle = look.ground;
+    context.globalAlpha = 0.88;
+    context.fillRect(left - look.size * 0.35, y - look.size * 1.2, width + look.size * 0.7,
+      look.size * 1.35);
+    context.restore();
+  }
+  context.fillStyle = look.colour;
+  context.fillText(text, x, y);
+}
+
+/** The future has a lighter ground. */
+export function paintAhead(plot, nowS) {
+  const { ctx: context, bbox } = plot;
+  const x = Math.max(bbox.left, plot.valToPos(nowS, 'x', true));
+  context.save();
+  context.fillStyle = token('--panel-2');
+  context.globalAlpha = 0.75;
+  context.fillRect(x, bbox.top, Math.max(0, bbox.left + bbox.width - x), bbox.height);
+  context.restore();
+}
+
+/** The line between past and future, with an optional tag at its head. */
+export function paintNow(plot, nowS, tag) {
+  const { ctx: context, bbox } = plot;
+  const ratio = pixelRatio();
+  const x = plot.valToPos(nowS, 'x', true);
+  context.setLineDash([]);
+  context.strokeStyle = token('--ink');
+  context.lineWidth = 2 * ratio;
+  context.beginPath();
+  context.moveTo(x, bbox.top);
+  context.lineTo(x, bbox.top + bbox.height);
+  context.stroke();
+  if (!tag) return;
+  const size = fontSize() * ratio;
+  context.font = font(size, true);
+  const width = context.measureText(tag).width + 12 * ratio;
+  const height = size * 1.65;
+  const aside = bbox.width / ratio < 560 ? width / 2 - ratio : 0;
+  context.fillStyle = token('--ink');
+  context.fillRect(x + aside - width / 2, bbox.top, width, height);
+  write(context, tag, x + aside, bbox.top + height / 2,
+    { size, strong: true, colour: token('--bg'), align: 'center', base: 'middle' });
+}
+
+/** A pattern of slanted lines: data that must not be trusted. */
+export function hatching(context, colour) {
+  const ratio = pixelRatio();
+  const size = Math.round(9 * ratio);
+  const tile = document.createElement('canvas');
+  tile.width = tile.height = size;
+  const pen = tile.getContext('2d');
+  pen.strokeStyle = colour;
+  pen.lineWidth = 2 * ratio;
+  pen.beginPath();
+  for (const shift of [-size, 0, size]) {
+    pen.moveTo(shift, size);
+    pen.lineTo(shift + size, 0);
+  }
+  pen.stroke();
+  return context.createPattern(tile, 'repeat');
+}
+
+/** The dashed, hollow symbol of a predicted crossing: a square for priority 1, else a triangle. */
+export function paintPredicted(context, x, y, size, priority) {
+  context.save();
+  context.translate(x, y);
+  context.lineWidth = size * 0.13;
+  context.strokeStyle = token(`--p${priority}-line`);
+  context.fillStyle = token('--panel');
+  context.setLineDash([size * 0.2, size * 0.14]);
+  context.beginPath();
+  if (priority === 1) {
+    context.rect(-size / 2, -size / 2, size, size);
+  } else {
+    context.moveTo(0, -size * 0.6);
+    context.lineTo(size * 0.62, size * 0.5);
+    context.lineTo(-size * 0.62, size * 0.5);
+    context.closePath();
+  }
+  context.fill();
+  context.stroke();
+  context.restore();
+}
+
+/** The box beside the cursor; `lines` are arrays of [text, quiet]. */
+export function tooltip(box) {
+  const element = h('div', { class: 'tip' });
+  box.append(element);
+  return {
+    hide: () => { element.style.display = 'none'; },
+    show(lines, left) {
+      element.replaceChildren(...lines.map((line, i) => h('div', {}, line.map(([text, quiet]) =>
+        h(i || quiet ? 'span' : 'b', { class: quiet ? 'mut' : null }, text)))));
+      element.style.display = 'block';
+      const most = box.clientWidth - element.offsetWidth - 4;
+      element.style.left = `${Math.max(0, Math.min(left, most))}px`;
+      element.style.top = '30px';
+    },
+  };
+}

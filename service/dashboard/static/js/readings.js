@@ -1,0 +1,65 @@
+// What a channel is worth right now: a value is used only while it is good, fresh and connected.
+import { isNumber } from './format.js';
+
+export const GOOD = 192;
+const SILENT_WALL_S = 5; // even a slow line shows a new value within this time
+const LOST_KINDS = ['stale data', 'sensor fault'];
+
+export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'ACKED';
+export const isDistrust = (alarm) => LOST_KINDS.includes(alarm.kind);
+
+/** Configuration of a channel as the service tells it, {} when it tells nothing. */
+export function channelOf(asset, name) {
+  const channels = asset?.channels ?? [];
+  if (!Array.isArray(channels)) return channels[name] ?? {};
+  return channels.find((channel) => (channel.name ?? channel) === name) ?? {};
+}
+
+/**
+ * The latest word on a channel: { value, timeMs, quality, ageS, usable, reason }.
+ *
+ * state: the store's state; clock: the process clock. A value that cannot be used keeps its last
+ * good figure as `value`, so that it can be shown struck through.
+ */
+export function readChannel(state, clock, name) {
+  const tag = state.tags[name];
+  const nowMs = clock.now();
+  const timeMs = tag?.goodTime ?? tag?.time ?? null;
+  const ageS = timeMs === null || nowMs === null ? null : Math.max(0, (nowMs - timeMs) / 1000);
+  const reading = {
+    name, value: tag?.goodValue ?? null, timeMs, ageS, quality: tag?.quality ?? 0,
+  };
+  const reason = whyUnusable(state, clock, name, tag, ageS);
+  return { ...reading, usable: reason === null, reason };
+}
+
+function whyUnusable(state, clock, name, tag, ageS) {
+  if (state.link.status !== 'live') return 'the service is away';
+  if (!tag || !isNumber(tag.goodValue)) return 'no value yet';
+  const { source, max_age_s: maxAgeS } = channelOf(state.asset, name);
+  const health = state.sources.find((one) => one.name === source);
+  if (health && !health.up) return `source ${source} does not answer`;
+  const alarm = [...state.alarms.values()].find((one) =>
+    one.channel === name && isDistrust(one) && isActive(one));
+  if (alarm) return alarm.message;
+  if (tag.quality < GOOD) return qualityText(tag.quality);
+  const limitS = Math.max(maxAgeS ?? 0, SILENT_WALL_S * clock.rate);
+  if (ageS > limitS) return 'no new value';
+  return null;
+}
+
+/** OPC DA quality in words. */
+export function qualityText(quality) {
+  const words = {
+    4: 'configuration error', 8: 'not connected', 12: 'device failure', 16: 'sensor failure',
+    20: 'last known value', 24: 'no communication', 28: 'out of service',
+    32: 'waiting for the first value', 64: 'uncertain', 68: 'last usable value',
+    80: 'sensor not accurate', 84: 'out of its range', 88: 'sub-normal',
+  };
+  return words[quality & 0xfc] ?? (quality >= GOOD ? 'good' : quality >= 64 ? 'uncertain' : 'bad');
+}
+
+/** Readings of all sensors with limits, in the order of the configuration. */
+export const limitedReadings = (state, clock) =>
+  Object.entries(state.asset?.limits ?? {}).map(([sensor, limits]) =>
+    ({ sensor, limits, ...readChannel(state, clock, sensor) }));

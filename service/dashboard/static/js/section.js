@@ -1,0 +1,138 @@
+// The bearing and its housing: upper half in section, lower half in outside view (drafting
+// convention), with the 13 nodes and the air. Greys say hot; only a limit brings a hue.
+import { h, put, s, setText } from './dom.js';
+import { fixed, NODE_NAMES } from './format.js';
+
+const RAMP = [20, 36, 52, 68, 84, 100];
+const INNER_RING = 'M300 254H420V200H392A40 40 0 0 1 328 200H300Z';
+const OUTER_RING = 'M300 94H420V144H392A40 40 0 0 0 328 144H300Z';
+const OUTLINES = { 2: OUTER_RING, 4: INNER_RING };
+
+/** Grey of a temperature on the ramp of six steps, mixed in OKLab. */
+function grey(temperature) {
+  const step = (RAMP.at(-1) - RAMP[0]) / (RAMP.length - 1);
+  const place = Math.max(0, Math.min(RAMP.length - 1, (temperature - RAMP[0]) / step));
+  const index = Math.min(RAMP.length - 2, Math.floor(place));
+  const share = Math.round((place - index) * 100);
+  return `color-mix(in oklab, var(--t${index + 1}) ${share}%, var(--t${index}))`;
+}
+
+const rectangle = (node, x, y, width, height, rx = 0) =>
+  s('rect', { 'data-node': node, x, y, width, height, rx });
+const shape = (node, d) => s('path', { 'data-node': node, d });
+
+const parts = () => s('g', { class: 'parts' },
+  rectangle(13, 60, 412, 600, 40, 2),
+  s('g', { class: 'out' },
+    rectangle(1, 244, 316, 232, 78), rectangle(8, 200, 316, 44, 68),
+    rectangle(9, 476, 316, 44, 68), shape(1, 'M214 412V400H506V412Z')),
+  rectangle(5, 26, 254, 334, 124), rectangle(12, 360, 254, 334, 124),
+  s('g', { class: 'out' },
+    shape(1, 'M244 316H476V400H244Z'), shape(8, 'M200 316H244V392H200Z'),
+    shape(9, 'M476 316H520V392H476Z')),
+  rectangle(7, 244, 94, 232, 160), rectangle(1, 244, 34, 232, 60),
+  rectangle(8, 200, 34, 44, 186), rectangle(9, 476, 34, 44, 186),
+  rectangle(10, 208, 226, 92, 28), rectangle(11, 420, 226, 92, 28),
+  shape(2, OUTER_RING), shape(4, INNER_RING),
+  rectangle(6, 305, 158, 15, 28, 2), rectangle(6, 400, 158, 15, 28, 2),
+  s('circle', { 'data-node': 3, cx: 360, cy: 172, r: 40 }));
+
+// node, where its label stands, what it points at
+const LABELS_LEFT = [[1, 40, 256, 62], [8, 87, 212, 110], [7, 134, 262, 140], [6, 181, 311, 172],
+  [10, 228, 218, 240]];
+const LABELS_RIGHT = [[2, 40, 366, 103], [9, 87, 508, 110], [3, 134, 384, 166],
+  [4, 181, 366, 246], [11, 228, 500, 240]];
+
+function label(node, y, toX, toY, left) {
+  const x = left ? 150 : 570;
+  const side = left ? 1 : -1;
+  const anchor = left ? 'end' : 'start';
+  return [
+    s('polyline', {
+      class: 'lead', points: `${x + 6 * side},${y} ${x + 18 * side},${y} ${toX},${toY}`,
+    }),
+    s('circle', { class: 'pin', cx: toX, cy: toY, r: 2.6 }),
+    s('text', { class: 'n', x, y: y - 8, 'text-anchor': anchor }, NODE_NAMES[node - 1]),
+    figure(node, x, y + 13, anchor),
+  ];
+}
+
+const figure = (node, x, y, anchor) =>
+  s('text', { class: 'v es', 'data-figure': node, x, y, 'text-anchor': anchor }, '–');
+
+const tagged = (node, x) => [
+  s('rect', { class: 'tag', x: x - 66, y: 262, width: 132, height: 44, rx: 3 }),
+  s('text', { class: 'n', x, y: 279, 'text-anchor': 'middle' }, NODE_NAMES[node - 1]),
+  figure(node, x, 299, 'middle'),
+];
+
+const hatchPattern = () => s('defs', {}, s('pattern', {
+  id: 'distrust', width: 9, height: 9, patternUnits: 'userSpaceOnUse',
+  patternTransform: 'rotate(45)',
+}, s('path', { d: 'M0 0V9', stroke: 'var(--bad)', 'stroke-width': 2, opacity: 0.55 })));
+
+export class Section {
+  constructor(box) {
+    this.outlines = s('g', {});
+    this.hatches = s('g', {});
+    this.svg = s('svg', { class: 'sect', viewBox: '0 12 720 444', role: 'img' },
+      hatchPattern(), parts(), this.hatches, this.outlines,
+      s('path', { class: 'cl', d: 'M8 316H712' }),
+      s('path', {
+        class: 'brk', d: 'M26 248q9 17 0 34t0 34 0 34 0 34M694 248q-9 17 0 34t0 34 0 34 0 34',
+      }),
+      s('g', { class: 'sens' },
+        s('circle', { cx: 360, cy: 246, r: 6 }), s('circle', { cx: 360, cy: 103, r: 6 })),
+      LABELS_LEFT.map((one) => label(...one, true)),
+      LABELS_RIGHT.map((one) => label(...one, false)),
+      tagged(5, 110), tagged(12, 610),
+      s('rect', { class: 'tag', x: 286, y: 418, width: 148, height: 28, rx: 3 }),
+      s('text', { class: 'n', x: 296, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
+      s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
+      s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view, shortened'));
+    put(box, this.svg, legend());
+  }
+
+  /**
+   * nodes: { number: °C }, measured: { number: { value, usable } }, alerts: { 2 or 4:
+   * { priority, predicted } }, stale: the whole picture is of the past.
+   */
+  update({ nodes, measured, alerts, stale }) {
+    for (let node = 1; node <= 14; node += 1) this.updateNode(node, nodes[node], measured[node]);
+    this.svg.classList.toggle('stale', stale);
+    put(this.hatches, Object.entries(OUTLINES).filter(([node]) => measured[node]?.usable === false)
+      .map(([, d]) => s('path', { d, fill: 'url(#distrust)' })));
+    put(this.outlines, Object.entries(alerts).map(([node, { priority, predicted }]) => s('path', {
+      d: OUTLINES[node], fill: 'none', stroke: `var(--p${priority}-line)`, 'stroke-width': 4,
+      'stroke-dasharray': predicted ? '8 5' : null,
+    })));
+    const say = (node) => fixed(measured[node]?.value ?? nodes[node]);
+    this.svg.setAttribute('aria-label', `Bearing in section. Inner ring ${say(4)} degrees, `
+      + `outer ring ${say(2)} degrees Celsius.`);
+  }
+
+  updateNode(node, estimate, measured) {
+    const value = measured?.value ?? estimate;
+    const figureText = this.svg.querySelector(`[data-figure="${node}"]`);
+    setText(figureText, fixed(value));
+    const look = measured ? (measured.usable ? 'me' : 'st') : 'es';
+    figureText.setAttribute('class', `v ${look}`);
+    const heat = Number.isFinite(value) ? grey(value) : 'var(--panel-2)';
+    for (const part of this.svg.querySelectorAll(`[data-node="${node}"]`)) part.style.fill = heat;
+  }
+}
+
+function legend() {
+  const ramp = 'var(--t0),var(--t1),var(--t2),var(--t3),var(--t4),var(--t5)';
+  const sensor = s('svg', { width: 14, height: 14, 'aria-hidden': 'true' }, s('circle', {
+    cx: 7, cy: 7, r: 5, fill: 'var(--panel)', stroke: 'var(--ink)', 'stroke-width': 2.5,
+  }));
+  return h('div', { class: 'lrow' },
+    h('div', { class: 'slegend' },
+      h('span', { class: 'ramp', style: { background: `linear-gradient(90deg in oklab,${ramp})` } }),
+      h('span', { class: 'tick' },
+        RAMP.map((value) => h('i', {}, value === RAMP.at(-1) ? `${value} °C` : String(value))))),
+    h('div', { class: 'skeys' },
+      h('span', { class: 'key' }, sensor, 'PT100 measured'),
+      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated by the twin')));
+}

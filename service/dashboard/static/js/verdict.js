@@ -1,0 +1,94 @@
+// The three answers. Pure functions: readings, limits and forecast in, a verdict out.
+import { overSpan, timeToLimit } from './forecast.js';
+
+/** Shares of forecast members: the words change at these. */
+export const THRESHOLDS = { atRisk: 0.05, notSafe: 0.5, alarm: 0.2 };
+
+const STANDING_RPM = 5;
+
+/** The word for a probability of passing the warning limit. */
+export function wordFor(probability) {
+  if (probability < THRESHOLDS.atRisk) return 'safe';
+  return probability < THRESHOLDS.notSafe ? 'risk' : 'unsafe';
+}
+
+/** Priority that a look ahead deserves: 1 where the alarm limit is near, 2, or 0 for calm. */
+export function priorityFor(warning, alarm) {
+  if (alarm >= THRESHOLDS.alarm) return 1;
+  return warning >= THRESHOLDS.atRisk ? 2 : 0;
+}
+
+const levelOf = (reading) => {
+  if (reading.value >= reading.limits.alarm) return 1;
+  return reading.value >= reading.limits.warning ? 2 : 0;
+};
+
+/**
+ * Is it safe now?
+ *
+ * readings: [{ sensor, value, usable, ageS, limits: { warning, alarm } }] of all sensors with
+ * limits. A usable sensor over a limit is a fact; failing that, one unusable sensor makes the
+ * answer unknown.
+ */
+export function answerNow({ readings, speedRpm, trusted }) {
+  const usable = readings.filter((reading) => reading.usable);
+  const margin = (reading) => reading.limits.warning - reading.value;
+  const worst = usable.toSorted(
+    (a, b) => (levelOf(a) || 9) - (levelOf(b) || 9) || margin(a) - margin(b))[0];
+  const lost = readings.find((reading) => !reading.usable);
+  if (worst && levelOf(worst)) {
+    const priority = levelOf(worst);
+    return { word: 'over', priority, level: priority === 1 ? 'alarm' : 'warning', reading: worst };
+  }
+  if (lost || !worst) return { word: 'unknown', reading: lost ?? null };
+  const standing = speedRpm !== null && Math.abs(speedRpm) < STANDING_RPM;
+  if (standing) return { word: 'rest', reading: worst };
+  return { word: trusted ? 'safe' : 'safe now', reading: worst };
+}
+
+/** Of all sensors with limits, the one for which `rank` is highest. */
+const worstSensor = (limits, assess, rank) => Object.entries(limits)
+  .map(([sensor, own]) => ({ sensor, limits: own, ...assess(sensor, own) }))
+  .toSorted((a, b) => rank(b) - rank(a))[0];
+
+/**
+ * Is the next step safe? `steps` are those of `stepsFrom`, made distinct; with no further step
+ * the answer is for the present point, held to the end of the forecast.
+ */
+export function answerNextStep({ fan, steps, limits }) {
+  if (!fan) return { word: 'no forecast' };
+  const held = steps.length < 2;
+  const step = held ? steps[0] : steps[1];
+  const fromMs = step?.from ?? fan.times[0];
+  const toMs = step?.to ?? fan.times.at(-1);
+  const known = Object.fromEntries(Object.entries(limits).filter(([name]) => fan.bands[name]));
+  const worst = worstSensor(known, (sensor, own) => overSpan(fan, sensor, own, fromMs, toMs),
+    (peak) => peak.alarm >= THRESHOLDS.alarm ? 1 + peak.alarm : peak.warning
+      + 1e-6 * (peak.high - peak.limits.warning));
+  if (!worst) return { word: 'no forecast' };
+  const priority = priorityFor(worst.warning, worst.alarm);
+  return { word: wordFor(worst.warning), priority, held, step, fromMs, toMs, peak: worst };
+}
+
+/** How long until a limit? Over the warning already, the alarm limit is asked for. */
+export function answerTimeToLimit({ forecast, fan, readings, limits, nowMs }) {
+  if (!fan) return { word: 'no forecast' };
+  const endS = (fan.times.at(-1) - nowMs) / 1000;
+  const assess = (sensor, own) => {
+    const reading = readings.find((one) => one.sensor === sensor);
+    const over = Boolean(reading?.usable && reading.value >= own.warning);
+    const level = over ? 'alarm' : 'warning';
+    const peak = overSpan(fan, sensor, own, fan.times[0], fan.times.at(-1));
+    const asked = timeToLimit(forecast, sensor, level, nowMs);
+    return { level, over, asked, alarm: timeToLimit(forecast, sensor, 'alarm', nowMs), peak };
+  };
+  const known = Object.fromEntries(Object.entries(limits).filter(([name]) => fan.bands[name]));
+  const soonest = (one) => one.asked.median ?? one.asked.earliest ?? endS;
+  const worst = worstSensor(known, assess, (one) =>
+    (one.asked.probability >= THRESHOLDS.atRisk ? 1000 - soonest(one) / endS * 100 : 0)
+      + (one.over && one.asked.probability >= THRESHOLDS.atRisk ? 1000 : 0)
+      + one.asked.probability + 1e-3 * (one.peak.high - one.limits.warning));
+  if (!worst) return { word: 'no forecast' };
+  if (worst.asked.probability < THRESHOLDS.atRisk) return { word: 'none', endS, ...worst };
+  return { word: 'some', priority: worst.level === 'alarm' ? 1 : 2, endS, ...worst };
+}

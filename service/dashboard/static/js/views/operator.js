@@ -1,0 +1,241 @@
+// One screen, three answers, then the evidence.
+import { AlarmList, summary } from '../alarms.js';
+import { LaneChart, TrendChart } from '../charts.js';
+import { h, put, setText } from '../dom.js';
+import { fixed, isNumber, NODE_NAMES } from '../format.js';
+import { SENSORS } from '../live.js';
+import { readChannel } from '../readings.js';
+import { Section } from '../section.js';
+import { liveDetail, situation } from '../situation.js';
+import { awayTile, nextStepTile, noForecastTile, nowTile, timeToLimitTile } from '../tiles.js';
+import { THRESHOLDS } from '../verdict.js';
+
+const HOUR_MS = 3600e3;
+const SPANS = [[1, '1 h'], [3, '3 h'], [12, '12 h']];
+const PHONE = 760;
+const PHONE_PAST_MS = 1.5 * HOUR_MS;
+const NODE_OF_SENSOR = { t_inner_ring_c: 4, t_outer_ring_c: 2 };
+
+const key = (look, text) => h('span', { class: 'key' }, h('i', { class: look }), text);
+
+export class OperatorView {
+  /** page: { store, clock, live, acknowledge(alarm, button), mayAcknowledge() } */
+  constructor(box, page) {
+    this.page = page;
+    this.span = page.live.span;
+    this.answers = h('div', { class: 'answers' });
+    this.trendPanel = this.createTrendPanel();
+    this.sectionTitle = h('h2', {});
+    this.sectionChip = h('span', { class: 'chip badc', hidden: true }, 'last known values');
+    const sectionBox = h('div', { class: 'sectbox' });
+    this.sectionPanel = h('section', { class: 'panel p-sect' },
+      h('header', {}, this.sectionTitle, h('span', { class: 'sp' }), this.sectionChip), sectionBox);
+    this.alarmCount = h('span', { class: 's mut' });
+    const alarmBox = h('div', { class: 'alarmbox' });
+    put(box, h('h1', { class: 'vh' }, 'Operator'), this.answers, this.trendPanel,
+      this.sectionPanel, h('section', { class: 'panel p-al' },
+        h('header', {}, h('h2', {}, 'Alarms'), this.alarmCount), alarmBox));
+    this.trend = new TrendChart(this.boxes.temperature, 'operator');
+    this.speed = new LaneChart(this.boxes.speed, { label: 'Speed, rpm', syncKey: 'operator' });
+    this.load = new LaneChart(this.boxes.load,
+      { label: 'Load, N', syncKey: 'operator', showTime: true });
+    this.section = new Section(sectionBox);
+    this.alarms = new AlarmList(alarmBox, {
+      onAcknowledge: page.acknowledge, mayAcknowledge: page.mayAcknowledge,
+    });
+    const { store } = page;
+    this.endings = [
+      store.on(['tags', 'forecast', 'nodes', 'asset', 'link', 'alarms', 'sources'],
+        () => this.update(), 250),
+      store.on(['tags', 'forecast', 'history', 'asset', 'link'], () => this.draw(), 1000),
+    ];
+    this.timer = setInterval(() => {
+      this.update();
+      this.draw();
+    }, 1000);
+    this.update();
+    this.draw();
+  }
+
+  destroy() {
+    clearInterval(this.timer);
+    this.endings.forEach((end) => end());
+    [this.trend, this.speed, this.load].forEach((chart) => chart.destroy());
+  }
+
+  createTrendPanel() {
+    this.boxes = {
+      temperature: h('div', { class: 'plot t', role: 'img' }),
+      speed: h('div', { class: 'plot sp1', role: 'img' }),
+      load: h('div', { class: 'plot ld1', role: 'img' }),
+    };
+    this.modelText = h('span', { class: 's mut' });
+    this.labels = h('span', { class: 'labels' });
+    this.spanButtons = SPANS.map(([hours, text]) => h('button', {
+      type: 'button', 'aria-pressed': String(hours * HOUR_MS === this.span),
+      onclick: () => this.choose(hours * HOUR_MS),
+    }, text));
+    return h('section', { class: 'panel p-trend' },
+      h('header', {}, h('h2', {}, 'Temperature, °C'), this.modelText, this.labels,
+        h('span', { class: 'sp' }),
+        key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'), key('f50', '50 %'),
+        key('f95', '95 %'),
+        h('span', { class: 'seg', role: 'group', 'aria-label': 'Span of the past' },
+          this.spanButtons)),
+      this.boxes.temperature, this.boxes.speed, this.boxes.load);
+  }
+
+  choose(spanMs) {
+    this.span = spanMs;
+    SPANS.forEach(([hours], i) =>
+      this.spanButtons[i].setAttribute('aria-pressed', String(hours * HOUR_MS === spanMs)));
+    this.page.live.showPast(spanMs);
+    this.draw();
+  }
+
+  /** Everything but the charts. */
+  update() {
+    const { store, clock } = this.page;
+    const now = situation(store.state, clock);
+    if (!now) return;
+    this.updateAnswers(now);
+    this.updateHeads(now);
+    this.updateSection(now);
+    const detail = liveDetail(store.state, clock);
+    this.alarms.update(store.get('alarms'), detail, !now.live);
+    setText(this.alarmCount, summary(store.get('alarms')));
+  }
+
+  updateAnswers(now) {
+    const peakOf = (sensor) => {
+      const band = now.fan?.bands[sensor];
+      return band ? Math.max(...band.q975) : null;
+    };
+    const tiles = [nowTile(now.now, peakOf(now.now.reading?.sensor))];
+    const ahead = [['Is the next step safe', 'Next step'], ['Time to limit', 'Time to limit']];
+    if (!now.live) tiles.push(...ahead.map(([label, title]) => awayTile(label, title)));
+    else if (!now.fan) {
+      tiles.push(...ahead.map(([label, title]) => noForecastTile(label, title, now.noForecast)));
+    } else {
+      tiles.push(nextStepTile(now.next, now), timeToLimitTile(now.toLimit, now));
+    }
+    tiles.forEach((tile, i) => {
+      const shown = this.answers.children[i];
+      if (!shown) this.answers.append(tile);
+      else if (!shown.isEqualNode(tile)) shown.replaceWith(tile);
+    });
+  }
+
+  updateHeads(now) {
+    const { asset, forecast } = this.page.store.state;
+    const stale = now.lostMs !== null || !now.live;
+    this.trendPanel.classList.toggle('isstale', stale);
+    this.sectionPanel.classList.toggle('isstale', stale);
+    this.sectionChip.hidden = !stale;
+    setText(this.sectionTitle, `Bearing ${asset.bearing} in section, °C`);
+    setText(this.modelText, this.modelLine(asset, now));
+    const labels = (now.fan && forecast?.labels) || [];
+    if (labels.join() !== this.shownLabels) {
+      put(this.labels, labels.map((label) => h('span', { class: 'chip dash' }, label)));
+      this.shownLabels = labels.join();
+    }
+  }
+
+  modelLine(asset, now) {
+    const model = asset.active_model;
+    if (!model) return 'no model yet';
+    const name = `twin v${model.version}`;
+    if (model.trusted === false) return `${name}, not trusted: no forecast`;
+    if (now.alone) return `${name} runs without data`;
+    const parts = [name];
+    if (model.identified === false) parts.push('not identified yet');
+    const residual = this.residual(now.nowMs);
+    if (isNumber(residual)) parts.push(`rms residual of the last hour ${fixed(residual)} K`);
+    return parts.join(', ');
+  }
+
+  /** Root mean square of twin less measured over the last hour, both rings. */
+  residual(nowMs) {
+    const { history } = this.page.store.state;
+    if (!history) return null;
+    const { columns } = history.columns(nowMs - HOUR_MS, nowMs);
+    const squares = SENSORS.flatMap((sensor) => columns[sensor].map((measured, i) => {
+      const twin = columns[`${sensor}.twin`][i];
+      return measured === null || twin === null ? null : (measured - twin) ** 2;
+    })).filter((square) => square !== null);
+    if (squares.length < 10) return null;
+    return Math.sqrt(squares.reduce((sum, square) => sum + square, 0) / squares.length);
+  }
+
+  updateSection(now) {
+    const { state } = this.page.store;
+    const { clock } = this.page;
+    const nodes = {};
+    const measured = {};
+    NODE_NAMES.forEach((_, i) => {
+      nodes[i + 1] = state.nodes?.nodes?.[`t_node_${i + 1}_c`]?.mean_c ?? null;
+      if (state.tags[`t_node_${i + 1}_c`]) {
+        measured[i + 1] = readChannel(state, clock, `t_node_${i + 1}_c`);
+      }
+    });
+    measured[14] = readChannel(state, clock, 'ambient_c');
+    const alerts = {};
+    for (const [sensor, node] of Object.entries(NODE_OF_SENSOR)) {
+      measured[node] = readChannel(state, clock, sensor);
+      const reading = now.readings.find((one) => one.sensor === sensor);
+      const priority = this.alertOf(now, reading);
+      if (priority) alerts[node] = priority;
+    }
+    this.section.update({ nodes, measured, alerts, stale: now.lostMs !== null || !now.live });
+  }
+
+  /** A ring over its limit, or on its way there. */
+  alertOf(now, reading) {
+    if (!reading) return null;
+    const { limits } = reading;
+    if (reading.usable && reading.value >= limits.warning) {
+      return { priority: reading.value >= limits.alarm ? 1 : 2, predicted: false };
+    }
+    const told = this.page.store.get('forecast')?.time_to_limit?.[reading.sensor];
+    if (!now.fan || !told || told.warning.probability < THRESHOLDS.atRisk) return null;
+    return { priority: told.alarm.probability >= THRESHOLDS.alarm ? 1 : 2, predicted: true };
+  }
+
+  /** The charts, at most once a second. */
+  draw() {
+    const { store, clock } = this.page;
+    const now = situation(store.state, clock);
+    const { history } = store.state;
+    if (!now || !history) return;
+    const past = window.innerWidth < PHONE ? Math.min(this.span, PHONE_PAST_MS) : this.span;
+    const fromMs = now.nowMs - past;
+    const { times, columns } = history.columns(fromMs, now.nowMs);
+    const span = { nowMs: now.nowMs, fromMs, endMs: now.endMs ?? now.nowMs + past * 0.15, times };
+    const limits = Object.fromEntries(
+      Object.entries(now.limits).filter(([sensor]) => SENSORS.includes(sensor)));
+    this.trend.update({
+      ...span, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: SENSORS,
+      crossings: now.crossings,
+      past: Object.fromEntries(SENSORS.map((sensor) => [sensor,
+        { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
+      current: Object.fromEntries(SENSORS.map((sensor) =>
+        [sensor, readChannel(store.state, clock, sensor)])),
+    });
+    const lane = (values, reading, name) => ({
+      ...span, values, current: reading.usable ? reading.value : null, steps: now.steps, key: name,
+    });
+    this.speed.update(lane(columns.speed_rpm, now.speed, 'speed_rpm'));
+    this.load.update(lane(columns.load_n, now.load, 'load_n'));
+    this.describeCharts(now);
+  }
+
+  describeCharts(now) {
+    const readings = now.readings.map((reading) => `${reading.sensor} ${fixed(reading.value)}`);
+    this.boxes.temperature.setAttribute('aria-label',
+      `Temperatures measured, estimated and forecast: ${readings.join(', ')} degrees Celsius.`);
+    this.boxes.speed.setAttribute('aria-label',
+      `Speed measured and planned, now ${fixed(now.speed.value, 0)} revolutions per minute.`);
+    this.boxes.load.setAttribute('aria-label',
+      `Radial load measured and planned, now ${fixed(now.load.value, 0)} newtons.`);
+  }
+}
