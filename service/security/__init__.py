@@ -1,1 +1,24 @@
 """Who may do what: keys, browser sessions and roles."""
+
+from service.security.authenticator import Authenticator, Principal
+from service.security.keys import (
+    NewKey,
+    UnknownKeyError,
+    UnknownRoleError,
+    create_key,
+    list_keys,
+    revoke_key,
+    verify_key,
+)
+
+__all__ = [
+    "Authenticator",
+    "NewKey",
+    "Principal",
+    "UnknownKeyError",
+    "UnknownRoleError",
+    "create_key",
+    "list_keys",
+    "revoke_key",
+    "verify_key",
+]

@@ -1,0 +1,231 @@
+"""Who may make which call: credentials at the door, roles at each route.
+
+The door (`make_door`) knows only who is calling, and lets nobody unknown past ``/api``; each
+route says by `secured` which roles it is for. OpenAPI shows both.
+"""
+
+import base64
+import binascii
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Annotated, Any, Final
+from urllib.parse import urlsplit
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection, Request
+
+from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem
+from service.security import Authenticator, Principal
+from service.security.roles import Roles
+from service.store import StoreUnavailableError
+
+SESSION_PATH = "/api/v1/session"
+KEY_HEADER = "X-API-Key"
+SUBPROTOCOL_PREFIX = "bearer."
+_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_PRINCIPAL = "bearing_twin.principal"
+
+SECURITY_SCHEMES: Final = {
+    "key": {"type": "apiKey", "in": "header", "name": KEY_HEADER},
+    "basic": {
+        "type": "http",
+        "scheme": "basic",
+        "description": "For clients that cannot send a header: any user, the key as password.",
+    },
+    "session": {
+        "type": "apiKey",
+        "in": "cookie",
+        "name": "bearing_twin_PORT",
+        "description": f"Browser session opened by `POST {SESSION_PATH}`.",
+    },
+}
+_ANY_SCHEME: Final[list[dict[str, list[str]]]] = [{name: []} for name in SECURITY_SCHEMES]
+
+_DESCRIPTIONS: Final = {
+    400: "The request cannot be read.",
+    401: "No key, or none that opens anything.",
+    403: "The role of this key does not suffice.",
+    404: "There is no such thing.",
+    409: "In conflict with the present state.",
+    413: "The body is too long.",
+    422: "A field is wrong; `errors` names it.",
+    426: "This address talks WebSocket only.",
+    503: "Cannot be answered now; try again later.",
+}
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe error answers for OpenAPI."""
+    schema = {"$ref": "#/components/schemas/ProblemDocument"}
+    return {
+        status: {
+            "description": _DESCRIPTIONS[status],
+            "content": {MEDIA_TYPE: {"schema": schema}},
+        }
+        for status in statuses
+    }
+
+
+def secured(
+    roles: Roles, *statuses: int, responses: Mapping[int | str, Any] | None = None
+) -> dict[str, Any]:
+    """Arguments of a route that only these roles may call.
+
+    Parameters
+    ----------
+    roles : frozenset of str
+        Who may call it.
+    *statuses : int
+        Error statuses besides 401, 403 and 422 that the route answers with.
+    responses : mapping, optional
+        More answers for OpenAPI.
+    """
+    return {
+        "dependencies": [Depends(require(roles))],
+        "responses": {**problems(401, 403, 422, *statuses), **(responses or {})},
+        "openapi_extra": {"security": _ANY_SCHEME, "x-roles": sorted(roles)},
+    }
+
+
+def public(*statuses: int, responses: Mapping[int | str, Any] | None = None) -> dict[str, Any]:
+    """Arguments of a route that needs no key."""
+    return {
+        "responses": {**problems(*statuses), **(responses or {})},
+        "openapi_extra": {"security": []},
+    }
+
+
+def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Principal]]:
+    """Make a dependency that lets only these roles pass."""
+
+    async def caller_with_role(connection: HTTPConnection) -> Principal:
+        principal = await caller(connection)
+        if principal.role not in roles:
+            raise Problem(
+                403,
+                f"a key of role {principal.role} may not do this, "
+                f"expected {' or '.join(sorted(roles))}",
+            )
+        return principal
+
+    return caller_with_role
+
+
+async def caller(connection: HTTPConnection) -> Principal:
+    """Who is calling, as the door found out."""
+    principal = connection.scope.get(_PRINCIPAL)
+    if not isinstance(principal, Principal):
+        raise unauthorized(connection)
+    return principal
+
+
+Caller = Annotated[Principal, Depends(caller)]
+
+
+def make_door(authenticator: Authenticator) -> Callable[[Request], Coroutine[Any, Any, None]]:
+    """Make the check that every request passes before anything else happens to it."""
+
+    async def door(request: Request) -> None:
+        if not request.scope["path"].startswith("/api/"):
+            return
+        if request.scope["path"] == SESSION_PATH and request.method == "POST":
+            if not is_same_origin(request, unknown_is=True):
+                raise _cross_site()
+            return
+        principal = await authenticate(request, authenticator)
+        if principal is None:
+            raise unauthorized(request)
+        unsafe = request.method not in _SAFE_METHODS
+        if principal.session and unsafe and not is_same_origin(request, unknown_is=False):
+            raise _cross_site()
+        request.scope[_PRINCIPAL] = principal
+
+    return door
+
+
+async def authenticate(
+    connection: HTTPConnection, authenticator: Authenticator
+) -> Principal | None:
+    """Who is calling, by header, Basic password, or session cookie; None for nobody known.
+
+    Raises
+    ------
+    Problem
+        With status 503 when the store cannot tell.
+    """
+    try:
+        key = connection.headers.get(KEY_HEADER) or _basic_password(connection)
+        if key is not None:
+            return await authenticator.by_key(key)
+        cookie = connection.cookies.get(cookie_name(connection))
+        return await authenticator.by_session(cookie) if cookie else None
+    except StoreUnavailableError as error:
+        raise Problem(
+            503,
+            "the store that keeps the keys does not answer now",
+            headers={"Retry-After": str(RETRY_AFTER_S)},
+        ) from error
+
+
+def cookie_name(connection: HTTPConnection) -> str:
+    """Name of the session cookie: browsers share cookies between the ports of a host."""
+    port = connection.url.port
+    if port is None:
+        port = 443 if connection.url.scheme in ("https", "wss") else 80
+    return f"bearing_twin_{port}"
+
+
+def is_same_origin(connection: HTTPConnection, *, unknown_is: bool) -> bool:
+    """Tell whether a browser sent this from our own page.
+
+    Parameters
+    ----------
+    connection : HTTPConnection
+        The request, or the WebSocket to be opened.
+    unknown_is : bool
+        The answer for a caller that says nothing, as programs do.
+    """
+    site = connection.headers.get("Sec-Fetch-Site")
+    if site is not None:
+        return site == "same-origin"
+    origin = connection.headers.get("Origin")
+    if origin is None:
+        return unknown_is
+    return urlsplit(origin).netloc == connection.headers.get("Host")
+
+
+def unauthorized(connection: HTTPConnection) -> Problem:
+    """Build the problem of a caller without a valid key."""
+    # A script's request must not make the browser ask for a password; everybody else learns
+    # that Basic works.
+    by_script = connection.headers.get("Sec-Fetch-Mode", "navigate") != "navigate"
+    challenge = f'{"ApiKey" if by_script else "Basic"} realm="Bearing Twin"'
+    return Problem(
+        401,
+        f"expected a valid key in the header {KEY_HEADER}, as HTTP Basic password, "
+        "or a browser session",
+        headers={"WWW-Authenticate": challenge},
+    )
+
+
+def subprotocol_key(connection: HTTPConnection) -> tuple[str, str] | None:
+    """Key and full name of the subprotocol ``bearer.<key>``, if one is offered."""
+    offered: list[str] = connection.scope.get("subprotocols", [])
+    for protocol in offered:
+        if protocol.startswith(SUBPROTOCOL_PREFIX):
+            return protocol.removeprefix(SUBPROTOCOL_PREFIX), protocol
+    return None
+
+
+def _cross_site() -> Problem:
+    return Problem(403, "a browser session may only be used from the service's own page")
+
+
+def _basic_password(connection: HTTPConnection) -> str | None:
+    scheme, _, credentials = connection.headers.get("Authorization", "").partition(" ")
+    if scheme.lower() != "basic":
+        return None
+    try:
+        decoded = base64.b64decode(credentials.strip(), validate=True).decode()
+    except (binascii.Error, UnicodeDecodeError):
+        return ""
+    return decoded.partition(":")[2]

@@ -1,0 +1,105 @@
+"""Puts the web side together."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from importlib.metadata import version
+from pathlib import Path
+
+from fastapi import APIRouter, FastAPI
+from starlette.middleware import Middleware
+
+import service.dashboard
+from service.api.access import make_door
+from service.api.context import ServiceContext
+from service.api.docs import install_docs
+from service.api.middleware import AtTheDoor, BodyLimit, LastResort, SecurityHeaders
+from service.api.problems import install_handlers
+from service.api.routes import (
+    alarms,
+    assets,
+    forecasts,
+    health,
+    identifications,
+    measurements,
+    models,
+    session,
+    stream,
+)
+from service.security import Authenticator
+
+API_PREFIX = "/api/v1"
+_DASHBOARD = Path(service.dashboard.__file__).parent / "static"
+_DESCRIPTION = """
+Digital twin of rolling bearings: measurements, estimated node temperatures, forecasts with
+intervals, identification and alarms.
+
+Times are RFC 3339 in UTC with milliseconds, in process time; with the virtual bench that may run
+faster than the clock on the wall. Names end in their unit. Errors are problem documents
+(RFC 9457) whose `errors` name the field. Listings are `{"items": [...], "next": cursor}`; `next`
+is null on the last page, and a `Link` header points to the next one.
+"""
+
+
+def create_app(context: ServiceContext) -> FastAPI:
+    """Make the web application of a service.
+
+    Parameters
+    ----------
+    context : ServiceContext
+        What it leans on.
+    """
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        beating = asyncio.create_task(stream.heartbeats(context.bus))
+        try:
+            yield
+        finally:
+            beating.cancel()
+            context.bus.close()
+            await asyncio.gather(beating, return_exceptions=True)
+
+    authenticator = Authenticator(context.store)
+    app = FastAPI(
+        title="Bearing Twin",
+        version=version("bearing-twin"),
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        telemetry={
+            "tracing": False,
+            "metrics": False,
+            "logs": False,
+            "operation_spans": False,
+            "auto_configure": False,
+        },
+        middleware=[
+            Middleware(SecurityHeaders),
+            Middleware(LastResort),
+            Middleware(AtTheDoor, door=make_door(authenticator)),
+            Middleware(BodyLimit),
+        ],
+    )
+    app.state.context = context
+    app.state.authenticator = authenticator
+    install_handlers(app)
+    api = APIRouter(prefix=API_PREFIX)
+    for module in (
+        assets,
+        measurements,
+        forecasts,
+        identifications,
+        models,
+        alarms,
+        session,
+        stream,
+    ):
+        api.include_router(module.router)
+    app.include_router(api)
+    app.include_router(health.router)
+    install_docs(app)
+    app.frontend("/", directory=_DASHBOARD, fallback=None)
+    return app

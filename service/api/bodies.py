@@ -1,0 +1,307 @@
+"""Answers as OpenAPI shows them, with units and examples. Further members are always allowed."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+
+Time = Annotated[
+    str,
+    WithJsonSchema(
+        {"type": "string", "format": "date-time", "examples": ["2026-11-21T08:00:00.000Z"]}
+    ),
+]
+Number = float | None
+Quality = Annotated[
+    int,
+    Field(
+        ge=0,
+        le=255,
+        description="OPC DA byte: below 64 bad, 64 to 191 uncertain, 192 and above good.",
+        examples=[192],
+    ),
+]
+Percentiles = Annotated[list[Number], Field(description="One temperature per time, °C.")]
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(extra="allow")
+
+
+class Page(_Answer):
+    """What every listing has: `next` is the cursor of the next page, null on the last."""
+
+    next: str | None = Field(None, description="Cursor of the next page; null on the last one.")
+
+
+# ---------------------------------------------------------------------------- assets
+class Limits(_Answer):
+    """Limits of one temperature, °C."""
+
+    warning: float = Field(examples=[90])
+    alarm: float = Field(examples=[105])
+
+
+class LowRisk(_Answer):
+    """The region whose data may be used for identification."""
+
+    speed_rpm_max: float = Field(examples=[4300])
+    load_n_max: float = Field(examples=[3000])
+
+
+class ActiveModel(_Answer):
+    """The model version that the live twin runs on."""
+
+    version: int | None = Field(examples=[2])
+    trusted: bool
+    identified_at: Time | None
+
+
+class AssetDocument(_Answer):
+    """Configuration, health and active model of an asset."""
+
+    id: str = Field(examples=["bench-1"])
+    bearing: str = Field(examples=["6311"])
+    network: str = Field(examples=["bearing-14"])
+    low_risk: LowRisk
+    limits: dict[str, Limits]
+    channels: list[Any]
+    health: dict[str, Any]
+    active_model: ActiveModel | None
+    controller: dict[str, Any] | None
+
+
+class AssetList(Page):
+    """All assets of the service."""
+
+    items: list[AssetDocument]
+
+
+class Tag(_Answer):
+    """One value for a SCADA system; null when the quality is bad."""
+
+    value: float | str | bool | None = Field(examples=[63.4])
+    unit: str | None = Field(examples=["°C"])
+    quality: Quality
+    time: Time
+
+
+class Snapshot(_Answer):
+    """Flat tags: measured, estimated (`.twin`), forecast maxima, times to limit, alarm counts."""
+
+    tags: dict[str, Tag]
+
+
+class NodeState(_Answer):
+    """Estimate of one node's temperature."""
+
+    mean_c: Number = Field(description="°C", examples=[71.2])
+    std_c: Number = Field(description="Standard deviation, K.", examples=[0.8])
+
+
+class State(_Answer):
+    """The 13 node temperatures as the twin sees them now."""
+
+    time: Time
+    model_version: int | None
+    nodes: dict[str, NodeState]
+
+
+# ---------------------------------------------------------------------------- forecasts
+class Quantiles(_Answer):
+    """Quantiles of a temperature over time: of the measured value for sensors, else of the true."""
+
+    q025: Percentiles
+    q25: Percentiles
+    q50: Percentiles
+    q75: Percentiles
+    q975: Percentiles
+
+
+class Crossing(_Answer):
+    """When and how probably a limit is crossed within the horizon."""
+
+    probability: Number = Field(examples=[0.42])
+    median_s: Number = Field(description="Seconds from now; null when it never crosses.")
+    earliest_s: Number = Field(description="Seconds from now (2.5 %); null when it never crosses.")
+
+
+class WhatIf(_Answer):
+    """A forecast of the asked-for sensors and nodes."""
+
+    time_s: list[float] = Field(description="Seconds from the present moment.")
+    nodes: dict[str, Quantiles]
+    limits: dict[str, Limits]
+    time_to_limit: dict[str, dict[str, Crossing]]
+
+
+class LiveForecast(WhatIf):
+    """The latest live forecast: of the controller's plan, else of the present point held."""
+
+    made_at: Time
+    model_version: int | None
+    profile: list[Any]
+
+
+# ---------------------------------------------------------------------------- measurements
+class MeasurementItem(_Answer):
+    """One sample (`value`) or one bucket (`mean`, `min`, `max`, `count`) in the channel's unit."""
+
+    channel: str = Field(examples=["t_inner_ring_c"])
+    time: Time
+    quality: Quality
+    value: Number = None
+    mean: Number = None
+    min: Number = None
+    max: Number = None
+    count: int | None = Field(None, description="Good samples in the bucket.")
+
+
+class Measurements(Page):
+    """History with quality, ascending by time, then by channel."""
+
+    resolution: str = Field(
+        description="What `items` are: raw samples, or buckets of this length.", examples=["1min"]
+    )
+    items: list[MeasurementItem]
+
+
+class Rejected(_Answer):
+    """A sample that was not taken, and why."""
+
+    index: int = Field(description="Place in `samples`, from 0.")
+    detail: str
+
+
+class Pushed(_Answer):
+    """What became of the samples; the answer means that those taken are on the disk."""
+
+    accepted: int = Field(description="Newly stored.", examples=[2])
+    duplicates: int = Field(description="Known already: sent again.", examples=[0])
+    rejected: list[Rejected]
+
+
+# ---------------------------------------------------------------------------- identification
+class WindowDocument(_Answer):
+    """A low-risk window with its operating points and score."""
+
+    start: Time
+    end: Time
+
+
+class WindowList(Page):
+    """Low-risk windows found in the store."""
+
+    items: list[WindowDocument]
+
+
+class JobDocument(_Answer):
+    """One identification job."""
+
+    id: str = Field(examples=["3f2b8c0e9d5a4a7f8e1c2b3d4e5f6a7b"])
+    status: Literal["queued", "running", "succeeded", "failed", "cancelled"]
+    progress: float = Field(ge=0, le=1)
+    best_fitness: Number
+    evaluations: int
+    created_at: Time
+    started_at: Time | None
+    ended_at: Time | None
+    error: str | None
+    model_version: int | None
+
+
+class JobList(Page):
+    """Identification jobs, newest first."""
+
+    items: list[JobDocument]
+
+
+class ModelDocument(_Answer):
+    """One model version with its parameters, the data it comes from and its scores."""
+
+    version: int = Field(ge=1)
+    status: Literal["candidate", "active", "retired", "rejected"]
+    reason: str | None
+    parameters: Any
+    windows: Any
+    scores: Any
+    naive: Any
+
+
+class ModelList(Page):
+    """Model versions, newest first."""
+
+    items: list[ModelDocument]
+
+
+# ---------------------------------------------------------------------------- alarms
+class AlarmDocument(_Answer):
+    """One alarm; states after ISA-18.2."""
+
+    id: str
+    asset: str
+    kind: str = Field(examples=["forecast limit"])
+    priority: int = Field(ge=1, le=3, description="1 high, 2 medium, 3 low.")
+    state: str = Field(examples=["UNACK"])
+    channel: str | None
+    message: str
+    raised_at: Time
+    predicted: bool
+    lead_time_s: Number = Field(description="Process seconds until it is expected to happen.")
+    probability: Number
+
+
+class AlarmList(Page):
+    """Alarms that are not over, most urgent first."""
+
+    items: list[AlarmDocument]
+
+
+class AlarmJournalLine(_Answer):
+    """One change of an alarm's state."""
+
+    alarm_id: str
+    asset: str
+    kind: str
+    channel: str | None
+    time: Time
+    who: str
+    comment: str | None
+    message: str
+
+
+class AlarmJournalList(Page):
+    """The alarm journal, newest first."""
+
+    items: list[AlarmJournalLine]
+
+
+# ---------------------------------------------------------------------------- session, health
+class SessionDocument(_Answer):
+    """Who is logged in."""
+
+    role: str = Field(examples=["operator"])
+    key_id: str
+    prefix: str = Field(examples=["bt_1a2b3c4d"])
+    expires_at: Time | None
+    session: bool = Field(description="True for a browser session, false for a key.")
+
+
+class Alive(_Answer):
+    """The process answers."""
+
+    status: Literal["alive"] = "alive"
+
+
+class ReadyCheck(_Answer):
+    """One thing that the service needs."""
+
+    name: str = Field(examples=["source:pt100"])
+    status: Literal["ok", "degraded", "failed"]
+    detail: str | None
+
+
+class Ready(_Answer):
+    """Whether the service does its work."""
+
+    status: Literal["ready", "degraded", "not ready"]
+    checks: list[ReadyCheck]

@@ -1,0 +1,65 @@
+"""The API description, and a page to read and try it that loads nothing from elsewhere."""
+
+from pathlib import Path
+from typing import Any, Final
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from starlette.responses import HTMLResponse
+from starlette.staticfiles import StaticFiles
+
+from service.api.access import SECURITY_SCHEMES
+from service.api.problems import ProblemDocument
+
+_STATIC = Path(__file__).parent / "static"
+_PAGE: Final = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>Bearing Twin API</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="stylesheet" href="/docs/files/swagger-ui/swagger-ui.css">
+</head>
+<body>
+<div id="swagger-ui"></div>
+<script src="/docs/files/swagger-ui/swagger-ui-bundle.js"></script>
+<script src="/docs/files/start.js"></script>
+</body>
+</html>
+"""
+# The framework's own shape of a validation error is never sent.
+_UNUSED_SCHEMAS = ("HTTPValidationError", "ValidationError")
+
+
+def install_docs(app: FastAPI) -> None:
+    """Serve ``/docs`` with files of our own, and describe security and problems in OpenAPI."""
+
+    async def docs() -> HTMLResponse:
+        return HTMLResponse(_PAGE)
+
+    app.add_api_route("/docs", docs, include_in_schema=False)
+    app.mount("/docs/files", StaticFiles(directory=_STATIC))
+    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+
+
+def _openapi(app: FastAPI) -> dict[str, Any]:
+    if app.openapi_schema is None:
+        schema = get_openapi(
+            title=app.title,
+            version=app.version,
+            description=app.description,
+            routes=app.routes,
+            tags=app.openapi_tags,
+        )
+        components = schema.setdefault("components", {})
+        components["securitySchemes"] = SECURITY_SCHEMES
+        schemas = components.setdefault("schemas", {})
+        for name in _UNUSED_SCHEMAS:
+            schemas.pop(name, None)
+        problem = ProblemDocument.model_json_schema(
+            ref_template="#/components/schemas/{model}", mode="serialization"
+        )
+        schemas.update(problem.pop("$defs"))
+        schemas[ProblemDocument.__name__] = problem
+        app.openapi_schema = schema
+    return app.openapi_schema

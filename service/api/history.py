@@ -1,0 +1,141 @@
+"""The history of channels in pages: raw samples, or buckets of a fitting length."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, Field
+
+from service.clock import rfc3339
+from service.store import Rollup, Store, StoredSample
+
+Resolution = Literal["raw", "1s", "1min", "1h", "auto"]
+
+AUTO_POINTS = 1500
+_SECOND_US = 1_000_000
+_BUCKETS = {
+    "1s": 1, "2s": 2, "5s": 5, "10s": 10, "15s": 15, "30s": 30,
+    "1min": 60, "2min": 120, "5min": 300, "10min": 600, "15min": 900, "30min": 1800,
+    "1h": 3600, "2h": 7200, "3h": 10_800, "6h": 21_600, "12h": 43_200,
+    "1d": 86_400, "7d": 604_800, "28d": 2_419_200,
+}  # fmt: skip
+RAW = "raw"
+
+
+class Place(BaseModel):
+    """A query and how far it has been answered; what a cursor holds."""
+
+    resolution: str = Field(max_length=8)
+    start_us: int = Field(ge=0, lt=2**62)
+    end_us: int = Field(ge=0, lt=2**62)
+    channels: list[str] | None = Field(max_length=100)
+    after: tuple[int, str] | None = None
+
+    def behind(self, row: StoredSample | Rollup) -> Self:
+        """Give the same query, answered up to and with this row."""
+        return self.model_copy(update={"after": (row.time_us, row.channel)})
+
+
+@dataclass(frozen=True, slots=True)
+class PageOfHistory:
+    """Rows in order, and where to go on; None when that was all."""
+
+    rows: Sequence[StoredSample | Rollup]
+    following: Place | None
+
+
+def bucket_us(resolution: str) -> int:
+    """Length of a bucket in microseconds."""
+    return _BUCKETS[resolution] * _SECOND_US
+
+
+def is_resolution(text: str) -> bool:
+    """Tell whether a text names a resolution that `read_page` knows."""
+    return text == RAW or text in _BUCKETS
+
+
+def choose_resolution(
+    store: Store, asset: str, channels: Sequence[str] | None, start_us: int, end_us: int
+) -> str:
+    """Find the finest resolution that gives about `AUTO_POINTS` rows per channel at most.
+
+    Only the part of the span that holds samples counts.
+    """
+    probed = channels if channels is not None else store.channels(asset)
+    limit = AUTO_POINTS * max(len(probed), 1)
+    rows = store.read_samples(asset, channels, start_us, end_us, limit + 1)
+    if len(rows) <= limit:
+        return RAW
+    newest = max(sample.time_us for sample in store.latest(asset).values())
+    span_us = min(end_us, newest + 1) - rows[0].time_us
+    fitting = (name for name in _BUCKETS if span_us <= AUTO_POINTS * bucket_us(name))
+    return next(fitting, list(_BUCKETS)[-1])
+
+
+def read_page(store: Store, asset: str, place: Place, limit: int) -> PageOfHistory:
+    """Read the next rows of a query, `limit` at most."""
+    rows: Sequence[StoredSample | Rollup]
+    span = (place.start_us, place.end_us)
+    if place.resolution == RAW:
+        rows = store.read_samples(asset, place.channels, *span, limit + 1, place.after)
+    else:
+        bucket = bucket_us(place.resolution)
+        rows = store.read_rollup(asset, place.channels, *span, bucket, limit + 1, place.after)
+    if len(rows) <= limit:
+        return PageOfHistory(rows, None)
+    rows = rows[:limit]
+    return PageOfHistory(rows, place.behind(rows[-1]))
+
+
+def as_items(rows: Sequence[StoredSample | Rollup]) -> list[dict[str, Any]]:
+    """Rows as the JSON answer shows them."""
+    return [
+        {
+            "channel": row.channel,
+            "time": rfc3339(row.time_us),
+            "value": row.value,
+            "quality": row.quality,
+        }
+        if isinstance(row, StoredSample)
+        else {
+            "channel": row.channel,
+            "time": rfc3339(row.time_us),
+            "mean": row.mean,
+            "min": row.min,
+            "max": row.max,
+            "count": row.count,
+            "quality": row.quality,
+        }
+        for row in rows
+    ]
+
+
+def csv_header(resolution: str) -> str:
+    """First line of the CSV answer."""
+    values = "value" if resolution == RAW else "mean,min,max,count"
+    return f"time,channel,{values},quality\r\n"
+
+
+def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
+    """Rows as lines of the CSV answer; an absent value is an empty cell."""
+    return "".join(
+        f"{rfc3339(row.time_us)},{row.channel},{_cell(row.value)},{row.quality}\r\n"
+        if isinstance(row, StoredSample)
+        else f"{rfc3339(row.time_us)},{row.channel},{_cell(row.mean)},{_cell(row.min)},"
+        f"{_cell(row.max)},{row.count},{row.quality}\r\n"
+        for row in rows
+    )
+
+
+def csv_lines(store: Store, asset: str, place: Place, page_rows: int) -> Iterator[str]:
+    """Give the whole answer of a query as CSV, page by page, so that memory stays small."""
+    yield csv_header(place.resolution)
+    following: Place | None = place
+    while following is not None:
+        page = read_page(store, asset, following, page_rows)
+        yield as_csv(page.rows)
+        following = page.following
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else repr(value)

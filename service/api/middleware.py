@@ -1,0 +1,160 @@
+"""What every request passes on its way in: headers, the last resort, the door, the size limit."""
+
+import re
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Final
+
+import structlog
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problems import Problem, problem_response
+
+KIB = 1024
+_DEFAULT_BODY_BYTES = 64 * KIB
+_BODY_BYTES: Final = (
+    (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
+    (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
+)
+
+_SECURITY_HEADERS: Final[Mapping[str, str]] = {
+    # The charts and the API page set inline styles; scripts come from here only.
+    "Content-Security-Policy": (
+        "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+        "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+_log = structlog.get_logger(__name__)
+
+Door = Callable[[Request], Awaitable[None]]
+
+
+class SecurityHeaders:
+    """Add the headers that keep a browser from doing what the page never asked for."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on and add to the answer."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+                if scope["path"].startswith("/api/"):
+                    headers.setdefault("Cache-Control", "no-store")
+                else:
+                    headers.setdefault("Cache-Control", "no-cache")
+            await send(message)
+
+        await self.app(scope, receive, send_with_headers)
+
+
+class LastResort:
+    """Turn whatever no handler knew into a problem without internals, and log it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        started = False
+
+        async def send_and_remember(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self.app(scope, receive, send_and_remember)
+        except Exception:  # one broken call must not look like anything but status 500
+            _log.exception("request_failed", method=scope["method"], path=scope["path"])
+            if started:
+                raise
+            detail = "the service could not answer; its log says why"
+            response = problem_response(500, detail, scope["path"])
+            await response(scope, receive, send)
+
+
+class AtTheDoor:
+    """Nothing under ``/api`` is even read for a caller that the door does not know.
+
+    Parameters
+    ----------
+    app
+        What lies behind.
+    door : callable
+        Raises `Problem` for a caller who may not come in.
+    """
+
+    def __init__(self, app: ASGIApp, door: Door) -> None:
+        self.app = app
+        self.door = door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the request through, or answer 401."""
+        if scope["type"] == "http":
+            try:
+                await self.door(Request(scope))
+            except Problem as problem:
+                response = problem_response(
+                    problem.status_code,
+                    problem.detail,
+                    scope["path"],
+                    errors=problem.errors,
+                    headers=problem.headers,
+                )
+                await response(scope, receive, send)
+                return
+        await self.app(scope, receive, send)
+
+
+class BodyLimit:
+    """Refuse a body that is longer than its call needs, before it fills the memory."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, counting the bytes of its body."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        limit = next(
+            (most for path, most in _BODY_BYTES if path.fullmatch(scope["path"])),
+            _DEFAULT_BODY_BYTES,
+        )
+        problem = Problem(413, f"the body is too long, expected at most {limit} bytes")
+        announced = Request(scope).headers.get("content-length", "0")
+        if announced.isdecimal() and int(announced) > limit:
+            response = problem_response(413, problem.detail, scope["path"])
+            response.headers["Connection"] = "close"
+            await response(scope, receive, send)
+            return
+        read = 0
+
+        async def receive_and_count() -> Message:
+            nonlocal read
+            message = await receive()
+            if message["type"] == "http.request":
+                read += len(message.get("body", b""))
+                if read > limit:
+                    raise problem
+            return message
+
+        await self.app(scope, receive_and_count, send)

@@ -1,0 +1,78 @@
+"""Assets: what they are, how they are now, and what the twin says of them."""
+
+import hashlib
+import re
+from typing import Annotated
+
+from fastapi import APIRouter, Header
+from pydantic_core import to_json
+from starlette.responses import Response
+
+from service.api.access import secured
+from service.api.bodies import AssetDocument, AssetList, Snapshot, State
+from service.api.deps import Asset, Context, json_response
+from service.security.roles import VIEWER, VIEWER_OR_GATEWAY
+
+router = APIRouter(prefix="/assets", tags=["assets"])
+
+_ENTITY_TAG = re.compile(r'(?:W/)?("[^"]*")')
+
+
+@router.get("", response_model=AssetList, summary="All assets", **secured(VIEWER_OR_GATEWAY))
+async def list_assets(context: Context) -> Response:
+    """Give configuration, health and active model of every asset."""
+    items = [asset.summary() for asset in context.assets.values()]
+    return json_response({"items": items, "next": None})
+
+
+@router.get(
+    "/{asset_id}",
+    response_model=AssetDocument,
+    summary="One asset",
+    **secured(VIEWER_OR_GATEWAY, 404),
+)
+async def get_asset(asset: Asset) -> Response:
+    """Give configuration, health and active model."""
+    return json_response(asset.summary())
+
+
+@router.get(
+    "/{asset_id}/snapshot",
+    response_model=Snapshot,
+    summary="All present values as flat tags",
+    **secured(
+        VIEWER,
+        404,
+        responses={
+            304: {"description": "Nothing has changed since the `ETag` of `If-None-Match`."}
+        },
+    ),
+)
+async def get_snapshot(
+    asset: Asset,
+    if_none_match: Annotated[
+        str | None, Header(description="`ETag` of the snapshot that the caller has.")
+    ] = None,
+) -> Response:
+    """Measured values, estimates, forecast maxima, times to limit and alarm counts, from memory."""
+    body = to_json(asset.snapshot(), inf_nan_mode="null")
+    entity_tag = f'"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
+    headers = {"ETag": entity_tag, "Cache-Control": "private, no-cache"}
+    if if_none_match and _matches(entity_tag, if_none_match):
+        return Response(status_code=304, headers=headers)
+    return Response(body, headers=headers, media_type="application/json")
+
+
+@router.get(
+    "/{asset_id}/state",
+    response_model=State,
+    summary="The 13 node temperatures",
+    **secured(VIEWER, 404),
+)
+async def get_state(asset: Asset) -> Response:
+    """Mean and standard deviation of every node, null before the first data."""
+    return json_response(asset.state())
+
+
+def _matches(entity_tag: str, if_none_match: str) -> bool:
+    return if_none_match.strip() == "*" or entity_tag in _ENTITY_TAG.findall(if_none_match)

@@ -1,0 +1,105 @@
+"""Identification: the windows to learn from, and the jobs that learn."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Path
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.api.access import Caller, secured
+from service.api.bodies import JobDocument, JobList, WindowList
+from service.api.context import IdentificationRequest
+from service.api.deps import Asset, Context, json_response
+from service.api.problems import Problem, parameter_problem
+from service.security.roles import ENGINEER
+
+RETRY_AFTER_S = 2
+
+router = APIRouter(prefix="/assets/{asset_id}", tags=["identification"])
+
+JobId = Annotated[str, Path(max_length=64, description="The job's id.")]
+
+
+@router.get(
+    "/windows",
+    response_model=WindowList,
+    summary="Low-risk windows in the store",
+    **secured(ENGINEER, 404, 503),
+)
+async def list_windows(asset: Asset) -> Response:
+    """Contiguous good data inside the low-risk region, with operating points and score."""
+    return json_response({"items": await asset.windows(), "next": None})
+
+
+@router.post(
+    "/identifications",
+    status_code=202,
+    response_model=JobDocument,
+    summary="Start an identification",
+    **secured(ENGINEER, 404, 409, 413, 503),
+)
+async def post_identification(
+    context: Context,
+    asset: Asset,
+    who: Caller,
+    request: IdentificationRequest,
+    http_request: Request,
+    idempotency_key: Annotated[
+        str | None,
+        Header(
+            min_length=1,
+            max_length=200,
+            description="A second call with the same key answers with the same job.",
+        ),
+    ] = None,
+) -> Response:
+    """Queue a background job; `Location` tells where its progress is."""
+    job, _ = await context.jobs.create(asset.id, request, idempotency_key, who.who)
+    headers = {
+        "Location": f"{http_request.url.path}/{job['id']}",
+        "Retry-After": str(RETRY_AFTER_S),
+    }
+    return json_response(job, 202, headers)
+
+
+@router.get(
+    "/identifications",
+    response_model=JobList,
+    summary="Identification jobs, newest first",
+    **secured(ENGINEER, 404, 503),
+)
+async def list_identifications(context: Context, asset: Asset) -> Response:
+    """All jobs of the asset, those of earlier runs of the service too."""
+    return json_response({"items": await context.jobs.jobs(asset.id), "next": None})
+
+
+@router.get(
+    "/identifications/{job_id}",
+    response_model=JobDocument,
+    summary="Status, progress and result of a job",
+    **secured(ENGINEER, 404, 503),
+)
+async def get_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
+    """Status, progress, best fitness, and the model version that came of it."""
+    job = await context.jobs.job(asset.id, job_id)
+    if job is None:
+        raise _no_job(asset, job_id)
+    return json_response(job)
+
+
+@router.delete(
+    "/identifications/{job_id}",
+    response_model=JobDocument,
+    summary="Cancel a job",
+    **secured(ENGINEER, 404, 503),
+)
+async def delete_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
+    """Stop a job that is queued or running; one that has ended stays as it is."""
+    job = await context.jobs.cancel(asset.id, job_id)
+    if job is None:
+        raise _no_job(asset, job_id)
+    return json_response(job)
+
+
+def _no_job(asset: Asset, job_id: str) -> Problem:
+    return parameter_problem("job_id", f"asset {asset.id!r} has no identification {job_id!r}", 404)

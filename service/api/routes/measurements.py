@@ -1,0 +1,203 @@
+"""Measurements: the history of channels, and the way in for gateways."""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+
+from service.api.access import secured
+from service.api.bodies import Measurements, Pushed
+from service.api.context import AssetTwin, ServiceContext
+from service.api.cursors import decode_cursor, encode_cursor, next_link
+from service.api.deps import Asset, Context, json_response
+from service.api.history import (
+    Place,
+    Resolution,
+    as_csv,
+    as_items,
+    choose_resolution,
+    csv_header,
+    csv_lines,
+    is_resolution,
+    read_page,
+)
+from service.api.problems import Problem, parameter_problem
+from service.api.pushes import PushRequest, judge
+from service.api.times import Instant
+from service.security.roles import PUSH, VIEWER
+
+LIMIT = 10_000
+LIMIT_MAX = 50_000
+CHANNELS_MAX = 50
+DEFAULT_SPAN_US = 3600 * 1_000_000
+CSV = "text/csv; charset=utf-8"
+_CSV_PAGE_ROWS = 5000
+
+router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements"])
+
+
+@router.get(
+    "",
+    response_model=Measurements,
+    summary="History with quality",
+    **secured(
+        VIEWER,
+        404,
+        503,
+        responses={
+            200: {
+                "content": {
+                    "text/csv": {
+                        "schema": {"type": "string"},
+                        "example": "time,channel,value,quality\r\n"
+                        "2026-11-21T08:00:00.000Z,t_inner_ring_c,63.4,192\r\n",
+                    }
+                }
+            }
+        },
+    ),
+)
+def get_measurements(
+    context: Context,
+    asset: Asset,
+    request: Request,
+    channel: Annotated[
+        list[str] | None,
+        Query(
+            max_length=CHANNELS_MAX,
+            description="Repeatable; absent: all channels. Estimates are `t_inner_ring_c.twin` "
+            "and `t_outer_ring_c.twin`.",
+            examples=["t_inner_ring_c"],
+        ),
+    ] = None,
+    start: Annotated[
+        Instant | None,
+        Query(description="From this process time on; absent: one hour before the end."),
+    ] = None,
+    end: Annotated[
+        Instant | None, Query(description="Before this process time; absent: now.")
+    ] = None,
+    resolution: Annotated[
+        Resolution,
+        Query(
+            description="Raw samples, or buckets with mean, min, max and count of the good ones. "
+            "`auto` takes the finest that gives about 1500 rows per channel at most and may "
+            "answer with buckets in between; `resolution` of the answer tells."
+        ),
+    ] = "raw",
+    format: Annotated[
+        Literal["json", "csv", "parquet"],
+        Query(
+            description="`csv` without `limit` gives the whole span in one file; `parquet` needs "
+            "the extra `parquet`."
+        ),
+    ] = "json",
+    limit: Annotated[int | None, Query(ge=1, le=LIMIT_MAX, description=f"{LIMIT} if absent.")] = (
+        None
+    ),
+    cursor: Annotated[
+        str | None,
+        Query(max_length=8192, description="`next` of the page before; keeps its query."),
+    ] = None,
+) -> Response:
+    """Ascending by time, then by channel; `start` is included, `end` is not."""
+    if format == "parquet":
+        raise parameter_problem("format", "parquet is not installed here, expected json or csv")
+    if cursor is not None:
+        place = decode_cursor(cursor, Place)
+        if not is_resolution(place.resolution):
+            raise parameter_problem("cursor", "expected the `next` of the page before")
+    else:
+        place = _new_query(context, asset, channel, start, end, resolution)
+    if format == "csv" and limit is None:
+        lines = csv_lines(context.store, asset.id, place, _CSV_PAGE_ROWS)
+        return StreamingResponse(lines, media_type=CSV, headers=_file_name(asset))
+    page = read_page(context.store, asset.id, place, limit or LIMIT)
+    following = None if page.following is None else encode_cursor(page.following)
+    headers = next_link(request, following)
+    if format == "csv":
+        text = csv_header(place.resolution) + as_csv(page.rows)
+        return Response(text, media_type=CSV, headers=headers | _file_name(asset))
+    body = {
+        "resolution": place.resolution,
+        "items": as_items(page.rows),
+        "next": following,
+    }
+    return json_response(body, headers=headers)
+
+
+@router.post(
+    "",
+    response_model=Pushed,
+    summary="Push samples",
+    **secured(PUSH, 404, 409, 413, 503),
+)
+async def post_measurements(context: Context, asset: Asset, request: PushRequest) -> Response:
+    """Take in samples of pushed channels, each judged for itself; sending again does no harm.
+
+    The answer means that what was taken is on the disk. The first good value of a time wins; a
+    good one replaces a bad or uncertain one.
+    """
+    wired = {
+        str(sample["channel"]): index
+        for index, sample in reversed(list(enumerate(request.samples)))
+        if isinstance(sample, dict) and _is_wired(asset, sample.get("channel"))
+    }
+    if wired:
+        raise Problem(
+            409,
+            f"channel {', '.join(sorted(wired))}: comes from a source of its own and "
+            'takes no pushes, expected channels with source = "push"',
+            errors=[
+                {
+                    "pointer": f"/samples/{index}/channel",
+                    "detail": f"{name} comes from {asset.channels[name]!r}",
+                }
+                for name, index in sorted(wired.items())
+            ],
+        )
+    verdict = judge(request.samples, asset, context.clock.now_us(), context.clock.rate)
+    counts = await context.ingest.accept(verdict.samples)
+    return json_response(
+        {
+            "accepted": counts.stored,
+            "duplicates": counts.duplicates,
+            "rejected": verdict.rejected,
+        }
+    )
+
+
+def _is_wired(asset: AssetTwin, channel: object) -> bool:
+    return isinstance(channel, str) and asset.channels.get(channel, "push") != "push"
+
+
+def _new_query(
+    context: ServiceContext,
+    asset: AssetTwin,
+    channels: list[str] | None,
+    start_us: int | None,
+    end_us: int | None,
+    resolution: Resolution,
+) -> Place:
+    store = context.store
+    if channels is not None:
+        known = set(asset.channels) | set(store.channels(asset.id))
+        for name in channels:
+            if name not in known:
+                raise parameter_problem(
+                    "channel", f"no channel {name!r}, expected one of {', '.join(sorted(known))}"
+                )
+        channels = list(dict.fromkeys(channels))
+    end_us = context.clock.now_us() + 1 if end_us is None else end_us
+    start_us = max(end_us - DEFAULT_SPAN_US, 0) if start_us is None else start_us
+    if end_us <= start_us:
+        raise parameter_problem("start", "expected a time before the end of the span")
+    chosen: str = resolution
+    if resolution == "auto":
+        chosen = choose_resolution(store, asset.id, channels, start_us, end_us)
+    return Place(resolution=chosen, start_us=start_us, end_us=end_us, channels=channels)
+
+
+def _file_name(asset: AssetTwin) -> dict[str, str]:
+    return {"Content-Disposition": f'attachment; filename="{asset.id}-measurements.csv"'}

@@ -1,0 +1,80 @@
+"""Model versions: what was identified, and which one is active."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import Response
+
+from service.api.access import Caller, secured
+from service.api.bodies import ModelDocument, ModelList
+from service.api.deps import Asset, Context, json_response
+from service.api.problems import Problem, parameter_problem
+from service.jobs.models import model_json
+from service.security.roles import ENGINEER
+
+router = APIRouter(prefix="/assets/{asset_id}/models", tags=["models"])
+
+Version = Annotated[int, Path(ge=1, le=2**31 - 1, description="Counted from 1 per asset.")]
+
+
+class ActivationRequest(BaseModel):
+    """Why a version is made the active one."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"comment": "back to the version before the new grease"}]},
+    )
+
+    comment: str | None = Field(None, max_length=500, description="For the journal.")
+    force: bool = Field(False, description="Activate a rejected version; needs a comment.")
+
+
+@router.get("", response_model=ModelList, summary="Model versions", **secured(ENGINEER, 404, 503))
+def list_models(context: Context, asset: Asset) -> Response:
+    """All versions, newest first."""
+    versions = context.store.model_versions(asset.id)
+    items = [model_json(version) for version in reversed(versions)]
+    return json_response({"items": items, "next": None})
+
+
+@router.get(
+    "/{version}",
+    response_model=ModelDocument,
+    summary="One model version",
+    **secured(ENGINEER, 404, 503),
+)
+def get_model(context: Context, asset: Asset, version: Version) -> Response:
+    """Parameters with intervals, the data used, scores beside the naive forecasts."""
+    model = context.store.model_version(asset.id, version)
+    if model is None:
+        raise _no_version(asset, version)
+    return json_response(model_json(model))
+
+
+@router.post(
+    "/{version}/activate",
+    response_model=ModelDocument,
+    summary="Make a version the active one",
+    **secured(ENGINEER, 404, 409, 413, 503),
+)
+async def activate_model(
+    context: Context,
+    asset: Asset,
+    version: Version,
+    who: Caller,
+    request: ActivationRequest | None = None,
+) -> Response:
+    """Switch the live twin to this version, forward or back, and write it into the journal."""
+    wanted = request or ActivationRequest(comment=None, force=False)
+    try:
+        activated = await context.jobs.activate(
+            asset.id, version, who.who, wanted.comment, wanted.force
+        )
+    except KeyError as error:
+        raise _no_version(asset, version) from error
+    return json_response(activated)
+
+
+def _no_version(asset: Asset, version: int) -> Problem:
+    return parameter_problem("version", f"asset {asset.id!r} has no model version {version}", 404)

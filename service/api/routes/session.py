@@ -1,0 +1,91 @@
+"""Logging a browser in and out."""
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.api.access import (
+    Caller,
+    cookie_name,
+    public,
+    secured,
+    unauthorized,
+)
+from service.api.bodies import SessionDocument
+from service.api.deps import Keys, json_response
+from service.api.problems import RETRY_AFTER_S, Problem
+from service.clock import rfc3339
+from service.security import Principal
+from service.security.roles import VIEWER
+from service.store import StoreUnavailableError
+
+# The service forgets a session 12 h after its last use; the browser may keep the cookie longer.
+_COOKIE_AGE_S = 30 * 86_400
+
+router = APIRouter(prefix="/session", tags=["session"])
+
+
+class LogIn(BaseModel):
+    """The key that opens the session."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    key: str = Field(max_length=200, description="An API key.", examples=["bt_1a2b3c4d_…"])
+
+
+@router.post("", response_model=SessionDocument, summary="Log in", **public(401, 403, 413, 422))
+async def log_in(request: Request, body: LogIn, keys: Keys) -> Response:
+    """Open a browser session; it ends 12 h after its last use, or with its key."""
+    try:
+        principal = await keys.by_key(body.key)
+        if principal is None:
+            raise unauthorized(request)
+        if principal.role not in VIEWER:
+            raise Problem(403, f"a key of role {principal.role} opens no browser session")
+        cookie, principal = await keys.log_in(principal)
+    except StoreUnavailableError as error:
+        headers = {"Retry-After": str(RETRY_AFTER_S)}
+        raise Problem(503, "the store that keeps the keys does not answer", headers=headers) from (
+            error
+        )
+    response = json_response(_document(principal))
+    response.set_cookie(
+        cookie_name(request),
+        cookie,
+        max_age=_COOKIE_AGE_S,
+        path="/",
+        secure=request.url.scheme == "https",
+        httponly=True,
+        samesite="strict",
+    )
+    return response
+
+
+@router.get("", response_model=SessionDocument, summary="Who is logged in", **secured(VIEWER))
+async def get_session(who: Caller) -> Response:
+    """Role and expiry of the session, or of the key that came instead."""
+    return json_response(_document(who))
+
+
+@router.delete("", status_code=204, summary="Log out", **secured(VIEWER))
+async def log_out(request: Request, keys: Keys) -> Response:
+    """End the session of the cookie, here and now."""
+    name = cookie_name(request)
+    cookie = request.cookies.get(name)
+    if cookie:
+        await keys.log_out(cookie)
+    response = Response(status_code=204)
+    response.delete_cookie(name, path="/", httponly=True, samesite="strict")
+    return response
+
+
+def _document(principal: Principal) -> dict[str, object]:
+    expires_us = principal.expires_us
+    return {
+        "role": principal.role,
+        "key_id": principal.key_id,
+        "prefix": principal.prefix,
+        "expires_at": None if expires_us is None else rfc3339(expires_us),
+        "session": principal.session,
+    }

@@ -1,0 +1,243 @@
+"""The live stream: numbered messages over WebSocket, resumed after a break."""
+
+import asyncio
+import contextlib
+from typing import Annotated
+
+import structlog
+from fastapi import APIRouter, Query
+from pydantic_core import to_json
+from starlette.responses import Response
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from service.api.access import (
+    authenticate,
+    is_same_origin,
+    secured,
+    subprotocol_key,
+)
+from service.api.context import ServiceContext
+from service.api.deps import Context, Keys
+from service.api.problems import Problem, parameter_problem, problem_response
+from service.live.bus import Bus, Subscription, SubscriptionClosedError
+from service.security import Authenticator, Principal
+from service.security.roles import VIEWER
+from service.store import StoreUnavailableError
+
+HEARTBEAT_S = 15.0
+SEND_PATIENCE_S = 20.0
+REAUTHENTICATE_S = 0.9
+_GOING_AWAY, _POLICY, _TRY_AGAIN = 1001, 1008, 1013
+_PATH = "/stream"
+
+router = APIRouter(tags=["stream"])
+_log = structlog.get_logger(__name__)
+
+
+@router.get(
+    _PATH,
+    summary="Live messages (WebSocket)",
+    response_class=Response,
+    **secured(
+        VIEWER,
+        426,
+        responses={
+            101: {"description": "Switched to WebSocket: JSON messages follow."},
+        },
+    ),
+)
+async def stream_by_http(
+    assets: Annotated[str | None, Query(description="Asset ids, comma-separated; all.")] = None,
+    resume: Annotated[int | None, Query(description="Number of the last message seen.")] = None,
+    epoch: Annotated[str | None, Query(description="Epoch of that message.")] = None,
+) -> Response:
+    """Open a WebSocket here; the key comes by header, session cookie or subprotocol.
+
+    Browsers use the subprotocol `bearer.<key>` or the session cookie; the key is never part of
+    the address. Without a key the upgrade is refused with status 403.
+
+    Messages are `{"type", "seq", "epoch", "asset", "time", "sent_at", "data"}`; `time` is process
+    time, `sent_at` wall time. First comes `hello` for each asset (its data are the snapshot, and
+    `gap` tells whether messages after `resume` are gone), then what was missed, then `measurement`,
+    `state`, `forecast`, `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that
+    reads slowly loses old measurements, never alarms or jobs.
+    """
+    raise Problem(
+        426,
+        "expected a WebSocket upgrade",
+        headers={"Upgrade": "websocket", "Connection": "Upgrade"},
+    )
+
+
+@router.websocket(_PATH)
+async def stream(websocket: WebSocket, context: Context, keys: Keys) -> None:
+    """Let a subscriber in and send until one side ends it."""
+    try:
+        principal, key, subprotocol = await _admit(websocket, keys)
+        subscription, wanted = _subscribe(websocket, context)
+    except Problem as problem:
+        await _refuse(websocket, problem)
+        return
+    try:
+        await websocket.accept(subprotocol)
+        _log.info("stream_opened", who=principal.who, assets=wanted)
+        code, reason = await _serve(websocket, context, subscription, wanted, keys, key)
+    finally:
+        subscription.close()
+    _log.info(
+        "stream_closed",
+        who=principal.who,
+        code=code,
+        reason=reason,
+        dropped=subscription.dropped,
+    )
+
+
+async def heartbeats(bus: Bus) -> None:
+    """Send a heartbeat to every subscriber every 15 wall seconds, for ever."""
+    while True:
+        await asyncio.sleep(HEARTBEAT_S)
+        bus.publish("heartbeat", None, {"subscribers": bus.subscribers})
+
+
+async def _admit(
+    websocket: WebSocket, keys: Authenticator
+) -> tuple[Principal, str | None, str | None]:
+    """Tell who wants the stream, with the key of the subprotocol and its full name."""
+    offered = subprotocol_key(websocket)
+    try:
+        if offered is not None:
+            principal = await keys.by_key(offered[0])
+        else:
+            principal = await authenticate(websocket, keys)
+    except StoreUnavailableError as error:
+        raise Problem(503, "the store that keeps the keys does not answer now") from error
+    if principal is None:
+        raise Problem(403, "expected a valid key by header, session cookie or bearer subprotocol")
+    if principal.role not in VIEWER:
+        raise Problem(403, f"a key of role {principal.role} may not read the stream")
+    if principal.session and not is_same_origin(websocket, unknown_is=False):
+        raise Problem(403, "a browser session may only be used from the service's own page")
+    key, subprotocol = offered or (None, None)
+    return principal, key, subprotocol
+
+
+def _subscribe(websocket: WebSocket, context: ServiceContext) -> tuple[Subscription, list[str]]:
+    named = [name for name in websocket.query_params.get("assets", "").split(",") if name]
+    for name in named:
+        if name not in context.assets:
+            raise parameter_problem("assets", f"no asset {name!r}", 404)
+    resume_text = websocket.query_params.get("resume")
+    resume: int | None = None
+    if resume_text:
+        if not resume_text.isdecimal() or len(resume_text) > 18:
+            raise parameter_problem("resume", f"expected a message number (got {resume_text!r})")
+        resume = int(resume_text)
+    epoch = websocket.query_params.get("epoch")
+    if resume is not None and epoch and epoch != context.bus.epoch:
+        resume = -1  # a number of an earlier start of the service: what came after it is gone
+    subscription = context.bus.subscribe(named or None, resume)
+    return subscription, list(dict.fromkeys(named)) or list(context.assets)
+
+
+async def _refuse(websocket: WebSocket, problem: Problem) -> None:
+    """Answer the upgrade request with a problem instead of an upgrade."""
+    await websocket.receive()  # the connect message
+    await websocket.send_denial_response(
+        problem_response(
+            problem.status_code,
+            problem.detail,
+            websocket.url.path,
+            errors=problem.errors,
+            headers=problem.headers,
+        )
+    )
+
+
+async def _serve(
+    websocket: WebSocket,
+    context: ServiceContext,
+    subscription: Subscription,
+    wanted: list[str],
+    keys: Authenticator,
+    key: str | None,
+) -> tuple[int, str]:
+    """Send until the client leaves, is too slow, loses its right, or the service stops."""
+    tasks = {
+        asyncio.create_task(_send(websocket, context, subscription, wanted)),
+        asyncio.create_task(_listen(websocket)),
+        asyncio.create_task(_watch_right(websocket, keys, key)),
+    }
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        code, reason = done.pop().result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    if code is not None:
+        with contextlib.suppress(TimeoutError, WebSocketDisconnect, RuntimeError):
+            async with asyncio.timeout(1.0):
+                await websocket.close(code, reason)
+    return code or 1000, reason
+
+
+Ending = tuple[int | None, str]
+"""Close code (None when the client is gone already) and the reason."""
+
+
+async def _send(
+    websocket: WebSocket, context: ServiceContext, subscription: Subscription, wanted: list[str]
+) -> Ending:
+    bus = context.bus
+    try:
+        # A service without assets still says hello.
+        for asset_id in wanted or (None,):
+            tags = {"tags": {}} if asset_id is None else context.assets[asset_id].snapshot()
+            body = to_json(tags, inf_nan_mode="null").decode()
+            hello = bus.envelope(
+                "hello",
+                subscription.start_seq,
+                asset_id,
+                body,
+                extra={"gap": subscription.gap},
+            )
+            await _send_text(websocket, hello)
+        while True:
+            message = await subscription.get()
+            await _send_text(websocket, message.text)
+    except SubscriptionClosedError as error:
+        overflow = "overflow" in str(error)
+        return (_TRY_AGAIN if overflow else _GOING_AWAY), str(error)
+    except TimeoutError:
+        return _TRY_AGAIN, f"nothing was read for {SEND_PATIENCE_S:g} s"
+    except WebSocketDisconnect:
+        return None, "the client went away"
+
+
+async def _send_text(websocket: WebSocket, text: str) -> None:
+    async with asyncio.timeout(SEND_PATIENCE_S):
+        await websocket.send_text(text)
+
+
+async def _listen(websocket: WebSocket) -> Ending:
+    """Wait until the client leaves; what it says meanwhile is not asked for."""
+    while True:
+        message = await websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            return None, "the client went away"
+
+
+async def _watch_right(websocket: WebSocket, keys: Authenticator, key: str | None) -> Ending:
+    """End the stream when its key is revoked or its session is over."""
+    while True:
+        await asyncio.sleep(REAUTHENTICATE_S)
+        try:
+            if key is not None:
+                principal = await keys.by_key(key)
+            else:
+                principal = await authenticate(websocket, keys)
+        except (Problem, StoreUnavailableError):
+            continue  # the store cannot tell; whoever was let in stays
+        if principal is None or principal.role not in VIEWER:
+            return _POLICY, "the key is no longer valid"

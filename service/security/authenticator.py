@@ -1,0 +1,157 @@
+"""Who is calling: keys and session cookies, verified against the store and remembered briefly.
+
+A SCADA system that polls ten times a second costs the store one look-up in a while; a revoked key
+is refused within `MEMORY_S`. Times are wall time.
+"""
+
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import structlog
+from anyio import CapacityLimiter, to_thread
+
+from service.security.keys import fingerprint, verify_key, wall_us
+from service.store import ApiKey, Role, Store, StoreUnavailableError
+
+MEMORY_S = 1.0
+MEMORY_WITHOUT_STORE_S = 600.0
+SESSION_S = 12 * 3600
+SESSION_RENEWAL_S = 600
+_MOST_REMEMBERED = 1024
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Principal:
+    """Who is calling.
+
+    Attributes
+    ----------
+    role
+        What the key may do.
+    key_id, prefix
+        The key, as `keys list` shows it.
+    expires_us
+        Wall time at which the key or the session ends, UTC microseconds; None for never.
+    session
+        True when the key came by a browser session.
+    """
+
+    role: Role
+    key_id: str
+    prefix: str
+    expires_us: int | None
+    session: bool
+
+    @property
+    def who(self) -> str:
+        """How journals name the caller."""
+        return f"{self.role} {self.prefix}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Remembered:
+    principal: Principal | None
+    at_s: float
+
+
+class Authenticator:
+    """Verifies keys and sessions; used in the event loop.
+
+    Parameters
+    ----------
+    store : Store
+        Where keys and sessions are kept.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._memory: OrderedDict[str, _Remembered] = OrderedDict()
+        # One at a time, apart from the threads that serve long queries: a poll never waits
+        # behind a report, and a session is never renewed twice at once.
+        self._limiter = CapacityLimiter(1)
+
+    async def by_key(self, text: str) -> Principal | None:
+        """Who a key belongs to; None when it opens nothing."""
+        return await self._recall(f"key {fingerprint(text)}", lambda: self._verify_key(text))
+
+    async def by_session(self, cookie: str) -> Principal | None:
+        """Who a session cookie belongs to; using it keeps the session alive."""
+        sha256 = fingerprint(cookie)
+        return await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
+
+    async def log_in(self, principal: Principal) -> tuple[str, Principal]:
+        """Open a browser session; returns the cookie's value and the caller as of now."""
+        cookie = secrets.token_urlsafe(32)
+        now_us = wall_us()
+        session = await to_thread.run_sync(
+            lambda: self._store.add_session(
+                sha256=fingerprint(cookie),
+                key_id=principal.key_id,
+                created_us=now_us,
+                expires_us=now_us + SESSION_S * 1_000_000,
+            ),
+            limiter=self._limiter,
+        )
+        return cookie, _of_session(session.key, session.expires_us)
+
+    async def log_out(self, cookie: str) -> None:
+        """End a browser session."""
+        sha256 = fingerprint(cookie)
+        await to_thread.run_sync(self._store.end_session, sha256, limiter=self._limiter)
+        self._memory.pop(f"session {sha256}", None)
+
+    async def _recall(self, name: str, look_up: Callable[[], Principal | None]) -> Principal | None:
+        known = self._memory.get(name)
+        now_s = time.monotonic()
+        if known is not None and now_s - known.at_s < MEMORY_S:
+            return known.principal
+        try:
+            principal = await to_thread.run_sync(look_up, limiter=self._limiter)
+        except StoreUnavailableError:
+            # Without the store nothing can have been revoked through it either: whoever was
+            # known a moment ago keeps watching the machine.
+            if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
+                raise
+            _log.warning("store_away_trusting_known_key", since_s=round(now_s - known.at_s, 1))
+            return known.principal
+        if principal is None:
+            self._memory.pop(name, None)
+            return None
+        self._memory[name] = _Remembered(principal, now_s)
+        self._memory.move_to_end(name)
+        while len(self._memory) > _MOST_REMEMBERED:
+            self._memory.popitem(last=False)
+        return principal
+
+    def _verify_key(self, text: str) -> Principal | None:
+        key = verify_key(self._store, text)
+        if key is None:
+            return None
+        return Principal(key.role, key.id, key.prefix, key.expires_us, session=False)
+
+    def _verify_session(self, sha256: str) -> Principal | None:
+        session = self._store.find_session(sha256)
+        now_us = wall_us()
+        if session is None or not session.is_valid(now_us):
+            return None
+        expires_us = now_us + SESSION_S * 1_000_000
+        if expires_us - session.expires_us < SESSION_RENEWAL_S * 1_000_000:
+            return _of_session(session.key, session.expires_us)
+        self._store.end_session(sha256)
+        self._store.add_session(
+            sha256=sha256,
+            key_id=session.key.id,
+            created_us=session.created_us,
+            expires_us=expires_us,
+        )
+        return _of_session(session.key, expires_us)
+
+
+def _of_session(key: ApiKey, expires_us: int) -> Principal:
+    ends_us = expires_us if key.expires_us is None else min(expires_us, key.expires_us)
+    return Principal(key.role, key.id, key.prefix, ends_us, session=True)

@@ -1,0 +1,130 @@
+"""API keys: made once, shown once, kept only as a hash.
+
+A key reads ``bt_<id>_<secret>``: eight characters by which people recognise it and 256 random
+bits. So much randomness cannot be guessed, which is why a plain SHA-256 is enough to keep.
+"""
+
+import hashlib
+import hmac
+import re
+import secrets
+import time
+from dataclasses import dataclass
+
+from service.security.roles import ROLES
+from service.store import ApiKey, Role, Store
+
+_KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
+_PREFIX_LENGTH = len("bt_00000000")
+_SECRET_BYTES = 32
+MICROSECONDS_PER_DAY = 86_400_000_000
+
+
+class UnknownRoleError(ValueError):
+    """There is no such role; the text names those there are."""
+
+
+class UnknownKeyError(ValueError):
+    """There is no key of this id or prefix, or more than one."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewKey:
+    """A key that was just made; `text` is shown to its owner and nowhere kept."""
+
+    text: str
+    record: ApiKey
+
+
+def wall_us() -> int:
+    """Wall time in UTC microseconds: the life of keys and sessions is counted on it."""
+    return time.time_ns() // 1000
+
+
+def fingerprint(secret: str) -> str:
+    """SHA-256 of a key or a session cookie, hexadecimal."""
+    return hashlib.sha256(secret.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def looks_like_key(text: str) -> bool:
+    """Tell whether a text has the form of a key, so that nothing else is ever looked up."""
+    return _KEY.fullmatch(text) is not None
+
+
+def create_key(store: Store, role: str, expires_in_days: float | None = None) -> NewKey:
+    """Make a key and store its hash.
+
+    Parameters
+    ----------
+    store : Store
+        Where keys are kept; a running service sees the new key at once.
+    role : str
+        viewer, operator, engineer, admin or gateway.
+    expires_in_days : float, optional
+        Days after which the key opens nothing; default never.
+
+    Raises
+    ------
+    UnknownRoleError
+        If there is no such role.
+    ValueError
+        If the days are not positive.
+    """
+    known: Role | None = next((one for one in ROLES if one == role), None)
+    if known is None:
+        raise UnknownRoleError(f"role {role!r}: expected one of {', '.join(ROLES)}")
+    if expires_in_days is not None and not 0 < expires_in_days <= 36_500:
+        raise ValueError(f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500")
+    now_us = wall_us()
+    expires_us = None
+    if expires_in_days is not None:
+        expires_us = now_us + round(expires_in_days * MICROSECONDS_PER_DAY)
+    text = f"bt_{secrets.token_hex(4)}_{secrets.token_urlsafe(_SECRET_BYTES)}"
+    record = store.add_api_key(
+        prefix=text[:_PREFIX_LENGTH],
+        sha256=fingerprint(text),
+        role=known,
+        created_us=now_us,
+        expires_us=expires_us,
+    )
+    return NewKey(text, record)
+
+
+def verify_key(store: Store, text: str) -> ApiKey | None:
+    """Return the record of a key that is valid now; None for any other text.
+
+    The look-up goes by the hash, which tells an attacker's clock nothing about any key; the
+    prefix is compared in constant time on top.
+
+    Raises
+    ------
+    StoreUnavailableError
+        If the store does not answer.
+    """
+    if not looks_like_key(text):
+        return None
+    record = store.find_api_key(fingerprint(text))
+    if record is None or not hmac.compare_digest(record.prefix, text[:_PREFIX_LENGTH]):
+        return None
+    return record if record.is_valid(wall_us()) else None
+
+
+def list_keys(store: Store) -> list[ApiKey]:
+    """All keys that were ever made, oldest first; never the keys themselves."""
+    return store.api_keys()
+
+
+def revoke_key(store: Store, id_or_prefix: str) -> ApiKey:
+    """Revoke a key by its id or its prefix; a running service refuses it within 2 s.
+
+    Raises
+    ------
+    UnknownKeyError
+        If there is no such key, or several share the prefix.
+    """
+    found = [key for key in store.api_keys() if id_or_prefix in (key.id, key.prefix)]
+    if len(found) != 1:
+        how_many = "no key has" if not found else f"{len(found)} keys have"
+        raise UnknownKeyError(f"key {id_or_prefix!r}: {how_many} this id or prefix")
+    store.revoke_api_key(found[0].id, wall_us())
+    return next(key for key in store.api_keys() if key.id == found[0].id)
