@@ -1,0 +1,37 @@
+"""A bearing test bench that is not there: physics, sensors, Modbus TCP and CAN on real sockets.
+
+A process of its own that a real bench could replace unnoticed. It shares no code with the twin
+and none with the drivers.
+"""
+
+from adapters.virtual_bench.can_sender import dbc_path
+from adapters.virtual_bench.controller import scenario_profile
+from adapters.virtual_bench.modbus_server import PortInUseError
+from adapters.virtual_bench.parameters import BenchParameters
+from adapters.virtual_bench.plant import BenchProfile, Truth, simulate
+from adapters.virtual_bench.run import run
+from adapters.virtual_bench.scenarios import (
+    Scenario,
+    UnknownScenarioError,
+    find_scenario,
+    list_scenarios,
+)
+from adapters.virtual_bench.sensors import Measured, SensorParameters, measure
+
+__all__ = [
+    "BenchParameters",
+    "BenchProfile",
+    "Measured",
+    "PortInUseError",
+    "Scenario",
+    "SensorParameters",
+    "Truth",
+    "UnknownScenarioError",
+    "dbc_path",
+    "find_scenario",
+    "list_scenarios",
+    "measure",
+    "run",
+    "scenario_profile",
+    "simulate",
+]

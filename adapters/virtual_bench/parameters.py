@@ -1,0 +1,150 @@
+"""What distinguishes one virtual bench from another."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adapters.virtual_bench.bearings import BEARINGS
+
+# Levels differ between the two bearings by more than catalogue data explain (grease fill, fits):
+# friction scale and mounted clearance were set per bearing, see docs/virtual-bench.md.
+_MOUNTED: Mapping[str, tuple[float, float]] = {"6311": (1.14, 42.0), "6016": (1.06, 40.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class BenchParameters:
+    """Hidden truth of one bench.
+
+    Attributes
+    ----------
+    bearing : str
+        Name in `BEARINGS`.
+    ambient_c, ambient_swing_k : float
+        Mean air temperature in degC and the amplitude of its slow swing in K.
+    oil_40_mm2_s, oil_100_mm2_s : float
+        Kinematic viscosity of the grease's base oil at 40 and 100 degC in mm2/s.
+    friction_scale, rolling_scale, sliding_scale : float
+        Factors on the whole frictional moment and on its two parts.
+    rolling_load_exponent : float
+        Exponent of the load in the rolling frictional moment (SKF: 0.54).
+    replenishment_constant : float
+        K_rs of the SKF starvation factor (grease: 6e-8).
+    replenishment_viscosity_mm2_s : float
+        Cap of the viscosity inside the starvation factor: a cold greased bearing is not starved.
+    inner_share, ball_share, mixture_share : float
+        Shares of the friction heat made at the inner contact; of a contact's heat that enters the
+        ball; of the rolling friction that is spent in the grease itself.
+    contact_scale, film_scale, shaft_scale, outside_scale : float
+        Calibrated factors on the conductance of the rolling contacts, of the films between grease
+        and metal, of the rotating shaft to air and of natural convection outside.
+    emissivity : float
+        Emissivity of the outer surfaces.
+    joint_scale, shaft_joint_scale, capacity_scale : float
+        Factors on the conductance of housing and shaft joints and on all heat capacities.
+    clearance_um, fit_um : float
+        Radial clearance as made (diametral, micrometres) and what the interference fits take.
+    preload_share : float
+        How much of the extra rolling-element load of a shrinking clearance counts as friction load.
+    run_in_amplitude, run_in_state, run_in_revolutions : float
+        Rolling friction is multiplied by 1 + amplitude * state; the state decays by 1/e over the
+        given number of revolutions.
+    load_play_n : float
+        Half width of the hysteresis of the hydraulic loading in newtons.
+    """
+
+    bearing: str = "6311"
+    ambient_c: float = 22.6
+    ambient_swing_k: float = 0.4
+    oil_40_mm2_s: float = 96.0
+    oil_100_mm2_s: float = 10.5
+    friction_scale: float = 1.14
+    rolling_scale: float = 1.0
+    sliding_scale: float = 1.0
+    rolling_load_exponent: float = 0.54
+    replenishment_constant: float = 6.0e-8
+    replenishment_viscosity_mm2_s: float = 35.0
+    inner_share: float = 0.55
+    ball_share: float = 0.5
+    mixture_share: float = 0.25
+    contact_scale: float = 0.30
+    film_scale: float = 0.20
+    shaft_scale: float = 0.30
+    outside_scale: float = 0.52
+    emissivity: float = 0.9
+    joint_scale: float = 1.0
+    shaft_joint_scale: float = 1.0
+    capacity_scale: float = 1.0
+    clearance_um: float = 42.0
+    fit_um: float = 10.0
+    preload_share: float = 0.85
+    run_in_amplitude: float = 1.2
+    run_in_state: float = 0.1
+    run_in_revolutions: float = 1.08e6
+    load_play_n: float = 20.0
+
+    def __post_init__(self) -> None:
+        if self.bearing not in BEARINGS:
+            known = ", ".join(BEARINGS)
+            raise ValueError(f"bearing {self.bearing!r}: the virtual bench knows {known}")
+
+    @classmethod
+    def for_bearing(cls, bearing: str) -> "BenchParameters":
+        """Return the calibrated default bench with the given bearing mounted.
+
+        Raises
+        ------
+        ValueError
+            When the bench has no such bearing.
+        """
+        friction_scale, clearance_um = _MOUNTED.get(bearing, (1.0, 0.0))
+        return cls(bearing=bearing, friction_scale=friction_scale, clearance_um=clearance_um)
+
+    @classmethod
+    def random(cls, seed: int, bearing: str = "6311") -> "BenchParameters":
+        """Draw a plausible other bench: same construction, other oil, fits, joints and air.
+
+        A few per cent of these benches run away thermally at 6200 rpm and 5500 N; who scores
+        forecasts has to look at that.
+
+        Parameters
+        ----------
+        seed : int
+            Same seed, same bench.
+        bearing : str
+            Mounted bearing.
+        """
+        rng = np.random.default_rng([seed, 0xBE7C4])
+        base = cls.for_bearing(bearing)
+
+        def spread(centre: float, log_sd: float) -> float:
+            return float(centre * np.exp(rng.normal(0.0, log_sd)))
+
+        def between(centre: float, sd: float, low: float, high: float) -> float:
+            return float(np.clip(rng.normal(centre, sd), low, high))
+
+        oil = spread(1.0, 0.2)
+        return replace(
+            base,
+            ambient_c=between(base.ambient_c, 1.5, 18.0, 27.0),
+            oil_40_mm2_s=base.oil_40_mm2_s * oil,
+            oil_100_mm2_s=base.oil_100_mm2_s * oil**0.6,
+            friction_scale=spread(base.friction_scale, 0.06),
+            rolling_scale=spread(1.0, 0.08),
+            sliding_scale=spread(1.0, 0.15),
+            inner_share=between(base.inner_share, 0.03, 0.45, 0.65),
+            ball_share=between(base.ball_share, 0.04, 0.4, 0.6),
+            mixture_share=between(base.mixture_share, 0.06, 0.05, 0.45),
+            contact_scale=spread(base.contact_scale, 0.25),
+            film_scale=spread(base.film_scale, 0.25),
+            shaft_scale=spread(base.shaft_scale, 0.3),
+            outside_scale=spread(base.outside_scale, 0.2),
+            joint_scale=spread(base.joint_scale, 0.25),
+            shaft_joint_scale=spread(base.shaft_joint_scale, 0.25),
+            capacity_scale=spread(base.capacity_scale, 0.05),
+            clearance_um=between(base.clearance_um, 6.0, 28.0, 61.0),
+            preload_share=between(0.8, 0.12, 0.4, 1.1),
+            run_in_state=abs(float(rng.normal(0.0, 0.14))),
+            run_in_revolutions=spread(base.run_in_revolutions, 0.4),
+            load_play_n=spread(base.load_play_n, 0.3),
+        )
