@@ -1,0 +1,164 @@
+"""Spans of constant speed and load within measured rows, and what is new among them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+STANDING_RPM = 10.0
+"""Below this speed the machine counts as standing."""
+
+# Two rows belong to one operating point when speed and load differ by less than this, relative or
+# absolute: measurement noise, hysteresis of the loading.
+_SAME_SPEED = (0.02, 30.0)
+_SAME_LOAD = (0.03, 60.0)
+# Shorter spans are transitions, not operating points.
+_SHORTEST_POINT_S = 180.0
+# Against other windows a point counts as new from these relative differences on.
+NEW_SPEED = 0.10
+NEW_LOAD = 0.08
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """A span of constant speed and load; means over the span."""
+
+    speed_rpm: float
+    load_n: float
+    duration_s: float
+    start_s: float
+
+    @property
+    def end_s(self) -> float:
+        """End of the span."""
+        return self.start_s + self.duration_s
+
+    def to_dict(self) -> dict[str, float]:
+        """Return plain JSON types."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, float]) -> "OperatingPoint":
+        """Take back what `to_dict` gave."""
+        return cls(**{field.name: float(document[field.name]) for field in fields(cls)})
+
+
+def split(
+    time_s: FloatArray, speed_rpm: FloatArray, load_n: FloatArray, spacing_s: float = 60.0
+) -> tuple[OperatingPoint, ...]:
+    """Split rows into spans of constant speed and load.
+
+    A row belongs to the present span while it stays near the span's running mean. Spans shorter
+    than three minutes (ramps) and standstill are left out.
+
+    Parameters
+    ----------
+    time_s, speed_rpm, load_n
+        Shape (n,), finite.
+    spacing_s
+        How long the last row of a span lasts.
+    """
+    points: list[OperatingPoint] = []
+    span: list[int] = []
+    speed_mean = load_mean = 0.0
+
+    def close() -> None:
+        if not span or speed_mean < STANDING_RPM:
+            return
+        start_s = float(time_s[span[0]])
+        duration_s = float(time_s[span[-1]]) - start_s + spacing_s
+        if duration_s < _SHORTEST_POINT_S:
+            return
+        last = points[-1] if points else None
+        if (
+            last is not None
+            and _near(last.speed_rpm, speed_mean, _SAME_SPEED)
+            and _near(last.load_n, load_mean, _SAME_LOAD)
+            and start_s - last.end_s < _SHORTEST_POINT_S
+        ):
+            points[-1] = _joined(last, speed_mean, load_mean, duration_s, start_s)
+        else:
+            points.append(OperatingPoint(speed_mean, load_mean, duration_s, start_s))
+
+    for row in range(time_s.size):
+        speed, load = float(abs(speed_rpm[row])), float(load_n[row])
+        if span and _near(speed, speed_mean, _SAME_SPEED) and _near(load, load_mean, _SAME_LOAD):
+            span.append(row)
+            speed_mean += (speed - speed_mean) / len(span)
+            load_mean += (load - load_mean) / len(span)
+        else:
+            close()
+            span, speed_mean, load_mean = [row], speed, load
+    close()
+    return tuple(points)
+
+
+def _near(value: float, reference: float, tolerance: tuple[float, float]) -> bool:
+    relative, absolute = tolerance
+    return abs(value - reference) <= max(relative * abs(reference), absolute)
+
+
+def _joined(
+    last: OperatingPoint, speed_rpm: float, load_n: float, duration_s: float, start_s: float
+) -> OperatingPoint:
+    weight = duration_s / (duration_s + last.duration_s)
+    return OperatingPoint(
+        speed_rpm=(1.0 - weight) * last.speed_rpm + weight * speed_rpm,
+        load_n=(1.0 - weight) * last.load_n + weight * load_n,
+        duration_s=start_s + duration_s - last.start_s,
+        start_s=last.start_s,
+    )
+
+
+def alike(first: float, second: float, relative: float) -> bool:
+    """Tell whether two positive numbers differ by at most a relative amount."""
+    return abs(first - second) <= relative * max(abs(first), abs(second))
+
+
+def distinct_values(values: Sequence[float], relative: float) -> list[float]:
+    """Return the values of which none is alike to one before it."""
+    found: list[float] = []
+    for value in values:
+        if not any(alike(value, other, relative) for other in found):
+            found.append(value)
+    return found
+
+
+def new_points(
+    known: Sequence[OperatingPoint],
+    candidates: Sequence[OperatingPoint],
+    min_duration_s: float,
+) -> list[OperatingPoint]:
+    """Return the candidates that no known point is like, each once.
+
+    A point is new when its speed differs by more than 10 % or its load by more than 8 % from every
+    known one. Spans at alike points add up.
+
+    Parameters
+    ----------
+    known, candidates
+        Operating points, in any order.
+    min_duration_s
+        Shortest total time at a new point that counts.
+    """
+    found: list[OperatingPoint] = []
+    for point in candidates:
+        if any(_alike_points(point, other) for other in known):
+            continue
+        for index, other in enumerate(found):
+            if _alike_points(point, other):
+                total = other.duration_s + point.duration_s
+                found[index] = replace(other, duration_s=total)
+                break
+        else:
+            found.append(point)
+    return [point for point in found if point.duration_s >= min_duration_s]
+
+
+def _alike_points(first: OperatingPoint, second: OperatingPoint) -> bool:
+    return alike(first.speed_rpm, second.speed_rpm, NEW_SPEED) and alike(
+        first.load_n, second.load_n, NEW_LOAD
+    )
