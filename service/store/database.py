@@ -137,13 +137,18 @@ def open_database(database_url: str, data_dir: Path) -> Database:
         ) from error
     engine = _engine(url)
     try:
+        with engine.connect() as connection:
+            # Readers never wait for the writer; the file remembers it.
+            raw: Any = connection.connection.driver_connection
+            raw.execute("PRAGMA journal_mode = WAL")
         if not is_current(engine):
             upgrade(engine)
         with engine.connect() as connection:
             connection.execution_options(**{_WRITES: True}).begin().rollback()
-    except DBAPIError as error:
+    except (DBAPIError, sqlite3.Error) as error:
         engine.dispose()
-        raise StoreError(f"store {path}: {_explained(error.orig)}") from error
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        raise StoreError(f"store {path}: {_explained(cause)}") from error
     except StoreError as error:
         engine.dispose()
         raise StoreError(f"store {path}: {error}") from error
@@ -177,10 +182,9 @@ def _engine(url: URL) -> Engine:
     def prepare(connection: sqlite3.Connection, _entry: ConnectionPoolEntry) -> None:
         # The driver's own idea of when a transaction begins is switched off: see `begin`.
         connection.isolation_level = None
-        # WAL: readers never wait for the writer. FULL: a commit is on the disk when it returns,
-        # so what was acknowledged to a gateway outlives a power cut.
-        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
-            connection.execute(f"PRAGMA {pragma}")
+        # A commit is on the disk when it returns: what was acknowledged outlives a power cut.
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = ON")
 
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get(_WRITES, False)

@@ -164,7 +164,7 @@ def channel_ids(
     query = select(ChannelRow.name, ChannelRow.id).where(ChannelRow.asset == asset)
     if channels is not None:
         query = query.where(ChannelRow.name.in_(channels))
-    return dict(connection.execute(query.order_by(ChannelRow.name)).t.all())
+    return dict(connection.execute(query.order_by(ChannelRow.name)).all())
 
 
 def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int | None:

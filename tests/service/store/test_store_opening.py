@@ -1,0 +1,210 @@
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import create_engine, inspect
+
+from adapters.samples import Sample
+from service.store import DataDirectoryInUseError, Store, StoreError, lock_data_directory
+from service.store.database import FILE_NAME
+from service.store.tables import Base
+
+
+def python(code: str, *arguments: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def test_a_new_store_is_made_with_its_directory_and_found_again(tmp_path: Path) -> None:
+    data_dir = tmp_path / "not" / "there"
+    with Store.open("", data_dir) as store:
+        store.write_samples([Sample("a", "x", 5, 1.0, 192, 5)])
+    assert (data_dir / FILE_NAME).is_file()
+    with Store.open("", data_dir) as store:
+        assert store.latest("a")["x"].value == 1.0
+
+
+def test_a_url_names_another_file(tmp_path: Path) -> None:
+    Store.open(f"sqlite:///{tmp_path}/elsewhere/my.db", tmp_path / "var").close()
+    assert (tmp_path / "elsewhere" / "my.db").is_file()
+    assert not (tmp_path / "var" / FILE_NAME).exists()
+
+
+def test_the_file_keeps_a_write_ahead_log_and_commits_reach_the_disk(store: Store) -> None:
+    with store._database.reading() as connection:
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
+        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
+        assert connection.exec_driver_sql("PRAGMA foreign_keys").scalar() == 1
+
+
+def test_the_migrations_make_the_tables_that_the_program_expects(store: Store) -> None:
+    with store._database.reading() as connection:
+        context = MigrationContext.configure(
+            connection, opts={"compare_type": True, "compare_server_default": True}
+        )
+        assert compare_metadata(context, Base.metadata) == []
+        inspector = inspect(connection)
+        for table in Base.metadata.tables.values():
+            # compare_metadata sees neither of these
+            made = {index["name"]: index for index in inspector.get_indexes(table.name)}
+            for index in table.indexes:
+                options = made[str(index.name)].get("dialect_options", {})
+                wanted = index.dialect_options["sqlite"]["where"]
+                assert str(options.get("sqlite_where")) == str(wanted)
+            assert inspector.get_pk_constraint(table.name)["constrained_columns"] == [
+                column.name for column in table.primary_key
+            ]
+        sql = connection.exec_driver_sql("SELECT sql FROM sqlite_master WHERE name = 'samples'")
+        assert "WITHOUT ROWID" in sql.scalar_one()
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["postgresql+psycopg://u:secret@h/d", "sqlite://", "sqlite:///:memory:", "mysql://h/d", "??"],
+)
+def test_a_url_that_cannot_be_used_is_named_without_its_password(tmp_path: Path, url: str) -> None:
+    with pytest.raises(
+        StoreError, match=r"service\.database_url = .*expected empty or sqlite"
+    ) as e:
+        Store.open(url, tmp_path)
+    assert "secret" not in str(e.value)
+
+
+def test_another_programs_database_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / FILE_NAME
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE recipes (cake TEXT)")
+    connection.close()
+    with pytest.raises(StoreError, match=r"bearing-twin\.db: holds the tables of another program"):
+        Store.open("", tmp_path)
+    engine = create_engine(f"sqlite:///{path}")
+    assert inspect(engine).get_table_names() == ["recipes"]
+    engine.dispose()
+
+
+def test_a_newer_store_is_refused(tmp_path: Path) -> None:
+    with Store.open("", tmp_path) as store, store._database.writing() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    with pytest.raises(StoreError, match=r"\(9999\) are those of a newer version"):
+        Store.open("", tmp_path)
+
+
+def test_a_file_that_is_no_database_is_refused_and_kept(tmp_path: Path) -> None:
+    path = tmp_path / FILE_NAME
+    path.write_bytes(b"precious notes\n" * 1000)
+    with pytest.raises(StoreError, match=r"bearing-twin.db: not an SQLite database"):
+        Store.open("", tmp_path)
+    assert path.read_bytes() == b"precious notes\n" * 1000
+
+
+def test_a_damaged_store_is_refused(tmp_path: Path) -> None:
+    Store.open("", tmp_path).close()
+    path = tmp_path / FILE_NAME
+    content = bytearray(path.read_bytes())
+    content[100:4096] = os.urandom(3996)
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"bearing-twin.db: .*malformed"):
+        Store.open("", tmp_path)
+
+
+def test_a_data_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "var").write_text("")
+    with pytest.raises(StoreError, match=r"data directory .*var: cannot be made"):
+        Store.open("", tmp_path / "var")
+    with pytest.raises(StoreError, match=r"data directory .*var: cannot be used"):
+        lock_data_directory(tmp_path / "var")
+
+
+def test_a_directory_in_place_of_the_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / FILE_NAME).mkdir()
+    with pytest.raises(StoreError, match=r"bearing-twin.db: cannot be opened; expected a path"):
+        Store.open("", tmp_path)
+
+
+@pytest.mark.parametrize("there_before", [False, True])
+def test_a_store_that_may_not_be_written_is_refused(tmp_path: Path, there_before: bool) -> None:
+    data_dir = tmp_path / "var"
+    data_dir.mkdir()
+    if there_before:
+        Store.open("", data_dir).close()
+        (data_dir / FILE_NAME).chmod(0o444)
+    data_dir.chmod(0o555)
+    for parent in tmp_path.parents:
+        if parent.stat().st_uid == os.getuid() and "pytest" in parent.name:
+            parent.chmod(0o755)
+    tmp_path.chmod(0o755)
+    code = (
+        "import os, sys, pathlib\n"
+        "from service.store import Store, StoreError\n"
+        "if os.getuid() == 0: os.setuid(65534)\n"  # root may write everywhere
+        "try: Store.open('', pathlib.Path(sys.argv[1]))\n"
+        "except StoreError as error: print(error)\n"
+    )
+    said, _ = python(code, str(data_dir)).communicate(timeout=60)
+    assert said.startswith(f"store {data_dir}/{FILE_NAME}: ")
+    assert "may" in said
+    assert said.count("\n") == 1
+
+
+def test_programs_that_start_together_make_one_store(tmp_path: Path) -> None:
+    code = (
+        "import sys, pathlib\n"
+        "from adapters.samples import Sample\n"
+        "from service.store import Store\n"
+        "sys.stdin.read()\n"
+        "with Store.open('', pathlib.Path(sys.argv[1])) as store:\n"
+        "    store.write_samples([Sample('a', 'x', int(sys.argv[2]), 1.0, 192, 0)])\n"
+    )
+    programs = [python(code, str(tmp_path), str(number)) for number in range(4)]
+    results = [program.communicate(timeout=60)[0] for program in programs]
+    assert results == [""] * 4
+    with Store.open("", tmp_path) as store:
+        assert len(store.read_samples("a", None, 0, 10, 10)) == 4
+
+
+HOLD = (
+    "import sys, pathlib\n"
+    "from service.store import lock_data_directory\n"
+    "with lock_data_directory(pathlib.Path(sys.argv[1])):\n"
+    "    print('held', flush=True)\n"
+    "    sys.stdin.read()\n"
+)
+
+
+def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_path: Path) -> None:
+    first = python(HOLD, str(tmp_path))
+    assert first.stdout is not None
+    assert first.stdout.readline() == "held\n"
+    with pytest.raises(DataDirectoryInUseError, match=rf"{tmp_path}.*\(process {first.pid}\)"):
+        lock_data_directory(tmp_path)
+    with Store.open("", tmp_path) as store:  # a tool beside the service
+        key = store.add_api_key(
+            prefix="p", sha256="h", role="viewer", created_us=1, expires_us=None
+        )
+        assert store.find_api_key("h") == key
+    first.communicate(timeout=60)
+    lock_data_directory(tmp_path).close()
+
+
+def test_a_killed_service_leaves_no_lock(tmp_path: Path) -> None:
+    first = python(HOLD, str(tmp_path))
+    assert first.stdout is not None
+    first.stdout.readline()
+    first.send_signal(signal.SIGKILL)
+    first.communicate(timeout=60)
+    with lock_data_directory(tmp_path) as lock:
+        with pytest.raises(DataDirectoryInUseError, match=rf"process {os.getpid()}"):
+            lock_data_directory(tmp_path)
+        lock.close()
+        lock_data_directory(tmp_path).close()
