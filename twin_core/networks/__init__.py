@@ -1,0 +1,1 @@
+"""Thermal networks that come with the product."""

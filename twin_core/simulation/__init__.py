@@ -1,0 +1,27 @@
+"""Simulation of thermal models: profiles in, temperatures of all nodes out."""
+
+from twin_core.simulation.profile import (
+    OperatingProfile,
+    SimulationError,
+    Trajectory,
+    hold_operating_point,
+    total_revolutions,
+)
+from twin_core.simulation.simulate import (
+    heat_balance_w,
+    simulate,
+    simulate_batch,
+    steady_state,
+)
+
+__all__ = [
+    "OperatingProfile",
+    "SimulationError",
+    "Trajectory",
+    "heat_balance_w",
+    "hold_operating_point",
+    "simulate",
+    "simulate_batch",
+    "steady_state",
+    "total_revolutions",
+]

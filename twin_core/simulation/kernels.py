@@ -1,0 +1,405 @@
+"""The compiled core: friction, resistances, exact zero-order hold with one corrector.
+
+Everything compiled lives in this one file on purpose: numba's on-disk cache notices changes of
+the file a function stands in, not of the functions it calls.
+
+Between two instants the network is linear but for the heat: C dT/dt = -L T + g Ta + q. With the
+symmetric S = C^-1/2 L C^-1/2 = V diag(lam) V', the coordinates y = V' C^1/2 T decouple and, for a
+q that is linear in time within the step, the solution is exact:
+
+    y1 = e y0 + h phi1 b0 + h phi2 (b1 - b0),      b = V' C^-1/2 (g Ta + q)
+
+with e = exp(-lam h), phi1 = (1 - e) / (lam h), phi2 = (1 - phi1) / (lam h). The predictor takes
+b1 = b0; the corrector evaluates the heat at the predicted temperatures.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+MAX_STEP_S = 60.0
+"""Longer rows are divided into equal steps no longer than this."""
+HEAT_LIMIT_W = 3000.0
+"""No bearing of this size survives more friction heat; keeps a run-away model computable."""
+TEMPERATURE_LIMIT_C = 2000.0
+"""Beyond this a simulation counts as run away."""
+
+# Limits at and near standstill. Below some 10 rpm the heat source no longer moves relative to
+# the contact (Peclet number about one) and the contact conducts like a resting one; 50 N is about
+# the weight of a shaft. The friction law was regressed above 1500 rpm and 2650 N: its quadratic
+# terms are frozen at a tenth of the reference point, so that the moment stays finite.
+CONTACT_MIN_SPEED_RPM = 10.0
+CONTACT_MIN_LOAD_N = 50.0
+REFERENCE_SPEED_RPM = 3000.0
+REFERENCE_LOAD_N = 2650.0
+LAW_MIN_FRACTION = 0.1
+
+# Kinds, equal to those of twin_core.network (plain integers: numba freezes them into the code).
+PALMGREN = 0
+CONSTANT, CONTACT, CONVECTIVE, CONVECTIVE_REFERENCE, FILM, SHAFT_SINK = 0, 1, 2, 3, 4, 5
+FILM_REFERENCE_K = 12.0
+
+
+def compiled(function):  # type: ignore[no-untyped-def]
+    """Compile without the GIL, cached on disk where any cache folder is writable."""
+    try:
+        return njit(nogil=True, cache=True, error_model="numpy")(function)
+    except RuntimeError:
+        # Neither the package folder nor the user's cache folder can be written.
+        return njit(nogil=True, error_model="numpy")(function)
+
+
+@compiled
+def bound(factor, index, values):  # type: ignore[no-untyped-def]
+    """Return a coefficient: its factor times its parameter, if it has one."""
+    if index < 0:
+        return factor
+    return factor * values[index]
+
+
+@compiled
+def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
+    """Conductance in W/K of an edge (a film: at its reference difference)."""
+    if kind == CONTACT:
+        product = max(load, CONTACT_MIN_LOAD_N) * max(speed, CONTACT_MIN_SPEED_RPM)
+        return 1.0 / (c[0] + c[1] + c[2] / math.sqrt(product))
+    if kind == CONVECTIVE:
+        return (c[1] + c[2] * speed ** c[3]) / c[0]
+    if kind == CONVECTIVE_REFERENCE:
+        return (c[1] + (c[2] - c[1]) * (speed / REFERENCE_SPEED_RPM) ** c[3]) / c[0]
+    if kind == FILM:
+        return c[0]
+    if kind == SHAFT_SINK:
+        return c[0] + c[1] * (speed / 6000.0) ** (2.0 / 3.0)
+    return 1.0 / c[0]
+
+
+@compiled
+def palmgren_moment_nmm(c, speed, load, temperature):  # type: ignore[no-untyped-def]
+    """Equations (2) to (4); c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC."""
+    load_moment = 0.0009 * (load / c[2]) ** 0.55 * load * c[1]
+    viscosity = c[3] * math.exp(-c[4] * (temperature - c[5]))
+    product = viscosity * speed
+    if product >= 2000.0:
+        viscous = 1e-7 * c[0] * product ** (2.0 / 3.0) * c[1] ** 3
+    else:
+        viscous = 160e-7 * c[0] * c[1] ** 3
+    return load_moment + viscous
+
+
+@compiled
+def separable_moment_nmm(c, speed, load, temperature, revolutions):  # type: ignore[no-untyped-def]
+    """Return the separable law; c: M at the reference in N.mm, p, p2, q, pq, x, x2, A, Nr."""
+    relative_speed = math.log(max(speed / REFERENCE_SPEED_RPM, LAW_MIN_FRACTION))
+    relative_load = math.log(max(load / REFERENCE_LOAD_N, LAW_MIN_FRACTION))
+    # Vogel's ln(nu / nu(60 degC)); far below its range the grease is solid and the law moot.
+    viscosity = 989.0 / max(temperature + 95.0, 35.0) - 989.0 / 155.0
+    exponent = (
+        (c[1] + c[2] * relative_speed) * relative_speed
+        + (c[3] + c[4] * relative_speed) * viscosity
+        + (c[5] + c[6] * relative_load) * relative_load
+    )
+    return c[0] * math.exp(exponent) * (1.0 + c[7] * math.exp(-revolutions / c[8]))
+
+
+@compiled
+def friction_heat_w(kind, c, speed, load, temperature, revolutions):  # type: ignore[no-untyped-def]
+    """Heat in W at the temperature of the lubricant, never above HEAT_LIMIT_W."""
+    if kind == PALMGREN:
+        moment = palmgren_moment_nmm(c, speed, load, temperature)
+    else:
+        moment = separable_moment_nmm(c, speed, load, temperature, revolutions)
+    return min(1e-3 * moment * speed * 2.0 * math.pi / 60.0, HEAT_LIMIT_W)
+
+
+@compiled
+def film_excess_w(conductance, exponent, difference):  # type: ignore[no-untyped-def]
+    """Heat in W that a film takes up beyond its linear part at a temperature difference."""
+    size = abs(difference)
+    if size < 1e-9:
+        return 0.0
+    return conductance * ((size / FILM_REFERENCE_K) ** exponent - 1.0) * difference
+
+
+@compiled
+def bind_network(net, values):  # type: ignore[no-untyped-def]
+    """Apply a parameter vector: capacities, edge and friction coefficients, heat per node."""
+    count = net.capacity.size
+    capacity = np.empty(count)
+    for i in range(count):
+        capacity[i] = bound(net.capacity[i], net.capacity_parameter[i], values)
+    coefficient = np.empty_like(net.edge_coefficient)
+    for e in range(coefficient.shape[0]):
+        for j in range(coefficient.shape[1]):
+            coefficient[e, j] = bound(net.edge_coefficient[e, j], net.edge_parameter[e, j], values)
+    friction = np.empty_like(net.friction_coefficient)
+    for j in range(friction.size):
+        friction[j] = bound(net.friction_coefficient[j], net.friction_parameter[j], values)
+    share = np.zeros(count)
+    rest = 1.0
+    last = net.share_node.size - 1
+    for j in range(last):
+        fraction = bound(net.share_fraction[j], net.share_parameter[j], values)
+        share[net.share_node[j]] += rest * fraction
+        rest *= 1.0 - fraction
+    share[net.share_node[last]] += rest
+    return capacity, coefficient, friction, share
+
+
+@compiled
+def film_edges(net, coefficient):  # type: ignore[no-untyped-def]
+    """Node, conductance and exponent of every film with a temperature-dependent coefficient."""
+    count = 0
+    for e in range(net.edge_kind.size):
+        if net.edge_kind[e] == FILM:
+            count += 1
+    node = np.empty(count, np.int64)
+    law = np.empty((count, 2))
+    k = 0
+    for e in range(net.edge_kind.size):
+        if net.edge_kind[e] == FILM:
+            node[k] = net.edge_nodes[e, 0]
+            law[k, 0] = coefficient[e, 0]
+            law[k, 1] = coefficient[e, 1]
+            k += 1
+    return node, law
+
+
+@compiled
+def conductance_matrix(net, coefficient, speed, load):  # type: ignore[no-untyped-def]
+    """L (nodes, nodes) and the conductances to ambient g (nodes,), both in W/K."""
+    count = net.capacity.size
+    matrix = np.zeros((count, count))
+    to_ambient = np.zeros(count)
+    for e in range(net.edge_kind.size):
+        conductance = edge_conductance(net.edge_kind[e], coefficient[e], speed, load)
+        a, b = net.edge_nodes[e, 0], net.edge_nodes[e, 1]
+        matrix[a, a] += conductance
+        if b == count:
+            to_ambient[a] += conductance
+        else:
+            matrix[b, b] += conductance
+            matrix[a, b] -= conductance
+            matrix[b, a] -= conductance
+    return matrix, to_ambient
+
+
+@compiled
+def decompose(net, capacity, coefficient, speed, load):  # type: ignore[no-untyped-def]
+    """Modes of an operating point: rates lam (1/s), T = modes @ y, y = inverse @ T, ambient b.
+
+    Heat q at node i adds modes[i] * q to the modal input b. Without a solution all is NaN.
+    """
+    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
+    count = capacity.size
+    root = np.sqrt(capacity)
+    finite = True
+    for i in range(count):
+        for j in range(count):
+            matrix[i, j] /= root[i] * root[j]
+            finite = finite and math.isfinite(matrix[i, j])
+    if not finite:  # LAPACK would not return
+        nan = np.full((count, count), np.nan)
+        return nan[0].copy(), nan, nan.copy(), nan[0].copy()
+    rate, vector = np.linalg.eigh(matrix)
+    modes = np.empty((count, count))
+    inverse = np.empty((count, count))
+    ambient = np.zeros(count)
+    for k in range(count):
+        rate[k] = max(rate[k], 0.0)
+        for i in range(count):
+            modes[i, k] = vector[i, k] / root[i]
+            inverse[k, i] = vector[i, k] * root[i]
+            ambient[k] += modes[i, k] * to_ambient[i]
+    return rate, modes, inverse, ambient
+
+
+@compiled
+def step_functions(rate, step, decay, first, second):  # type: ignore[no-untyped-def]
+    """Fill e, h phi1 and h phi2 for a step length."""
+    for k in range(rate.size):
+        x = rate[k] * step
+        if x < 1e-4:  # series: the closed forms lose all digits
+            decay[k] = math.exp(-x)
+            first[k] = step * (1.0 - x * (0.5 - x / 6.0))
+            second[k] = step * (0.5 - x * (1.0 / 6.0 - x / 24.0))
+        else:
+            decay[k] = math.exp(-x)
+            phi = -math.expm1(-x) / x
+            first[k] = step * phi
+            second[k] = step * (1.0 - phi) / x
+
+
+@compiled
+def simulate_kernel(  # type: ignore[no-untyped-def]
+    net, values, time, speed, load, ambient, initial, revolutions, disturbance, out
+):
+    """Simulate one candidate; fill out (n, nodes) with temperatures at the rows' instants.
+
+    `disturbance` (nodes,) is a constant extra heat in W. Returns the row from which on the result
+    is unusable (the rest of `out` is NaN), or -1.
+    """
+    count = net.capacity.size
+    capacity, coefficient, friction, share = bind_network(net, values)
+    film_node, film_law = film_edges(net, coefficient)
+    films = film_node.size
+    lubricant = net.temperature_node
+    temperature = initial.copy()
+    y = np.empty(count)
+    predicted = np.empty(count)
+    base = np.empty(count)
+    b = np.empty(count)
+    decay = np.empty(count)
+    first = np.empty(count)
+    second = np.empty(count)
+    heat_input = np.empty(count)
+    excess = np.empty(films)
+    rate = np.empty(count)
+    modes = np.empty((count, count))
+    inverse = np.empty((count, count))
+    transposed = np.empty((count, count))
+    ambient_input = np.empty(count)
+    point_speed, point_load, point_step = math.nan, math.nan, math.nan
+    turned = revolutions
+    out[0] = temperature
+    for row in range(time.size - 1):
+        n = abs(speed[row])
+        f = max(load[row], 0.0)
+        if n != point_speed or f != point_load:
+            rate, modes, inverse, ambient_input = decompose(net, capacity, coefficient, n, f)
+            transposed = modes.T.copy()
+            point_speed, point_load, point_step = n, f, math.nan
+            heat_input[:] = 0.0
+            y[:] = 0.0
+            for i in range(count):
+                for k in range(count):
+                    heat_input[k] += modes[i, k] * share[i]
+                    y[k] += inverse[k, i] * temperature[i]
+        duration = time[row + 1] - time[row]
+        steps = max(1, math.ceil(duration / MAX_STEP_S - 1e-9))
+        step = duration / steps
+        if step != point_step:
+            step_functions(rate, step, decay, first, second)
+            point_step = step
+        for k in range(count):
+            base[k] = ambient_input[k] * ambient[row]
+        for i in range(count):
+            if disturbance[i] != 0.0:
+                for k in range(count):
+                    base[k] += modes[i, k] * disturbance[i]
+        for _ in range(steps):
+            heat = friction_heat_w(
+                net.friction_kind, friction, n, f, temperature[lubricant], turned
+            )
+            for k in range(count):
+                b[k] = base[k] + heat_input[k] * heat
+            for j in range(films):
+                node = film_node[j]
+                excess[j] = film_excess_w(
+                    film_law[j, 0], film_law[j, 1], temperature[node] - ambient[row]
+                )
+                for k in range(count):
+                    b[k] -= modes[node, k] * excess[j]
+            for k in range(count):
+                predicted[k] = decay[k] * y[k] + first[k] * b[k]
+            turned += n * step / 60.0
+            later = 0.0
+            for k in range(count):
+                later += modes[lubricant, k] * predicted[k]
+            change = friction_heat_w(net.friction_kind, friction, n, f, later, turned) - heat
+            for k in range(count):
+                b[k] = heat_input[k] * change
+            for j in range(films):
+                node = film_node[j]
+                later = -ambient[row]
+                for k in range(count):
+                    later += modes[node, k] * predicted[k]
+                change = film_excess_w(film_law[j, 0], film_law[j, 1], later) - excess[j]
+                for k in range(count):
+                    b[k] -= modes[node, k] * change
+            temperature[:] = 0.0
+            for k in range(count):
+                y[k] = predicted[k] + second[k] * b[k]
+                for i in range(count):
+                    temperature[i] += transposed[k, i] * y[k]
+        out[row + 1] = temperature
+        for i in range(count):
+            if not abs(temperature[i]) <= TEMPERATURE_LIMIT_C:
+                out[row + 1 :] = math.nan
+                return row + 1
+    return -1
+
+
+@compiled
+def simulate_range(  # type: ignore[no-untyped-def]
+    net, values, time, speed, load, ambient, initial, revolutions, start, stop, out
+):
+    """Simulate candidates start..stop-1 of a batch, each independent of all others."""
+    disturbance = np.zeros(net.capacity.size)
+    for member in range(start, stop):
+        failed = simulate_kernel(
+            net,
+            values[member],
+            time,
+            speed,
+            load,
+            ambient,
+            initial[member],
+            revolutions[member],
+            disturbance,
+            out[member],
+        )
+        if failed >= 0:
+            out[member] = math.nan
+
+
+@compiled
+def heat_balance(  # type: ignore[no-untyped-def]
+    net, values, temperature, speed, load, ambient, revolutions
+):
+    """Net heat flow into every node (nodes,) and the friction heat, both in W."""
+    _, coefficient, friction, share = bind_network(net, values)
+    film_node, film_law = film_edges(net, coefficient)
+    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
+    heat = friction_heat_w(
+        net.friction_kind, friction, speed, load, temperature[net.temperature_node], revolutions
+    )
+    count = temperature.size
+    flow = np.empty(count)
+    for i in range(count):
+        flow[i] = share[i] * heat - to_ambient[i] * (temperature[i] - ambient)
+        for j in range(count):
+            # Differences, not L T: a huge conductance must not drown the balance in rounding.
+            flow[i] += matrix[i, j] * (temperature[i] - temperature[j])
+    for k in range(film_node.size):
+        node = film_node[k]
+        flow[node] -= film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
+    return flow, heat
+
+
+@compiled
+def heat_balance_linearised(  # type: ignore[no-untyped-def]
+    net, values, temperature, speed, load, ambient
+):
+    """Net heat flow (nodes,) before any revolution, and its Jacobian (nodes, nodes) in W/K."""
+    flow, heat = heat_balance(net, values, temperature, speed, load, ambient, 0.0)
+    _, coefficient, friction, share = bind_network(net, values)
+    film_node, film_law = film_edges(net, coefficient)
+    matrix, _ = conductance_matrix(net, coefficient, speed, load)
+    jacobian = -matrix
+    lubricant = net.temperature_node
+    nudge = 1e-4
+    warmer = friction_heat_w(
+        net.friction_kind, friction, speed, load, temperature[lubricant] + nudge, 0.0
+    )
+    for i in range(temperature.size):
+        jacobian[i, lubricant] += share[i] * (warmer - heat) / nudge
+    for k in range(film_node.size):
+        node = film_node[k]
+        difference = temperature[node] - ambient
+        jacobian[node, node] -= (
+            film_excess_w(film_law[k, 0], film_law[k, 1], difference + nudge)
+            - film_excess_w(film_law[k, 0], film_law[k, 1], difference)
+        ) / nudge
+    return flow, jacobian

@@ -1,0 +1,311 @@
+"""Simulate one parameter vector or many, and find the state a constant point leads to."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import config as numba_config
+from numpy.typing import ArrayLike, NDArray
+
+from twin_core.network import CompiledNetwork, FrictionKind
+from twin_core.simulation import kernels
+from twin_core.simulation.profile import (
+    OperatingProfile,
+    SimulationError,
+    Trajectory,
+    total_revolutions,
+)
+
+if TYPE_CHECKING:
+    from twin_core.models import ThermalModel
+
+_CHUNKS_PER_THREAD = 4
+_SETTLING_S = 48 * 3600.0
+_NEWTON_ITERATIONS = 20
+_BALANCE_W = 1e-6
+
+
+def simulate(
+    model: "ThermalModel",
+    values: ArrayLike,
+    profile: OperatingProfile,
+    initial_temperatures_c: ArrayLike,
+    revolutions: float = 0.0,
+) -> Trajectory:
+    """Simulate one parameter vector.
+
+    Exact zero-order hold with one corrector for the temperature-dependent heat and films; rows
+    longer than 60 s are subdivided.
+
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Shape (p,), physical units; bounds are not enforced.
+    profile
+        n rows.
+    initial_temperatures_c
+        Shape (nodes,), at the first row.
+    revolutions
+        Revolutions since greasing at the first row.
+
+    Raises
+    ------
+    SimulationError
+        If the temperatures do not stay finite and below 2000 degC.
+    ValueError
+        If a shape or a value is wrong.
+    """
+    parameters = _values(model, values, 1)
+    initial = _finite("initial_temperatures_c", initial_temperatures_c)
+    nodes = len(model.node_names)
+    if initial.shape != (nodes,):
+        raise ValueError(
+            f"initial_temperatures_c has shape {initial.shape}, expected ({nodes},): one "
+            "temperature per state node"
+        )
+    temperatures = np.empty((profile.size, nodes))
+    failed = kernels.simulate_kernel(
+        model.compiled,
+        parameters,
+        profile.time_s,
+        profile.speed_rpm,
+        profile.load_n,
+        profile.ambient_c,
+        initial,
+        float(revolutions),
+        np.zeros(nodes),
+        temperatures,
+    )
+    if failed >= 0:
+        raise SimulationError(
+            f"simulation of model {model.name!r} ran away before "
+            f"time_s = {profile.time_s[failed]:g} at {profile.speed_rpm[failed - 1]:g} rpm and "
+            f"{profile.load_n[failed - 1]:g} N"
+        )
+    return Trajectory(profile.time_s, temperatures, total_revolutions(profile, revolutions))
+
+
+def simulate_batch(
+    model: "ThermalModel",
+    values: ArrayLike,
+    profile: OperatingProfile,
+    initial_temperatures_c: ArrayLike,
+    revolutions: ArrayLike = 0.0,
+) -> NDArray[np.float64]:
+    """Simulate many parameter vectors over the same profile, in parallel.
+
+    Each candidate is computed on its own by the same code as :func:`simulate`, so the result
+    does not depend, to the last bit, on the number of threads or on the other candidates. Safe
+    to call from several threads at once.
+
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Shape (B, p).
+    profile
+        n rows.
+    initial_temperatures_c
+        Shape (nodes,) for all, or (B, nodes).
+    revolutions
+        Revolutions since greasing at the first row, scalar or shape (B,).
+
+    Returns
+    -------
+    ndarray
+        Shape (B, n, nodes). A candidate that runs away, or whose values are not finite, is NaN
+        throughout.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong.
+    """
+    parameters = _values(model, values, 2)
+    count = parameters.shape[0]
+    nodes = len(model.node_names)
+    initial = np.asarray(initial_temperatures_c, dtype=np.float64)
+    if initial.shape not in ((nodes,), (count, nodes)):
+        raise ValueError(
+            f"initial_temperatures_c has shape {initial.shape}, expected ({nodes},) or "
+            f"({count}, {nodes})"
+        )
+    turned = np.asarray(revolutions, dtype=np.float64)
+    if turned.shape not in ((), (count,)):
+        raise ValueError(f"revolutions has shape {turned.shape}, expected () or ({count},)")
+    starts = np.ascontiguousarray(np.broadcast_to(initial, (count, nodes)))
+    turns = np.ascontiguousarray(np.broadcast_to(turned, (count,)))
+    result = np.empty((count, profile.size, nodes))
+
+    def run(start: int, stop: int) -> None:
+        kernels.simulate_range(
+            model.compiled,
+            parameters,
+            profile.time_s,
+            profile.speed_rpm,
+            profile.load_n,
+            profile.ambient_c,
+            starts,
+            turns,
+            start,
+            stop,
+            result,
+        )
+
+    threads = min(int(numba_config.NUMBA_NUM_THREADS), count)
+    if threads <= 1 or count * profile.size < 1000:
+        run(0, count)
+        return result
+    # Threads of our own around a serial kernel without the GIL, not numba's parallel loops: those
+    # abort the process on concurrent calls (workqueue) or after a fork (GNU OpenMP).
+    chunks = np.linspace(0, count, threads * _CHUNKS_PER_THREAD + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(run, chunks[:-1].tolist(), chunks[1:].tolist()):
+            pass
+    return result
+
+
+def steady_state(
+    model: "ThermalModel",
+    values: ArrayLike,
+    speed_rpm: float,
+    load_n: float,
+    ambient_c: float,
+    revolutions: float = 0.0,
+) -> NDArray[np.float64]:
+    """Temperatures that a machine at rest at ambient reaches at a constant operating point.
+
+    Approached in time from the cold side, so that of several equilibria the one is found that
+    the machine would reach; polished by Newton until the heat balance of every node closes.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters, shape (p,).
+    speed_rpm, load_n, ambient_c
+        The operating point.
+    revolutions
+        Revolutions since greasing, held constant (running-in stands still).
+
+    Returns
+    -------
+    ndarray
+        Shape (nodes,); the heat balance closes to better than 1e-6 W.
+
+    Raises
+    ------
+    SimulationError
+        If there is no finite steady state.
+    """
+    parameters = _values(model, values, 1)
+    speed, load, ambient = _finite("operating point", [speed_rpm, load_n, ambient_c]).tolist()
+    speed, load = abs(speed), max(load, 0.0)
+    held = _running_in_held(model, parameters, float(revolutions))
+    nodes = len(model.node_names)
+    path = np.empty((2, nodes))
+    failed = kernels.simulate_kernel(
+        held,
+        parameters,
+        np.array([0.0, _SETTLING_S]),
+        np.array([speed, speed]),
+        np.array([load, load]),
+        np.array([ambient, ambient]),
+        np.full(nodes, ambient),
+        0.0,
+        np.zeros(nodes),
+        path,
+    )
+    temperatures: NDArray[np.float64] = path[1]
+    balance = np.inf
+    if failed < 0:
+        for _ in range(_NEWTON_ITERATIONS):
+            flow, jacobian = kernels.heat_balance_linearised(
+                held, parameters, temperatures, speed, load, ambient
+            )
+            previous, balance = balance, float(np.abs(flow).max())
+            if balance >= previous:
+                break
+            temperatures = temperatures - np.linalg.solve(jacobian, flow)
+        flow, _ = kernels.heat_balance(held, parameters, temperatures, speed, load, ambient, 0.0)
+        balance = float(np.abs(flow).max())
+    if not balance <= _BALANCE_W:
+        raise SimulationError(
+            f"model {model.name!r} has no steady state at {speed:g} rpm and {load:g} N"
+        )
+    return temperatures
+
+
+def heat_balance_w(
+    model: "ThermalModel",
+    values: ArrayLike,
+    temperatures_c: ArrayLike,
+    speed_rpm: float,
+    load_n: float,
+    ambient_c: float,
+    revolutions: float = 0.0,
+) -> tuple[NDArray[np.float64], float]:
+    """Net heat flow into every node and the friction heat, in W.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters, shape (p,).
+    temperatures_c
+        Shape (nodes,).
+    speed_rpm, load_n, ambient_c, revolutions
+        The operating point.
+
+    Returns
+    -------
+    net : ndarray
+        Shape (nodes,); zero in a steady state.
+    friction : float
+        Heat of the bearing.
+    """
+    net, friction = kernels.heat_balance(
+        model.compiled,
+        _values(model, values, 1),
+        _finite("temperatures_c", temperatures_c),
+        abs(float(speed_rpm)),
+        max(float(load_n), 0.0),
+        float(ambient_c),
+        float(revolutions),
+    )
+    return net, float(friction)
+
+
+def _running_in_held(
+    model: "ThermalModel", values: NDArray[np.float64], revolutions: float
+) -> CompiledNetwork:
+    """Fold the running-in factor at *revolutions* into the friction's level."""
+    net = model.compiled
+    if net.friction_kind != FrictionKind.SEPARABLE:
+        return net
+    scale = np.array([values[index] if index >= 0 else 1.0 for index in net.friction_parameter])
+    coefficients = net.friction_coefficient * scale
+    coefficients[0] *= 1.0 + coefficients[7] * np.exp(-revolutions / coefficients[8])
+    coefficients[7] = 0.0
+    return net._replace(
+        friction_coefficient=coefficients,
+        friction_parameter=np.full(coefficients.size, -1, dtype=np.int64),
+    )
+
+
+def _values(model: "ThermalModel", values: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    size = model.parameters.size
+    if array.ndim != dimensions or array.shape[-1] != size:
+        expected = f"({size},)" if dimensions == 1 else f"(B, {size})"
+        raise ValueError(f"values has shape {array.shape}, expected {expected}")
+    return array
+
+
+def _finite(name: str, values: ArrayLike | Sequence[float]) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} is {array.tolist()}, expected finite numbers")
+    return array
