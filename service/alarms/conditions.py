@@ -67,9 +67,9 @@ class AlarmCondition:
 
     @property
     def in_deadband(self) -> bool:
-        """True when the value is not clear enough of the limit for the alarm to return."""
+        """True when the value is not above the limit, but not clear enough for a return."""
         return (
             self.value is not None
             and self.limit_value is not None
-            and self.value > self.limit_value - self.deadband
+            and self.limit_value - self.deadband < self.value <= self.limit_value
         )

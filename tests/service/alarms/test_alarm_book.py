@@ -1,0 +1,394 @@
+import sqlite3
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.alarms import (
+    AlarmBook,
+    AlarmCondition,
+    AlarmEvent,
+    AlarmState,
+    UnknownAlarmError,
+    alarm_document,
+    next_state,
+    transition_document,
+)
+from service.store import Alarm, AlarmTransition, Store
+from service.store.database import FILE_NAME
+
+SECOND_US = 1_000_000
+START_US = 1_763_700_000 * SECOND_US
+HOT = AlarmCondition(
+    asset="bench-1",
+    kind="measured limit",
+    channel="t_inner_ring_c",
+    level="alarm",
+    active=True,
+    value=106.0,
+    message="Inner ring over alarm 105 °C",
+    priority=1,
+    limit_value=105.0,
+    unit="°C",
+)
+COLD = replace(HOT, active=False, value=80.0)
+UNKNOWN = replace(HOT, active=None, value=None)
+
+
+class HandClock:
+    """Process time that a test moves on by hand."""
+
+    rate = 60.0
+
+    def __init__(self) -> None:
+        self.us = START_US
+
+    def now_us(self) -> int:
+        return self.us
+
+    def advance(self, seconds: float) -> None:
+        self.us += round(seconds * SECOND_US)
+
+    async def sleep(self, process_seconds: float) -> None:
+        self.advance(process_seconds)
+
+
+class Bench:
+    """A book on a real store, with what it told its listener."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self.data_dir = data_dir
+        self.clock = HandClock()
+        self.told: list[Alarm] = []
+        self.store = Store.open("", data_dir)
+        self.book = AlarmBook(self.store, self.clock, self.told.append)
+
+    def after(self, seconds: float, condition: AlarmCondition) -> str:
+        """Move on, evaluate, and tell the state of the condition's alarm."""
+        self.clock.advance(seconds)
+        self.book.evaluate(condition)
+        return self.state(condition)
+
+    def state(self, condition: AlarmCondition = HOT) -> str:
+        for alarm in self.book.active():
+            if (alarm.asset, alarm.kind, alarm.channel, alarm.level) == condition.key:
+                return alarm.state
+        return "NORM"
+
+    def only(self) -> Alarm:
+        (alarm,) = self.book.active()
+        return alarm
+
+    def journal(self) -> list[AlarmTransition]:
+        assert self.book.flush(10)
+        return self.store.alarm_journal(limit=100_000).items[::-1]
+
+    def restart(self) -> None:
+        self.close()
+        self.store = Store.open("", self.data_dir)
+        self.book = AlarmBook(self.store, self.clock, self.told.append)
+
+    def close(self) -> None:
+        self.book.close()
+        self.store.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    yield bench
+    bench.close()
+
+
+def test_a_whole_life_is_journaled_with_who_when_and_why(bench: Bench) -> None:
+    assert bench.after(0, COLD) == "NORM"
+    assert bench.after(1, HOT) == "UNACK"
+    first = bench.only()
+    bench.clock.advance(5)
+    acked = bench.book.acknowledge(first.id, "eva", "cooling on")
+    assert (acked.state, acked.acknowledged_by) == ("ACKED", "eva")
+    assert bench.after(5, COLD) == "NORM"
+    assert [alarm.state for alarm in bench.told] == ["UNACK", "ACKED", "NORM"]
+    assert {alarm.id for alarm in bench.told} == {first.id}
+    told = bench.told[-1]
+    assert told.raised_at_us == START_US + 1 * SECOND_US
+    assert told.acknowledged_at_us == START_US + 6 * SECOND_US
+    assert told.returned_at_us == told.since_us == START_US + 11 * SECOND_US
+    assert [
+        (line.time_us - START_US, line.from_state, line.to_state, line.who, line.comment)
+        for line in bench.journal()
+    ] == [
+        (1 * SECOND_US, "NORM", "UNACK", "service", ""),
+        (6 * SECOND_US, "UNACK", "ACKED", "eva", "cooling on"),
+        (11 * SECOND_US, "ACKED", "NORM", "service", ""),
+    ]
+    assert bench.store.load_alarms() == []
+    assert bench.after(1, HOT) == "UNACK"
+    assert bench.only().id != first.id  # a new life
+
+
+def test_returned_unacknowledged_waits_and_may_be_raised_again(bench: Bench) -> None:
+    bench.after(0, HOT)
+    assert bench.after(1, COLD) == "RTNUN"
+    returned = bench.only()
+    assert returned.returned_at_us == bench.clock.us
+    assert bench.after(1, HOT) == "UNACK"
+    again = bench.only()
+    assert (again.id, again.raised_at_us) == (returned.id, returned.raised_at_us)
+    assert (again.since_us, again.returned_at_us) == (bench.clock.us, None)
+    bench.after(1, COLD)
+    over = bench.book.acknowledge(returned.id, "eva")
+    assert (over.state, over.acknowledged_by) == ("NORM", "eva")
+    assert bench.book.active() == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("UNACK", "ACKED"), ("ACKED", "ACKED"), ("RTNUN", "NORM")]
+)
+def test_acknowledge_in_each_open_state(bench: Bench, before: str, after: str) -> None:
+    bench.after(0, HOT)
+    alarm = bench.only()
+    if before == "ACKED":
+        bench.book.acknowledge(alarm.id, "first")
+    if before == "RTNUN":
+        bench.after(1, COLD)
+    lines = len(bench.journal())
+    acknowledged = bench.book.acknowledge(alarm.id, "second")
+    assert acknowledged.state == after
+    assert bench.state() == after
+    if before == "ACKED":  # nothing happened
+        assert acknowledged.acknowledged_by == "first"
+        assert len(bench.journal()) == lines
+    else:
+        assert acknowledged.acknowledged_by == "second"
+        assert bench.journal()[lines].who == "second"
+
+
+def test_an_alarm_that_is_over_cannot_be_acknowledged(bench: Bench) -> None:
+    bench.after(0, HOT)
+    alarm = bench.only()
+    bench.book.acknowledge(alarm.id, "eva")
+    bench.after(1, COLD)
+    for unknown in (alarm.id, "no such"):
+        with pytest.raises(UnknownAlarmError, match="no open alarm"):
+            bench.book.acknowledge(unknown, "eva")
+
+
+def test_on_delay_counts_process_time(bench: Bench) -> None:
+    slow = replace(HOT, on_delay_s=60.0)
+    assert bench.after(0, slow) == "NORM"
+    assert bench.after(59.9, slow) == "NORM"
+    assert bench.after(0.1, slow) == "UNACK"
+    assert bench.only().raised_at_us == START_US + 60 * SECOND_US
+
+
+def test_off_delay_counts_process_time(bench: Bench) -> None:
+    bench.after(0, HOT)
+    slow = replace(COLD, off_delay_s=30.0)
+    assert bench.after(10, slow) == "UNACK"
+    assert bench.after(29.9, slow) == "UNACK"
+    assert bench.after(0.1, slow) == "RTNUN"
+
+
+def test_chatter_raises_nothing_and_does_not_clear_either(bench: Bench) -> None:
+    on = replace(HOT, on_delay_s=10.0, off_delay_s=10.0)
+    off = replace(COLD, on_delay_s=10.0, off_delay_s=10.0)
+    for _ in range(50):
+        assert bench.after(6, on) == "NORM"
+        assert bench.after(6, off) == "NORM"
+    bench.after(1, on)
+    assert bench.after(10, on) == "UNACK"
+    for _ in range(50):
+        assert bench.after(6, off) == "UNACK"
+        assert bench.after(6, on) == "UNACK"
+    assert len(bench.journal()) == 1
+    assert len(bench.told) == 1
+
+
+def test_a_bad_sample_neither_raises_nor_clears(bench: Bench) -> None:
+    assert bench.after(0, UNKNOWN) == "NORM"
+    assert bench.after(10_000, UNKNOWN) == "NORM"
+    bench.after(1, HOT)
+    assert bench.after(10_000, UNKNOWN) == "UNACK"
+    bench.after(1, COLD)
+    assert bench.after(10_000, UNKNOWN) == "RTNUN"
+    assert len(bench.journal()) == 2
+
+
+def test_delays_stand_still_while_the_condition_cannot_be_told(bench: Bench) -> None:
+    slow = replace(HOT, on_delay_s=60.0)
+    bench.after(0, slow)
+    bench.after(40, slow)
+    bench.after(1, UNKNOWN)
+    bench.after(10_000, UNKNOWN)
+    assert bench.after(1, slow) == "NORM"  # 40 s are known, the time without data is not
+    assert bench.after(19, slow) == "NORM"
+    assert bench.after(1, slow) == "UNACK"
+
+
+def test_a_clock_that_steps_back_raises_nothing_early(bench: Bench) -> None:
+    slow = replace(HOT, on_delay_s=60.0)
+    bench.after(0, slow)
+    assert bench.after(-3600, slow) == "NORM"
+    assert bench.after(30, slow) == "NORM"
+    assert bench.after(30, slow) == "UNACK"
+
+
+def test_the_deadband_holds_an_alarm_but_raises_none(bench: Bench) -> None:
+    near = replace(COLD, value=104.5, deadband=1.0)
+    assert bench.after(0, near) == "NORM"
+    bench.after(1, HOT)
+    assert bench.after(1, near) == "UNACK"
+    assert bench.after(1, replace(near, value=105.0)) == "UNACK"
+    assert bench.after(1, replace(near, value=104.0)) == "RTNUN"
+    assert bench.after(1, near) == "RTNUN"
+
+
+def test_conditions_are_told_apart_by_asset_kind_channel_and_level(bench: Bench) -> None:
+    others: list[AlarmCondition] = [
+        replace(HOT, asset="bench-2"),
+        replace(HOT, kind="forecast limit", predicted=True, lead_time_s=60.0, probability=0.4),
+        replace(HOT, channel="t_outer_ring_c"),
+        replace(HOT, level="warning", priority=2),
+    ]
+    for condition in [HOT, *others]:
+        assert bench.after(1, condition) == "UNACK"
+    assert len(bench.book.active()) == 5
+    assert [alarm.priority for alarm in bench.book.active()] == [1, 1, 1, 1, 2]
+    assert [alarm.asset for alarm in bench.book.active("bench-2")] == ["bench-2"]
+    assert bench.after(1, COLD) == "RTNUN"
+    assert [bench.state(other) for other in others] == ["UNACK"] * 4
+
+
+def test_figures_of_a_standing_alarm_stay_fresh_and_only_news_is_told(bench: Bench) -> None:
+    soon = replace(
+        HOT, kind="forecast limit", predicted=True, lead_time_s=600.0, probability=0.3, value=None
+    )
+    bench.after(0, soon)
+    bench.after(60, replace(soon, lead_time_s=540.0, probability=0.5))
+    assert (bench.only().lead_time_s, bench.only().probability) == (540.0, 0.5)
+    assert len(bench.told) == 1
+    bench.after(60, replace(soon, message="will pass 105 °C", lead_time_s=480.0))
+    assert bench.told[-1].message == "will pass 105 °C"
+    assert len(bench.told) == 2
+    assert len(bench.journal()) == 1  # no change of state
+    assert bench.store.load_alarms() == [bench.only()]
+
+
+def test_alarms_survive_a_restart_in_every_state(bench: Bench) -> None:
+    acked, returned = replace(HOT, channel="b"), replace(HOT, channel="c")
+    for condition in (HOT, acked, returned):
+        bench.after(1, condition)
+    bench.book.acknowledge(next(a.id for a in bench.book.active() if a.channel == "b"), "eva")
+    bench.after(1, replace(returned, active=False))
+    before = bench.book.active()
+    bench.restart()
+    assert bench.book.active() == before
+    assert {alarm.channel: alarm.state for alarm in before} == {
+        "t_inner_ring_c": "UNACK",
+        "b": "ACKED",
+        "c": "RTNUN",
+    }
+    told = len(bench.told)
+    assert bench.after(1, HOT) == "UNACK"  # still there: no news, no second alarm
+    assert len(bench.told) == told
+    assert bench.after(1, COLD) == "RTNUN"
+    assert bench.after(1, replace(acked, active=False)) == "NORM"
+
+
+def test_a_locked_store_makes_nobody_wait_and_gets_everything_later(bench: Bench) -> None:
+    intruder = sqlite3.connect(bench.data_dir / FILE_NAME, isolation_level=None)
+    intruder.execute("BEGIN EXCLUSIVE")
+    started = time.monotonic()
+    bench.after(0, HOT)
+    bench.book.acknowledge(bench.only().id, "eva")
+    bench.after(1, COLD)
+    assert time.monotonic() - started < 0.5
+    assert not bench.book.flush(0.2)
+    intruder.rollback()
+    intruder.close()
+    assert [line.to_state for line in bench.journal()] == ["UNACK", "ACKED", "NORM"]
+
+
+@pytest.fixture(scope="module")
+def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    bench = Bench(tmp_path_factory.mktemp("shared"))
+    yield bench
+    bench.close()
+
+
+@given(steps=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 20)), max_size=25))
+@settings(max_examples=50, deadline=None)
+def test_any_story_without_delays_follows_the_table(
+    shared_bench: Bench, steps: list[tuple[int, int]]
+) -> None:
+    bench, asset = shared_bench, uuid.uuid4().hex
+    truths = [replace(HOT, asset=asset), replace(COLD, asset=asset), replace(UNKNOWN, asset=asset)]
+    expected = AlarmState.NORM
+    for what, seconds in steps:
+        bench.clock.advance(seconds)
+        event = None
+        if what == 3:
+            if expected != "NORM":
+                event = AlarmEvent.ACKNOWLEDGE
+                (alarm,) = bench.book.active(asset)
+                bench.book.acknowledge(alarm.id, "eva")
+        else:
+            bench.book.evaluate(truths[what])
+            event = (AlarmEvent.RAISE, AlarmEvent.RETURN, None)[what]
+        if event:
+            expected = next_state(expected, event)
+        assert bench.state(truths[0]) == expected
+        assert len(bench.book.active(asset)) == (expected != "NORM")
+    journal = [line for line in bench.journal() if line.asset == asset]
+    states = ["NORM", *(line.to_state for line in journal)]
+    assert [line.from_state for line in journal] == states[:-1]
+    assert states[-1] == expected
+    kept = [alarm.state for alarm in bench.store.load_alarms() if alarm.asset == asset]
+    assert kept == ([expected] if expected != "NORM" else [])
+
+
+def test_documents_have_the_contracts_names(bench: Bench) -> None:
+    bench.after(0, replace(HOT, predicted=True, lead_time_s=600.0, probability=0.25))
+    bench.clock.advance(1.5)
+    alarm = bench.book.acknowledge(bench.only().id, "eva", "seen")
+    assert alarm_document(alarm) == {
+        "id": alarm.id,
+        "asset": "bench-1",
+        "kind": "measured limit",
+        "channel": "t_inner_ring_c",
+        "limit_level": "alarm",
+        "priority": 1,
+        "state": "ACKED",
+        "message": "Inner ring over alarm 105 °C",
+        "raised_at": "2025-11-21T04:40:00.000Z",
+        "since": "2025-11-21T04:40:01.500Z",
+        "returned_at": None,
+        "acknowledged_at": "2025-11-21T04:40:01.500Z",
+        "acknowledged_by": "eva",
+        "value": 106.0,
+        "limit_value": 105.0,
+        "unit": "°C",
+        "predicted": True,
+        "lead_time_s": 600.0,
+        "probability": 0.25,
+    }
+    assert transition_document(bench.journal()[-1]) == {
+        "alarm_id": alarm.id,
+        "asset": "bench-1",
+        "kind": "measured limit",
+        "channel": "t_inner_ring_c",
+        "limit_level": "alarm",
+        "time": "2025-11-21T04:40:01.500Z",
+        "from": "UNACK",
+        "to": "ACKED",
+        "who": "eva",
+        "comment": "seen",
+        "value": 106.0,
+        "message": "Inner ring over alarm 105 °C",
+    }
