@@ -1,1 +1,1 @@
-"""The Bearing Twin service: store, live twin, jobs, alarms, REST, WebSocket, dashboard, command line."""
+"""The Bearing Twin service: store, live twin, jobs, alarms, web side, command line."""

@@ -1,0 +1,314 @@
+"""Puts the service together and runs it until it is told to stop."""
+
+import asyncio
+import contextlib
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import anyio.to_thread
+import structlog
+import uvicorn
+from prometheus_client import CollectorRegistry, Histogram
+
+from adapters.drivers import Driver, SourceHealth
+from adapters.samples import Batch
+from service.alarms import AlarmBook, alarm_document
+from service.api import create_app
+from service.api.context import ServiceContext
+from service.clock import ProcessClock
+from service.ingest import Ingest
+from service.jobs.automatic import identify_by_itself
+from service.jobs.executor import make_executor
+from service.jobs.history import AssetHistory
+from service.jobs.manager import IdentificationJobs
+from service.jobs.models import active_model, first_model
+from service.live.asset import AssetRuntime
+from service.live.bus import Bus
+from service.settings import AssetSection, Settings, SettingsError
+from service.store import Alarm, Store, lock_data_directory
+from service.wiring import Wiring, is_loopback, wire
+
+HEALTH_EVERY_WALL_S = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+class Service:
+    """A running service: drivers, store, live twins, jobs, alarms and the web side.
+
+    Parameters
+    ----------
+    settings : Settings
+        The checked configuration.
+    wiring : Wiring
+        The configuration's sources and channels, from `service.wiring.wire`.
+    store : Store
+        Open store.
+    clock : ProcessClock
+        Process time.
+    """
+
+    def __init__(
+        self, settings: Settings, wiring: Wiring, store: Store, clock: ProcessClock
+    ) -> None:
+        self.settings = settings
+        self.store = store
+        self.clock = clock
+        self.registry = CollectorRegistry()
+        self.bus = Bus(clock)
+        self.alarms = AlarmBook(store, clock, self._alarm_changed)
+        self.ingest = Ingest(store, clock, self._take, registry=self.registry)
+        self.drivers: list[Driver] = [source.create(clock) for source in wiring.sources]
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
+        self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
+        self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
+        job_seconds = Histogram(
+            "bearing_twin_job_seconds",
+            "Wall seconds of an identification job.",
+            registry=self.registry,
+            buckets=(1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600),
+        )
+        self.jobs = IdentificationJobs(
+            store,
+            clock,
+            self.bus,
+            self.assets,
+            self.histories,
+            make_executor,
+            settings.data_dir / "jobs",
+            job_seconds.observe,
+        )
+        self.app = create_app(
+            ServiceContext(
+                settings=settings,
+                clock=clock,
+                store=store,
+                bus=self.bus,
+                ingest=self.ingest,
+                alarms=self.alarms,
+                assets=self.assets,
+                jobs=self.jobs,
+                registry=self.registry,
+                sources=self.source_health,
+            )
+        )
+
+    def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
+        active = self.store.active_model(asset.id)
+        if active is None:
+            version = self.store.add_model_version(
+                asset.id, "candidate", "", first_model(asset), self.clock.now_us()
+            )
+            active = self.store.activate(
+                asset.id,
+                version,
+                "service",
+                "default parameters, before the first identification",
+                self.clock.now_us(),
+            )
+
+        async def save_state(document: Mapping[str, Any]) -> None:
+            await anyio.to_thread.run_sync(self.store.save_asset_state, asset.id, dict(document))
+
+        return AssetRuntime(
+            asset,
+            wiring.channels[asset.id],
+            active_model(asset, active),
+            clock=self.clock,
+            bus=self.bus,
+            alarms=self.alarms,
+            executor=self._executor,
+            store_samples=self._store_derived,
+            save_state=save_state,
+            windows=self.histories[asset.id].windows_json,
+        )
+
+    # ------------------------------------------------------------------ what flows
+    def _take(self, batch: Batch) -> None:
+        for asset in self.assets.values():
+            asset.take(batch.samples, batch.plans)
+
+    def _store_derived(self, samples: Any) -> None:
+        self.ingest.submit(samples)
+
+    def _alarm_changed(self, alarm: Alarm) -> None:
+        if alarm.asset in self.assets:
+            self.assets[alarm.asset].alarms_changed()
+        self.bus.publish("alarm", alarm.asset, alarm_document(alarm))
+
+    def source_health(self) -> list[SourceHealth]:
+        """Health of every source, from memory."""
+        return [driver.health() for driver in self.drivers]
+
+    async def _tell_health(self) -> None:
+        while True:
+            await asyncio.sleep(HEALTH_EVERY_WALL_S)
+            now_us = self.clock.now_us()
+            sources = [
+                {
+                    "name": health.name,
+                    "driver": health.driver,
+                    "up": health.up,
+                    "detail": health.detail,
+                    "age_s": (now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
+                }
+                for health in self.source_health()
+            ]
+            degraded = not all(source["up"] for source in sources)
+            self.bus.publish(
+                "health",
+                None,
+                {"sources": sources, "degraded": degraded, "clock_rate": self.clock.rate},
+            )
+
+    # ------------------------------------------------------------------ life
+    async def run(self, listener: socket.socket, stop: asyncio.Event) -> None:
+        """Serve until ``stop`` is set, then stop cleanly: nothing accepted is lost.
+
+        Parameters
+        ----------
+        listener : socket.socket
+            Bound socket for the web side.
+        stop : asyncio.Event
+            Set it to end the service.
+        """
+        try:
+            async with (
+                self._background(self.ingest.run(self.drivers), "ingest", stop),
+                contextlib.AsyncExitStack() as stack,
+            ):
+                for asset in self.assets.values():
+                    kept = await anyio.to_thread.run_sync(self.store.load_asset_state, asset.id)
+                    await stack.enter_async_context(
+                        self._background(asset.run(kept), f"twin of {asset.id}", stop)
+                    )
+                await self.jobs.start()
+                stack.push_async_callback(self.jobs.stop)
+                for name, task in (
+                    ("health", self._tell_health()),
+                    (
+                        "automatic identification",
+                        identify_by_itself(self.jobs, self.histories, self.clock),
+                    ),
+                    ("web", self._web(listener)),
+                ):
+                    await stack.enter_async_context(self._background(task, name, stop))
+                await stop.wait()
+        finally:
+            await anyio.to_thread.run_sync(self.alarms.close)
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+    async def _web(self, listener: socket.socket) -> None:
+        config = uvicorn.Config(
+            self.app,
+            log_config=None,
+            access_log=False,
+            timeout_graceful_shutdown=2,
+            server_header=False,
+        )
+        server = _Server(config)
+        serving = asyncio.create_task(server.serve(sockets=[listener]))
+        try:
+            await asyncio.shield(serving)
+        finally:
+            server.should_exit = True
+            self.bus.close("the service stops")
+            await serving
+
+    @contextlib.asynccontextmanager
+    async def _background(self, work: Any, name: str, stop: asyncio.Event) -> AsyncIterator[None]:
+        """Run a task beside the rest; should it ever end by itself, the service stops."""
+        task = asyncio.create_task(work, name=name)
+
+        def ended(done: "asyncio.Task[None]") -> None:
+            if not done.cancelled():
+                error = done.exception()
+                _log.error("task_ended", task=name, exc_info=error)
+                stop.set()
+
+        task.add_done_callback(ended)
+        try:
+            yield
+        finally:
+            task.remove_done_callback(ended)
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+
+class _Server(uvicorn.Server):
+    """uvicorn without its signal handling: the service stops as one whole."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Any:
+        """Leave the signals to the service."""
+        yield
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Bind the address of the web side before anything else starts.
+
+    Raises
+    ------
+    SettingsError
+        If the address cannot be used; names it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise SettingsError(
+            f"service.host = {host!r}, service.port = {port}: cannot listen there "
+            f"({getattr(error, 'strerror', None) or error}); expected a free port"
+        ) from error
+    return listener
+
+
+def _has_key(store: Store) -> bool:
+    now_us = time.time_ns() // 1000
+    return any(key.is_valid(now_us) for key in store.api_keys())
+
+
+async def serve(
+    settings: Settings, *, announce: Callable[[str], None], stop: asyncio.Event
+) -> None:
+    """Run the service of a configuration until ``stop`` is set.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    announce : callable
+        Called with the address of the web side once it listens.
+    stop : asyncio.Event
+        Set it to end the service cleanly.
+
+    Raises
+    ------
+    SettingsError, StoreError
+        If the configuration or the data directory cannot be used.
+    """
+    wiring = wire(settings)
+    host = settings.service.host
+    data_dir: Path = settings.data_dir
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(lock_data_directory(data_dir))
+        listener = stack.enter_context(contextlib.closing(bind(host, settings.service.port)))
+        store = stack.enter_context(Store.open(settings.service.database_url, data_dir))
+        if not is_loopback(host) and not _has_key(store):
+            raise SettingsError(
+                f"service.host = {host!r}: reachable from other machines, so at least one API key "
+                "is needed; make one with 'bearing-twin keys create --role admin'"
+            )
+        clock = ProcessClock.resume(settings.clock.rate, data_dir)
+        service = Service(settings, wiring, store, clock)
+        port = listener.getsockname()[1]
+        announce(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
+        await service.run(listener, stop)

@@ -1,0 +1,64 @@
+"""``bearing-twin virtual-bench``: the hardware stand-in as a process of its own."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from adapters.virtual_bench import find_scenario, list_scenarios, run
+from service.cli.errors import BadInputError
+from service.cli.signals import stop_on_signals
+from service.logs import configure_logging
+
+_NAMES = ", ".join(scenario.name for scenario in list_scenarios())
+
+
+def virtual_bench(
+    scenario_name: Annotated[
+        str, typer.Option("--scenario", help=f"One of {_NAMES}.")
+    ] = "staircase",
+    rate: Annotated[float, typer.Option(help="Process seconds per wall second.")] = 1.0,
+    seed: Annotated[int, typer.Option(help="Seed of noise and drift; runs can be repeated.")] = 0,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    modbus_port: Annotated[int, typer.Option(help="Modbus TCP port; 0 takes a free one.")] = 5020,
+    can_port: Annotated[int, typer.Option(help="slcan port; 0 takes a free one.")] = 5021,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write all node temperatures to this CSV file.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Say where it listens as one JSON line.")
+    ] = False,
+) -> None:
+    """Run a virtual bench that talks real Modbus TCP and CAN (slcan over TCP)."""
+    configure_logging("warning")
+    chosen = find_scenario(scenario_name)
+
+    def announce(facts: dict[str, Any]) -> None:
+        if as_json:
+            typer.echo(json.dumps(facts))
+            return
+        typer.echo(
+            f"Modbus TCP {facts['modbus']['host']}:{facts['modbus']['port']}, "
+            f"CAN (slcan) {facts['can']['channel']}, scenario {facts['scenario']}, "
+            f"rate x{facts['rate']:g}, seed {facts['seed']}"
+        )
+
+    async def until_stopped() -> None:
+        await run(
+            chosen,
+            rate=rate,
+            seed=seed,
+            host=host,
+            modbus_port=modbus_port,
+            can_port=can_port,
+            truth=truth,
+            announce=announce,
+            stop=stop_on_signals(),
+        )
+
+    try:
+        asyncio.run(until_stopped())
+    except ValueError as error:
+        raise BadInputError(str(error)) from error

@@ -1,0 +1,85 @@
+"""``bearing-twin keys``: API keys, whether the service runs or not."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.serve import ConfigFile
+from service.clock import rfc3339
+from service.security.keys import create_key, list_keys, revoke_key
+from service.settings import load_settings
+from service.store import ApiKey, Store
+
+keys = typer.Typer(help="API keys: create, list, revoke.", no_args_is_help=True)
+
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+
+
+@contextmanager
+def _store(config: ConfigFile) -> Iterator[Store]:
+    settings = load_settings(config)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        yield store
+
+
+@keys.command()
+def create(
+    role: Annotated[str, typer.Option(help="viewer, operator, engineer, admin or gateway.")],
+    expires_in_days: Annotated[
+        float | None, typer.Option(help="Days after which the key expires; default never.")
+    ] = None,
+    config: ConfigFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a key and print it; it is shown this once and kept only as a hash."""
+    with _store(config) as store:
+        new = create_key(store, role, expires_in_days)
+    typer.echo(json.dumps({"key": new.text} | _facts(new.record)) if as_json else new.text)
+
+
+@keys.command("list")
+def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
+    """List all keys by their prefixes, with role, expiry and revocation."""
+    with _store(config) as store:
+        records = list_keys(store)
+    if as_json:
+        typer.echo(json.dumps({"keys": [_facts(record) for record in records]}))
+        return
+    table = Table("id", "prefix", "role", "created", "expires", "revoked")
+    for record in records:
+        facts = _facts(record)
+        table.add_row(
+            *(
+                str(facts[name] or "")
+                for name in ("id", "prefix", "role", "created", "expires", "revoked")
+            )
+        )
+    Console().print(table)
+
+
+@keys.command()
+def revoke(
+    key: Annotated[str, typer.Argument(metavar="ID", help="Id or prefix of the key.")],
+    config: ConfigFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Revoke a key; a running service refuses it within two seconds."""
+    with _store(config) as store:
+        record = revoke_key(store, key)
+    typer.echo(json.dumps(_facts(record)) if as_json else f"{record.prefix} is revoked")
+
+
+def _facts(record: ApiKey) -> dict[str, str | None]:
+    return {
+        "id": record.id,
+        "prefix": record.prefix,
+        "role": record.role,
+        "created": rfc3339(record.created_us),
+        "expires": rfc3339(record.expires_us) if record.expires_us is not None else None,
+        "revoked": rfc3339(record.revoked_us) if record.revoked_us is not None else None,
+    }

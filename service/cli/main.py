@@ -1,0 +1,62 @@
+"""Commands and how they end: 0 done, 1 failure, 2 something the user can mend."""
+
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from service.cli.bench import virtual_bench
+from service.cli.database import db
+from service.cli.demo import demo
+from service.cli.keys import keys
+from service.cli.serve import serve
+from service.cli.warm_up import warm_up
+
+_OURS = ("service", "adapters", "twin_core")
+
+app = typer.Typer(
+    name="bearing-twin",
+    help="A networked digital twin for grease-lubricated rolling bearings.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(demo)
+app.command()(serve)
+app.command("virtual-bench")(virtual_bench)
+app.command("warm-up", hidden=True)(warm_up)
+app.add_typer(keys, name="keys")
+app.add_typer(db, name="db")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"bearing-twin {version('bearing-twin')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None: ...
+
+
+def main() -> None:
+    """Run the command line.
+
+    Our own kinds of ValueError are what a user can mend: they end with their one line on standard
+    error and exit status 2. Any other exception is a fault of ours and keeps its traceback.
+    """
+    try:
+        app()
+    except ValueError as error:
+        if type(error).__module__.partition(".")[0] not in _OURS:
+            raise
+        sys.stderr.write(f"bearing-twin: {' '.join(str(error).split())}\n")
+        sys.exit(2)

@@ -1,0 +1,32 @@
+"""``bearing-twin serve``: the service of one configuration file."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service import app
+from service.cli.signals import stop_on_signals
+from service.logs import configure_logging
+from service.settings import Settings, load_settings
+
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("-c", "--config", help="Configuration file (TOML).", dir_okay=False),
+]
+
+
+def serve(config: ConfigFile = None) -> None:
+    """Run the service: acquisition, store, live twin, REST, WebSocket and dashboard.
+
+    Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
+    """
+    settings = load_settings(config)
+    configure_logging()
+    asyncio.run(_serve(settings))
+
+
+async def _serve(settings: Settings) -> None:
+    stop = stop_on_signals()
+    await app.serve(settings, announce=lambda address: typer.echo(address), stop=stop)

@@ -1,0 +1,11 @@
+"""``bearing-twin warm-up``: compile the numerical kernels once, for the next starts."""
+
+import typer
+
+from service.jobs.worker import warm_up as compile_kernels
+
+
+def warm_up() -> None:
+    """Compile the numerical kernels into their cache; useful when an image is built."""
+    compile_kernels()
+    typer.echo("The kernels are compiled.")

@@ -1,0 +1,1 @@
+"""Identification jobs: from low-risk windows in the store to a model version."""

@@ -1,0 +1,36 @@
+"""Re-identification by itself: when enough new and varied low-risk windows have come."""
+
+import asyncio
+from collections.abc import Mapping
+
+import structlog
+
+from adapters.drivers import Clock
+from service.api.context import (
+    IdentificationRequest,
+    JobConflictError,
+    RequestRefusedError,
+)
+from service.jobs.history import AssetHistory
+from service.jobs.manager import AUTOMATIC, IdentificationJobs
+
+LOOK_EVERY_S = 300.0
+LOOK_LEAST_WALL_S = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+async def identify_by_itself(
+    jobs: IdentificationJobs, histories: Mapping[str, AssetHistory], clock: Clock
+) -> None:
+    """Look at every asset's windows from time to time and queue a job where they are worth it."""
+    while True:
+        await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
+        for asset_id, history in histories.items():
+            if jobs.busy(asset_id):
+                continue
+            try:
+                if await history.is_worth_identifying():
+                    await jobs.create(asset_id, IdentificationRequest(), None, AUTOMATIC)
+            except (JobConflictError, RequestRefusedError) as error:
+                _log.info("automatic_identification_put_off", asset=asset_id, reason=str(error))

@@ -1,0 +1,36 @@
+"""The background worker: one process of its own, so that a job never holds up the live twin."""
+
+import contextlib
+import multiprocessing
+import os
+import threading
+from concurrent.futures import Executor, ProcessPoolExecutor
+
+import numba
+
+
+def make_executor() -> Executor:
+    """Make a pool with one worker process.
+
+    The worker is spawned, not forked: the service has threads and sockets that must not be shared.
+    """
+    return ProcessPoolExecutor(
+        max_workers=1,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_prepare_worker,
+    )
+
+
+def _prepare_worker() -> None:
+    """Leave a core and the priority to the live twin, and never outlive the service."""
+    with contextlib.suppress(OSError):
+        os.nice(5)
+    numba.set_num_threads(max(1, (os.cpu_count() or 1) - 1))
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_follow_parent, args=(parent,), daemon=True).start()
+
+
+def _follow_parent(parent: "multiprocessing.process.BaseProcess") -> None:
+    parent.join()
+    os._exit(1)

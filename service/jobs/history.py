@@ -1,0 +1,200 @@
+"""Minute averages of one asset from the store, and the low-risk windows in them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import anyio.to_thread
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.drivers import Clock
+from service.clock import rfc3339
+from service.settings import AssetSection
+from service.store import Store
+from twin_core.identification import IdentificationData, IdentificationWindow
+from twin_core.windows import LowRiskRegion, MinuteData, Window, find_windows, is_at_rest, varied
+
+MINUTE_US = 60_000_000
+LOOK_BACK_US = 72 * 3600 * 1_000_000
+OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
+SHORTEST_WINDOW_S = 1800.0
+# What must have come anew at one operating point before a re-identification is worth its while.
+NEW_POINT_S = 1500.0
+
+
+class AssetHistory:
+    """What an asset's store holds that identification may use.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        Channels and low-risk region.
+    store, clock
+        Where the samples are; process time.
+    """
+
+    def __init__(self, settings: AssetSection, store: Store, clock: Clock) -> None:
+        self._asset = settings.id
+        self._region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
+        self._temperatures = tuple(name for name in settings.channels if name.startswith("t_"))
+        self._has_ambient = "ambient_c" in settings.channels
+        self._store = store
+        self._clock = clock
+
+    async def windows(self) -> list[Window]:
+        """Low-risk windows of the last days, oldest first."""
+        minutes = await self._minutes()
+        return self._find(minutes) if minutes is not None else []
+
+    async def windows_json(self) -> list[Mapping[str, Any]]:
+        """Low-risk windows as the REST interface shows them."""
+        return [window_json(window) for window in await self.windows()]
+
+    async def is_worth_identifying(self) -> bool:
+        """Tell whether enough new and varied data have come since the last identification."""
+        found = await self.windows()
+        if not found:
+            return False
+        versions = await anyio.to_thread.run_sync(self._store.model_versions, self._asset)
+        used = [
+            Window.from_dict(window)
+            for version in versions
+            for window in version.document["window_records"]
+        ]
+        return varied(used, found, NEW_POINT_S)
+
+    def span_us(self, window: Window) -> tuple[int, int]:
+        """Start and end of a window as process time."""
+        return round(window.start_s * 1e6), round(window.end_s * 1e6)
+
+    async def problem_with(self, start_us: int, end_us: int) -> str | None:
+        """Say why a span asked for by a user cannot be identified from; None when it can."""
+        minutes = await self._minutes(start_us, end_us)
+        if minutes is None or not minutes.good.any():
+            return (
+                f"no good data from {rfc3339(start_us)} to {rfc3339(end_us)}; "
+                "expected speed, load, ambient and ring temperatures"
+            )
+        good = minutes.good
+        if minutes.time_s[good][-1] - minutes.time_s[good][0] < SHORTEST_WINDOW_S - 120:
+            return f"less than {SHORTEST_WINDOW_S / 60:g} min of good data"
+        outside = good & (
+            (minutes.speed_rpm > self._region.speed_rpm_max)
+            | (minutes.load_n > self._region.load_n_max)
+        )
+        if outside.any():
+            return (
+                f"{int(outside.sum())} min are outside the low-risk region "
+                f"({self._region.speed_rpm_max:g} rpm, {self._region.load_n_max:g} N)"
+            )
+        return None
+
+    async def identification_data(self, spans_us: Sequence[tuple[int, int]]) -> IdentificationData:
+        """Data set of given spans; raises ValueError when there is nothing good in them."""
+        windows = []
+        for start_us, end_us in spans_us:
+            minutes = await self._minutes(start_us, end_us)
+            if minutes is None:
+                raise ValueError(f"no data from {rfc3339(start_us)} to {rfc3339(end_us)}")
+            revolutions = await self._revolutions_before(start_us)
+            windows.append(
+                IdentificationWindow(
+                    minutes=minutes, at_rest=is_at_rest(minutes), revolutions=revolutions
+                )
+            )
+        return IdentificationData(tuple(windows))
+
+    # ------------------------------------------------------------------ from the store
+    async def _revolutions_before(self, time_us: int) -> float:
+        """Revolutions of the shaft from the first stored sample until then."""
+        minutes = await self._minutes(time_us - LOOK_BACK_US, time_us)
+        if minutes is None:
+            return 0.0
+        return float(np.nansum(minutes.speed_rpm))
+
+    async def _minutes(
+        self, start_us: int | None = None, end_us: int | None = None
+    ) -> MinuteData | None:
+        last_us = (self._clock.now_us() // MINUTE_US - 1) * MINUTE_US
+        end_us = last_us if end_us is None else min(end_us, last_us)
+        start_us = end_us - LOOK_BACK_US if start_us is None else start_us
+        start_us = -(-start_us // MINUTE_US) * MINUTE_US
+        return await anyio.to_thread.run_sync(self._read, start_us, end_us)
+
+    def _read(self, start_us: int, end_us: int) -> MinuteData | None:
+        """Operating point over each minute, temperatures around its beginning."""
+        if end_us <= start_us:
+            return None
+        over = self._store.minute_averages(self._asset, OPERATING_CHANNELS, start_us, end_us)
+        around = self._store.minute_averages(
+            self._asset,
+            self._temperatures,
+            start_us - MINUTE_US // 2,
+            end_us - MINUTE_US // 2,
+            -MINUTE_US // 2,
+        )
+        around_us = around.minute_us + MINUTE_US // 2
+        time_us = np.union1d(over.minute_us, around_us)
+        if not time_us.size:
+            return None
+        temperatures = {
+            name: _spread(time_us, around_us, around.mean[name]) for name in self._temperatures
+        }
+        operating = {
+            name: _spread(time_us, over.minute_us, over.mean[name]) for name in OPERATING_CHANNELS
+        }
+        if not self._has_ambient:
+            coldest = np.nanmin([np.nanmin(values) for values in temperatures.values()])
+            operating["ambient_c"] = np.full(time_us.size, coldest)
+        bad = sum(
+            _spread(time_us, over.minute_us, over.bad_count[name].astype(np.float64))
+            for name in OPERATING_CHANNELS
+        ) + sum(
+            _spread(time_us, around_us, around.bad_count[name].astype(np.float64))
+            for name in ("t_inner_ring_c", "t_outer_ring_c")
+            if name in temperatures
+        )
+        finite = np.isfinite(bad) & np.isfinite(sum(operating.values()))
+        for name in ("t_inner_ring_c", "t_outer_ring_c"):
+            if name in temperatures:
+                finite &= np.isfinite(temperatures[name])
+        return MinuteData(
+            time_s=time_us / 1e6,
+            speed_rpm=operating["speed_rpm"],
+            load_n=operating["load_n"],
+            ambient_c=operating["ambient_c"],
+            temperatures_c=temperatures,
+            good=finite & (bad == 0),
+        )
+
+    def _find(self, minutes: MinuteData) -> list[Window]:
+        return list(find_windows(minutes, self._region, SHORTEST_WINDOW_S))
+
+
+def _spread(
+    onto_us: NDArray[np.int64], time_us: NDArray[np.int64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Values on a longer time axis, NaN where there are none."""
+    spread = np.full(onto_us.size, np.nan)
+    spread[np.searchsorted(onto_us, time_us)] = values
+    return spread
+
+
+def window_json(window: Window) -> dict[str, Any]:
+    """A window as the REST interface shows it."""
+    points = [
+        {
+            "speed_rpm": round(point.speed_rpm, 1),
+            "load_n": round(point.load_n, 1),
+            "duration_s": point.duration_s,
+        }
+        for point in window.operating_points
+    ]
+    return {
+        "start": rfc3339(round(window.start_s * 1e6)),
+        "end": rfc3339(round(window.end_s * 1e6)),
+        "speed_rpm_max": max((point["speed_rpm"] for point in points), default=0.0),
+        "load_n_max": max((point["load_n"] for point in points), default=0.0),
+        "operating_points": points,
+        "score": window.score,
+    }

@@ -1,0 +1,81 @@
+"""Model versions: what is kept of one, and how the live twin takes it up."""
+
+from typing import Any
+
+from service.clock import rfc3339
+from service.jobs.worker import JobResult
+from service.live.estimate import ActiveModel
+from service.settings import AssetSection
+from service.store.records import Job, ModelVersion
+from twin_core.bearings import bearing
+from twin_core.identification import Posterior, parameter_report, prior_posterior
+from twin_core.models import ThermalModel, build_model
+
+
+def thermal_model(name: str, bearing_designation: str) -> ThermalModel:
+    """Build the model of a bearing by name."""
+    return build_model(name, bearing=bearing(bearing_designation))
+
+
+def first_model(asset: AssetSection) -> dict[str, Any]:
+    """Document of the twin before any identification: the priors themselves."""
+    model = thermal_model(asset.model, asset.bearing)
+    posterior = prior_posterior(model)
+    return {
+        "model": model.name,
+        "posterior": posterior.to_dict(),
+        "parameters": parameter_report(model, posterior),
+        "windows": [],
+        "window_records": [],
+        "scores": {},
+        "naive": {},
+        "gates": None,
+        "job": None,
+        "identified": False,
+    }
+
+
+def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dict[str, Any]:
+    """Document of a model that a job brought."""
+    model = thermal_model(asset.model, asset.bearing)
+    posterior = Posterior.from_dict(result.posterior)
+    return {
+        "model": model.name,
+        "posterior": result.posterior,
+        "parameters": parameter_report(model, posterior),
+        "windows": [
+            {"start": window["start"], "end": window["end"]} | extra
+            for window, extra in zip(job.request["windows"], result.windows, strict=True)
+        ],
+        "window_records": result.window_records,
+        "scores": result.scores,
+        "naive": result.naive,
+        "gates": result.gates,
+        "job": job.id,
+        "identified": True,
+    }
+
+
+def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
+    """What the live twin needs of a stored version."""
+    posterior = Posterior.from_dict(version.document["posterior"])
+    return ActiveModel(
+        version=version.version,
+        model=thermal_model(posterior.model_name, asset.bearing),
+        posterior=posterior,
+        identified_at_us=version.created_at_us if version.document["identified"] else None,
+    )
+
+
+def model_json(version: ModelVersion) -> dict[str, Any]:
+    """A model version as the REST interface shows it."""
+    shown = {
+        name: version.document[name]
+        for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
+    }
+    return {
+        "version": version.version,
+        "status": version.status,
+        "reason": version.reason,
+        "created_at": rfc3339(version.created_at_us),
+    } | shown

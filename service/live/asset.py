@@ -1,0 +1,482 @@
+"""The live runtime of one asset: readings, running estimate, forecast, warnings."""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+import structlog
+
+from adapters.drivers import Clock
+from adapters.samples import PlannedProfile, Quality, Sample
+from service.alarms import AlarmBook, AlarmCondition
+from service.api.context import NotReadyError, ProfileStep
+from service.clock import rfc3339
+from service.live import presentation, warnings
+from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
+from service.live.bus import Bus
+from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.presentation import LimitCrossing
+from service.live.readings import Readings
+from service.settings import AssetSection
+from service.wiring import ChannelFacts
+from twin_core.forecasting import Forecast, forecast
+
+STEP_S = 5.0
+FORECAST_EVERY_S = 60.0
+FORECAST_ROW_S = 60.0
+HORIZON_S = 4 * 3600.0
+MEMBERS = 200
+ESTIMATE_EVERY_S = 60.0
+SAVE_EVERY_WALL_S = 5.0
+FORECAST_LEAST_WALL_S = 1.0
+MEASUREMENTS_LEAST_WALL_S = 0.25
+STATE_LEAST_WALL_S = 0.5
+TWIN_SOURCE = "twin"
+SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+
+_log = structlog.get_logger(__name__)
+
+Store = Callable[[Sequence[Sample]], object]
+SaveState = Callable[[Mapping[str, Any]], Awaitable[None]]
+
+
+class AssetRuntime:
+    """Follows one machine: takes samples in, keeps estimate, forecast and alarms up to date.
+
+    All methods are called in the event loop; forecasts are computed in `executor`.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        The asset's configuration.
+    channels : mapping of str to ChannelFacts
+        Every configured channel.
+    active : ActiveModel
+        The model version to run on.
+    clock, bus, alarms
+        Process time, live messages, alarm book.
+    executor : concurrent.futures.Executor
+        Where forecasts are computed.
+    store_samples : callable
+        Takes the twin's own estimates for the store.
+    save_state : callable
+        Keeps the estimate, so that a restart goes on from it.
+    windows : callable
+        Finds the low-risk windows in the store.
+    """
+
+    def __init__(
+        self,
+        settings: AssetSection,
+        channels: Mapping[str, ChannelFacts],
+        active: ActiveModel,
+        *,
+        clock: Clock,
+        bus: Bus,
+        alarms: AlarmBook,
+        executor: Executor,
+        store_samples: Store,
+        save_state: SaveState,
+        windows: Callable[[], Awaitable[Sequence[Mapping[str, Any]]]],
+    ) -> None:
+        self.settings = settings
+        self.facts = channels
+        self.readings = Readings(settings.id)
+        self.estimate = LiveEstimate(active)
+        self.plan: PlannedProfile | None = None
+        self.running = False
+        self._clock = clock
+        self._bus = bus
+        self._alarms = alarms
+        self._executor = executor
+        self._store_samples = store_samples
+        self._save_state = save_state
+        self._windows = windows
+        self._forecast: dict[str, Any] | None = None
+        self._crossings: dict[str, dict[str, LimitCrossing]] = {}
+        self._forecast_wanted = asyncio.Event()
+        self._unsent: dict[str, Sample] = {}
+        # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
+        self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
+        self._step_s = max(STEP_S, 0.1 * clock.rate)
+
+    # ------------------------------------------------------------------ facts for the API
+    @property
+    def id(self) -> str:
+        """The asset's id in the configuration."""
+        return self.settings.id
+
+    @property
+    def active(self) -> ActiveModel:
+        """The model version that the twin runs on."""
+        return self.estimate.active
+
+    @property
+    def channels(self) -> Mapping[str, str]:
+        """Every channel with the name of its source."""
+        configured = {channel: facts.source for channel, facts in self.facts.items()}
+        return configured | {f"{sensor}.twin": TWIN_SOURCE for sensor in SENSORS}
+
+    def summary(self) -> Mapping[str, Any]:
+        """Configuration, health and active model."""
+        now_us = self._clock.now_us()
+        qualities = {channel: self._quality(channel, now_us) for channel in self.facts}
+        bad = sorted(channel for channel, quality in qualities.items() if quality < 192)
+        identified_at_us = self.active.identified_at_us
+        return {
+            "id": self.id,
+            "bearing": self.settings.bearing,
+            "network": self.settings.network,
+            "clock_rate": self._clock.rate,
+            "low_risk": self.settings.low_risk.model_dump(),
+            "limits": {name: pair.model_dump() for name, pair in self.settings.limits.items()},
+            "channels": [
+                {"name": name, "source": source, "unit": presentation.unit_of(name)}
+                for name, source in self.channels.items()
+            ],
+            "health": {
+                "status": "degraded" if bad else "good",
+                "twin_running": self.running and self.estimate.started,
+                "channels_without_good_data": bad,
+            },
+            "active_model": {
+                "version": self.active.version,
+                "model": self.active.model.name,
+                "trusted": True,
+                "identified": identified_at_us is not None,
+                "identified_at": rfc3339(identified_at_us) if identified_at_us else None,
+            },
+            "identification": self.settings.identification.model_dump(),
+            "controller": self._controller(now_us),
+        }
+
+    def _controller(self, now_us: int) -> dict[str, Any] | None:
+        names = [
+            name
+            for name in ("phase", "speed_setpoint_rpm", "load_setpoint_n")
+            if name in self.facts
+        ]
+        if not names and self.plan is None:
+            return None
+        return {name: self._value(name, now_us) for name in names} | {
+            "plan": presentation.steps_json(self._steps_ahead(now_us)) if self.plan else None
+        }
+
+    def snapshot(self) -> Mapping[str, Any]:
+        """Flat tags for a SCADA system, from memory."""
+        now_us = self._clock.now_us()
+        tags: dict[str, dict[str, Any]] = {}
+        for channel in self.facts:
+            sample = self.readings.latest.get(channel)
+            tags[channel] = presentation.tag(
+                self._value(channel, now_us),
+                presentation.unit_of(channel),
+                self._quality(channel, now_us),
+                rfc3339(sample.time_us) if sample else self._began,
+            )
+        tags |= self._estimate_tags()
+        tags |= self._forecast_tags()
+        active = self._alarms.active(self.id)
+        unacknowledged = sum(alarm.state in ("UNACK", "RTNUN") for alarm in active)
+        good, counted = Quality.GOOD, self._alarms_changed
+        tags["alarms.active"] = presentation.tag(len(active), "", good, counted)
+        tags["alarms.unacknowledged"] = presentation.tag(unacknowledged, "", good, counted)
+        tags["model.version"] = presentation.tag(self.active.version, "", good, self._switched)
+        return {"tags": tags}
+
+    def _estimate_tags(self) -> dict[str, dict[str, Any]]:
+        model, quality = self.active.model, Quality.GOOD
+        names = [*model.sensor_names, *model.node_names]
+        if not self.estimate.started:
+            waiting = Quality.WAITING_FOR_INITIAL_DATA
+            return {f"{name}.twin": presentation.tag(None, "°C", waiting, self._began) for name in names}
+        temperatures = self.estimate.observer.temperatures_c
+        made = rfc3339(self.estimate.time_us or 0)
+        return {
+            f"{name}.twin": presentation.tag(
+                round(float(model.sensor_row(name) @ temperatures), 3), "°C", quality, made
+            )
+            for name in names
+        }
+
+    def _forecast_tags(self) -> dict[str, dict[str, Any]]:
+        tags: dict[str, dict[str, Any]] = {}
+        for sensor in self.settings.limits:
+            ready = self._forecast is not None and sensor in self._crossings
+            quality = Quality.GOOD if ready else Quality.WAITING_FOR_INITIAL_DATA
+            made, maximum, crossings = self._began, None, {}
+            if self._forecast is not None and ready:
+                made = self._forecast["made_at"]
+                maximum = max(
+                    (v for v in self._forecast["nodes"][sensor]["q50"] if v is not None),
+                    default=None,
+                )
+                crossings = self._crossings[sensor]
+            tags[f"{sensor}.forecast_max"] = presentation.tag(maximum, "°C", quality, made)
+            for level in ("warning", "alarm"):
+                crossing = crossings.get(level)
+                tags[f"{sensor}.time_to_{level}_s"] = presentation.tag(
+                    crossing.median_s if crossing else None, "s", quality, made
+                )
+        return tags
+
+    def state(self) -> Mapping[str, Any]:
+        """Mean and standard deviation of the 13 node temperatures."""
+        if not self.estimate.started:
+            return {
+                "time": rfc3339(self._clock.now_us()),
+                "model_version": self.active.version,
+                "nodes": {
+                    name: {"mean_c": None, "std_c": None} for name in self.active.model.node_names
+                },
+            }
+        observer = self.estimate.observer
+        return {
+            "time": rfc3339(self.estimate.time_us or 0),
+            "model_version": self.active.version,
+            "nodes": {
+                name: {"mean_c": round(float(mean), 3), "std_c": round(float(std), 3)}
+                for name, mean, std in zip(
+                    self.active.model.node_names,
+                    observer.temperatures_c,
+                    observer.std_c,
+                    strict=True,
+                )
+            },
+        }
+
+    def forecast(self) -> Mapping[str, Any] | None:
+        """Return the latest live forecast; None before the first."""
+        return self._forecast
+
+    async def what_if(
+        self,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> Mapping[str, Any]:
+        """Forecast a profile from the present state."""
+        point = self.estimate.point
+        if point is None:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        steps = [
+            Step(
+                step.duration_s,
+                step.speed_rpm,
+                step.load_n,
+                point.ambient_c if step.ambient_c is None else step.ambient_c,
+            )
+            for step in profile
+        ]
+        model_version = self.active.version
+        result = await self._compute(steps, step_s or FORECAST_ROW_S)
+        crossings = presentation.limit_crossings(result, self.settings.limits)
+        answer = presentation.forecast_json(
+            result, self.settings.limits, crossings, list(nodes) if nodes else None
+        )
+        return answer | {"model_version": model_version, "profile": presentation.steps_json(steps)}
+
+    async def windows(self) -> Sequence[Mapping[str, Any]]:
+        """Low-risk windows in the store."""
+        return await self._windows()
+
+    # ------------------------------------------------------------------ what comes in
+    def take(self, samples: Sequence[Sample], plans: Sequence[PlannedProfile]) -> None:
+        """Take in a batch from the drivers or from a gateway."""
+        for sample in self.readings.add(samples):
+            self._unsent[sample.channel] = sample
+        for plan in plans:
+            if plan.asset == self.id:
+                if _differs(self.plan, plan):
+                    self._forecast_wanted.set()
+                self.plan = plan
+
+    def switch(self, active: ActiveModel) -> None:
+        """Go on with another model version, without a gap."""
+        self.estimate.swap(active)
+        self._switched = rfc3339(self._clock.now_us())
+        self._forecast_wanted.set()
+        _log.info("model_switched", asset=self.id, version=active.version)
+
+    def alarms_changed(self) -> None:
+        """Note that an alarm of this asset has changed."""
+        self._alarms_changed = rfc3339(self._clock.now_us())
+
+    # ------------------------------------------------------------------ the running twin
+    async def run(self, kept_state: Mapping[str, Any] | None) -> None:
+        """Follow the machine until cancelled."""
+        if kept_state is not None:
+            self.estimate.restore(kept_state)
+        self.running = True
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._follow())
+                tasks.create_task(self._forecast_live())
+                tasks.create_task(self._tell_measurements())
+        finally:
+            self.running = False
+            await self._save()
+
+    async def _follow(self) -> None:
+        told_wall_s = saved_wall_s = time.monotonic()
+        stored_us = 0
+        while True:
+            await self._clock.sleep(self._step_s)
+            now_us = self._clock.now_us()
+            had_started = self.estimate.started
+            self.estimate.step(now_us, self.readings.take_means())
+            if self.estimate.started and not had_started:
+                self._forecast_wanted.set()
+            self._evaluate(now_us)
+            wall_s = time.monotonic()
+            if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
+                self._bus.publish("state", self.id, self.state())
+                told_wall_s = wall_s
+            if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
+                self._store_estimate(now_us)
+                stored_us = now_us
+            if wall_s - saved_wall_s >= SAVE_EVERY_WALL_S:
+                await self._save()
+                saved_wall_s = wall_s
+
+    def _evaluate(self, now_us: int) -> None:
+        conditions: list[AlarmCondition] = [
+            *warnings.measured_limits(
+                self.id, self.readings, self.settings.limits, now_us, self._max_temperature_age_s()
+            ),
+            *warnings.sensor_conditions(
+                self.id, self.readings, self.facts, now_us, self._clock.rate
+            ),
+        ]
+        for condition in conditions:
+            self._alarms.evaluate(condition)
+
+    async def _forecast_live(self) -> None:
+        period_wall_s = max(FORECAST_EVERY_S / self._clock.rate, FORECAST_LEAST_WALL_S)
+        while True:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._forecast_wanted.wait(), period_wall_s)
+            self._forecast_wanted.clear()
+            if self.estimate.started:
+                await self._make_forecast()
+            await asyncio.sleep(FORECAST_LEAST_WALL_S)
+
+    async def _make_forecast(self) -> None:
+        made_us = self.estimate.time_us or self._clock.now_us()
+        steps = self._steps_ahead(made_us)
+        if not steps:
+            return
+        version = self.active.version
+        result = await self._compute(steps, FORECAST_ROW_S)
+        limits = self.settings.limits
+        crossings = presentation.limit_crossings(result, limits)
+        body = presentation.forecast_json(result, limits, crossings)
+        body |= {
+            "made_at": rfc3339(made_us),
+            "model_version": version,
+            "profile": presentation.steps_json(steps),
+            "planned": self._has_plan(made_us),
+        }
+        self._forecast, self._crossings = body, crossings
+        self._bus.publish("forecast", self.id, body)
+        now_us = self._clock.now_us()
+        for condition in warnings.forecast_limits(
+            self.id, crossings, limits, self.readings, now_us, self._max_temperature_age_s()
+        ):
+            self._alarms.evaluate(condition)
+
+    async def _compute(self, steps: Sequence[Step], row_s: float) -> Forecast:
+        observer, active = self.estimate.observer, self.active
+        arguments = (
+            active.model,
+            active.posterior,
+            observer.temperatures_c.copy(),
+            observer.covariance.copy(),
+            float(observer.revolutions),
+            operating_profile(steps, row_s),
+        )
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._executor, _forecast, *arguments)
+
+    async def _tell_measurements(self) -> None:
+        while True:
+            await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
+            if self._unsent:
+                samples = [
+                    {
+                        "channel": sample.channel,
+                        "time": rfc3339(sample.time_us),
+                        "value": sample.value,
+                        "quality": int(sample.quality),
+                    }
+                    for sample in self._unsent.values()
+                ]
+                self._unsent = {}
+                self._bus.publish("measurement", self.id, {"samples": samples})
+
+    # ------------------------------------------------------------------ small helpers
+    def _steps_ahead(self, now_us: int) -> list[Step]:
+        point = self.estimate.point
+        if point is None:
+            point = OperatingPoint(
+                *(self._value(name, now_us) or 0.0 for name in ("speed_rpm", "load_n", "ambient_c"))
+            )
+        if self.plan is not None and self._has_plan(now_us):
+            return planned(self.plan, now_us, point, HORIZON_S)
+        return held(point, HORIZON_S)
+
+    def _has_plan(self, now_us: int) -> bool:
+        plan = self.plan
+        if plan is None or not plan.steps:
+            return False
+        return (now_us - plan.time_us) / 1e6 <= warnings.allowed_age_s(30.0, self._clock.rate)
+
+    def _store_estimate(self, now_us: int) -> None:
+        model, temperatures = self.active.model, self.estimate.observer.temperatures_c
+        self._store_samples(
+            [
+                Sample(
+                    self.id,
+                    f"{sensor}.twin",
+                    self.estimate.time_us or now_us,
+                    float(model.sensor_row(sensor) @ temperatures),
+                    Quality.GOOD,
+                    now_us,
+                )
+                for sensor in SENSORS
+            ]
+        )
+
+    def _max_age_s(self, channel: str) -> float:
+        return warnings.allowed_age_s(self.facts[channel].max_age_s, self._clock.rate)
+
+    def _max_temperature_age_s(self) -> float:
+        ages = [self._max_age_s(name) for name in self.settings.limits if name in self.facts]
+        return min(ages, default=warnings.allowed_age_s(10.0, self._clock.rate))
+
+    def _quality(self, channel: str, now_us: int) -> int:
+        return self.readings.quality(channel, now_us, self._max_age_s(channel))
+
+    def _value(self, channel: str, now_us: int) -> float | None:
+        if channel not in self.facts or self._quality(channel, now_us) < Quality.UNCERTAIN:
+            return None
+        return self.readings.latest[channel].value
+
+    async def _save(self) -> None:
+        kept = self.estimate.to_dict()
+        if kept is not None:
+            await self._save_state(kept)
+
+
+def _forecast(*arguments: Any) -> Forecast:
+    return forecast(*arguments, members=MEMBERS, seed=0)
+
+
+def _differs(known: PlannedProfile | None, new: PlannedProfile) -> bool:
+    """Whether a plan is another one, not the known one with less time left in its first step."""
+    if known is None:
+        return True
+    return [step[1:] for step in known.steps] != [step[1:] for step in new.steps]

@@ -1,0 +1,165 @@
+"""The running estimate of one asset: the observer, fed with what the readings gave."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from twin_core.identification.posterior import Posterior
+from twin_core.observer import Observer, initial_state
+
+from service.live.ahead import OperatingPoint
+from twin_core.models import ThermalModel
+
+_STANDING_RPM = 5.0
+_AT_REST_K = 1.5
+# A gap without any knowledge of the operating point longer than this starts the estimate anew.
+_LONGEST_GAP_S = 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveModel:
+    """A model version that the live twin runs on."""
+
+    version: int
+    model: ThermalModel
+    posterior: Posterior
+    identified_at_us: int | None
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Physical parameter values at the posterior's centre, shape (p,)."""
+        return self.model.parameters.values_from_z(self.posterior.z)
+
+
+class LiveEstimate:
+    """Thirteen node temperatures with their spread, carried forward step by step.
+
+    Before the first good temperatures have come there is no estimate; it never starts from an
+    assumption about the machine that no sensor supports.
+
+    Parameters
+    ----------
+    active : ActiveModel
+        The model version to run on; `swap` changes it without a gap.
+    """
+
+    def __init__(self, active: ActiveModel) -> None:
+        self.active = active
+        self.time_us: int | None = None
+        self.point: OperatingPoint | None = None
+        self._observer: Observer | None = None
+
+    @property
+    def started(self) -> bool:
+        """Whether there is an estimate."""
+        return self._observer is not None
+
+    @property
+    def observer(self) -> Observer:
+        """The observer; ask `started` first."""
+        if self._observer is None:
+            raise RuntimeError("the estimate has not started")
+        return self._observer
+
+    def swap(self, active: ActiveModel) -> None:
+        """Go on with another model version from the present temperatures."""
+        if self._observer is not None:
+            self._observer = self._observer.with_parameters(active.model, active.values)
+        self.active = active
+
+    def step(self, now_us: int, means: Mapping[str, float]) -> None:
+        """Advance to ``now_us`` with the mean readings since the last step.
+
+        Parameters
+        ----------
+        now_us : int
+            Process time to advance to.
+        means : mapping of str to float
+            Means of the good samples by channel; a missing channel means that nothing good came.
+            Speed, load and ambient then stay what they were, temperatures are not corrected.
+        """
+        temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
+        point = self._operating_point(means, temperatures)
+        if point is None:
+            return
+        if self._observer is None:
+            if temperatures:
+                self._start(now_us, point, temperatures, revolutions=0.0)
+            return
+        duration_s = (now_us - (self.time_us or now_us)) / 1e6
+        if duration_s <= 0:
+            return
+        if duration_s > _LONGEST_GAP_S:
+            if temperatures:
+                self._start(now_us, point, temperatures, self._observer.revolutions)
+            return
+        self._observer.predict(duration_s, point.speed_rpm, point.load_n, point.ambient_c)
+        if temperatures:
+            self._observer.update(temperatures)
+        self.time_us, self.point = now_us, point
+
+    def _operating_point(
+        self, means: Mapping[str, float], temperatures: Mapping[str, float]
+    ) -> OperatingPoint | None:
+        last = self.point
+        speed_rpm = means.get("speed_rpm", last.speed_rpm if last else math.nan)
+        load_n = means.get("load_n", last.load_n if last else math.nan)
+        ambient_c = means.get("ambient_c", last.ambient_c if last else math.nan)
+        if math.isnan(ambient_c) and temperatures:
+            # No ambient sensor: nothing on the machine is colder than the hall at its start.
+            ambient_c = min(temperatures.values())
+        if math.isnan(speed_rpm + load_n + ambient_c):
+            return None
+        return OperatingPoint(max(speed_rpm, 0.0), max(load_n, 0.0), ambient_c)
+
+    def _start(
+        self,
+        now_us: int,
+        point: OperatingPoint,
+        temperatures: Mapping[str, float],
+        revolutions: float,
+    ) -> None:
+        at_rest = point.speed_rpm < _STANDING_RPM and all(
+            abs(value - point.ambient_c) < _AT_REST_K for value in temperatures.values()
+        )
+        model, values = self.active.model, self.active.values
+        mean, covariance = initial_state(
+            model,
+            values,
+            dict(temperatures),
+            point.ambient_c,
+            point.speed_rpm,
+            point.load_n,
+            at_rest,
+        )
+        self._observer = Observer(model, values, mean, covariance, revolutions)
+        self.time_us, self.point = now_us, point
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """The estimate as plain JSON types, or None before it has started."""
+        if self._observer is None or self.point is None:
+            return None
+        return {
+            "time_us": self.time_us,
+            "temperatures_c": self._observer.temperatures_c.tolist(),
+            "covariance": self._observer.covariance.tolist(),
+            "revolutions": float(self._observer.revolutions),
+            "speed_rpm": self.point.speed_rpm,
+            "load_n": self.point.load_n,
+            "ambient_c": self.point.ambient_c,
+        }
+
+    def restore(self, kept: Mapping[str, Any]) -> None:
+        """Take up an estimate that was kept by `to_dict`."""
+        self._observer = Observer(
+            self.active.model,
+            self.active.values,
+            np.array(kept["temperatures_c"]),
+            np.array(kept["covariance"]),
+            float(kept["revolutions"]),
+        )
+        self.time_us = int(kept["time_us"])
+        self.point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])

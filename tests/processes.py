@@ -1,0 +1,149 @@
+"""Real processes for tests: virtual bench and service, started as a user would start them."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx2
+
+from service.demo.configuration import ASSET, write_configuration
+from service.security.keys import create_key
+from service.settings import load_settings
+from service.store import Store
+
+START_S = 90.0
+STOP_S = 15.0
+
+Found = TypeVar("Found")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(
+    look: Callable[[], Found | None], timeout_s: float, what: str, every_s: float = 0.1
+) -> Found:
+    """Wait for something that is neither None nor False; fail when it does not come."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        found = look()
+        if found is not None and found is not False:
+            return found
+        if time.monotonic() > deadline:
+            raise AssertionError(f"not within {timeout_s:g} s: {what}")
+        time.sleep(every_s)
+
+
+class Command:
+    """One ``bearing-twin`` process; its first line of output says that it listens."""
+
+    def __init__(self, arguments: list[str], log: Path) -> None:
+        self.log = log
+        with log.open("ab") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "service", *arguments],
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                stdin=subprocess.DEVNULL,
+                text=True,
+            )
+        assert self.process.stdout is not None
+        self.first_line = self.process.stdout.readline().strip()
+        assert self.first_line, f"{arguments[0]} did not start: {log.read_text()[-2000:]}"
+
+    def terminate(self) -> int:
+        """Send SIGTERM and return the exit status."""
+        self.process.send_signal(signal.SIGTERM)
+        return self._ended()
+
+    def kill(self) -> int:
+        """Pull the plug."""
+        self.process.kill()
+        return self._ended()
+
+    def _ended(self) -> int:
+        status = self.process.wait(STOP_S)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        return status
+
+    def end(self) -> None:
+        """Clear away, whatever has become of it."""
+        if self.process.poll() is None:
+            self.kill()
+        elif self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+class Site:
+    """A virtual bench and a service beside it, both of which can be stopped and started again.
+
+    Parameters
+    ----------
+    folder
+        Empty directory for configuration, data and logs.
+    scenario, rate, seed
+        What the bench runs, and how fast.
+    """
+
+    def __init__(self, folder: Path, scenario: str, rate: float, seed: int = 1) -> None:
+        self.folder, self.scenario, self.rate, self.seed = folder, scenario, rate, seed
+        self.modbus_port, self.can_port, self.port = free_port(), free_port(), free_port()
+        bench = {
+            "modbus": {"host": "127.0.0.1", "port": self.modbus_port},
+            "can": {"channel": f"socket://127.0.0.1:{self.can_port}"},
+        }
+        self.configuration = write_configuration(folder, bench, rate, self.port)
+        settings = load_settings(self.configuration)
+        with Store.open(settings.service.database_url, settings.data_dir) as store:
+            self.key = create_key(store, "admin").text
+        self.bench: Command | None = None
+        self.service: Command | None = None
+        self.client = httpx2.Client(
+            base_url=f"http://127.0.0.1:{self.port}", headers={"X-API-Key": self.key}, timeout=20
+        )
+
+    def start_bench(self) -> None:
+        self.bench = Command(
+            [
+                "virtual-bench", "--scenario", self.scenario, "--rate", f"{self.rate:g}",
+                "--seed", str(self.seed), "--modbus-port", str(self.modbus_port),
+                "--can-port", str(self.can_port), "--json",
+            ],
+            self.folder / "bench.log",
+        )  # fmt: skip
+        assert json.loads(self.bench.first_line)["modbus"]["port"] == self.modbus_port
+
+    def start_service(self) -> None:
+        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
+
+    def open_store(self) -> Store:
+        settings = load_settings(self.configuration)
+        return Store.open(settings.service.database_url, settings.data_dir)
+
+    def get(self, path: str, **parameters: Any) -> Any:
+        answer = self.client.get(path, params=parameters)
+        assert answer.status_code == httpx2.codes.OK, answer.text
+        return answer.json()
+
+    def tags(self) -> dict[str, Any]:
+        tags: dict[str, Any] = self.get(f"/api/v1/assets/{ASSET}/snapshot")["tags"]
+        return tags
+
+    def tag(self, name: str) -> Any:
+        return self.tags()[name]["value"]
+
+    def close(self) -> None:
+        self.client.close()
+        for command in (self.service, self.bench):
+            if command is not None:
+                command.end()

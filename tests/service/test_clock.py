@@ -1,0 +1,56 @@
+"""Process time."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from service.clock import ProcessClock, from_rfc3339, rfc3339
+
+
+def test_rate_one_is_the_system_clock() -> None:
+    assert abs(ProcessClock().now_us() - time.time_ns() // 1000) < 1_000_000
+
+
+def test_a_fast_clock_runs_at_its_rate() -> None:
+    clock = ProcessClock(100.0)
+    wall_s, began_us = time.monotonic(), clock.now_us()
+    time.sleep(0.2)
+    passed_s = (clock.now_us() - began_us) / 1e6
+    assert passed_s == pytest.approx(100 * (time.monotonic() - wall_s), rel=0.05)
+
+
+async def test_sleep_takes_process_seconds() -> None:
+    clock = ProcessClock(50.0)
+    wall_s = time.monotonic()
+    await clock.sleep(5.0)
+    assert 0.1 <= time.monotonic() - wall_s < 0.5
+
+
+def test_a_restart_goes_on_in_the_same_process_time(tmp_path: Path) -> None:
+    first = ProcessClock.resume(1000.0, tmp_path)
+    time.sleep(0.05)
+    second = ProcessClock.resume(1000.0, tmp_path)
+    difference_us = second.now_us() - first.now_us()
+    assert abs(difference_us) < 20_000_000  # 20 ms of wall time; 50 ms were slept
+
+
+def test_another_rate_never_goes_back(tmp_path: Path) -> None:
+    fast = ProcessClock.resume(1000.0, tmp_path)
+    time.sleep(0.05)
+    reached_us = fast.now_us()
+    assert ProcessClock.resume(10.0, tmp_path).now_us() >= reached_us
+
+
+def test_a_rate_that_is_no_rate_is_refused() -> None:
+    with pytest.raises(ValueError, match="clock rate 0"):
+        ProcessClock(0)
+
+
+def test_rfc3339_there_and_back() -> None:
+    assert rfc3339(1_700_000_000_123_456) == "2023-11-14T22:13:20.123Z"
+    assert from_rfc3339("2023-11-14T23:13:20.123+01:00") == 1_700_000_000_123_000
+    with pytest.raises(ValueError, match="offset"):
+        from_rfc3339("2023-11-14T22:13:20")
+    with pytest.raises(ValueError, match="RFC 3339"):
+        from_rfc3339("yesterday")
