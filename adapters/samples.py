@@ -64,6 +64,17 @@ class Sample(NamedTuple):
     received_us: int
 
 
+def next_time_us(last_us: int, now_us: int) -> int:
+    """Time stamp for a channel's next sample: now, but never the last one's again.
+
+    When the clock was set back by more than a second it is followed all the same; anything else
+    would stamp an hour of data with one and the same moment.
+    """
+    if last_us - 1_000_000 <= now_us <= last_us:
+        return last_us + 1
+    return now_us
+
+
 class PlanStep(NamedTuple):
     """One step of a planned profile: for so long at this speed and radial load."""
 

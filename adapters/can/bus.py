@@ -1,8 +1,10 @@
 """Opening and closing a CAN bus so that neither can hang or leak."""
 
+import contextlib
 import logging
 import os
 import select
+from collections.abc import Iterator
 from typing import Any
 
 import can
@@ -17,6 +19,7 @@ logger = logging.getLogger(__name__)
 PORT_TIMEOUT_S = 0.1  # of one wait for bytes; data ends it at once
 WRITE_TIMEOUT_S = 1.0
 CHUNK_BYTES = 65536
+_ASCII_ONLY = bytes(range(128)) + b"?" * 128  # line noise must spoil its own line only
 
 # pyserial waits 5 s for a connection; nothing may hold up a stop for so long.
 protocol_socket.POLL_TIMEOUT = 1.5
@@ -59,7 +62,7 @@ class ChunkedPort:
             if not self._poll.poll(None if timeout_s is None else 1e3 * timeout_s):
                 return b""
             try:
-                self._chunk = os.read(self._descriptor, CHUNK_BYTES)
+                self._chunk = os.read(self._descriptor, CHUNK_BYTES).translate(_ASCII_ONLY)
             except BlockingIOError:  # the wait may end without need
                 return b""
             self._position = 0
@@ -89,25 +92,28 @@ class SlcanBus(slcanBus):
             except (OSError, NotImplementedError):
                 logger.debug("port %s has no descriptor, reading byte by byte", channel)
         except BaseException:
-            self._close_port()
+            with self._socket_closed():
+                if hasattr(self, "serialPortOrig"):
+                    self.serialPortOrig.close()
             raise
 
     def shutdown(self) -> None:
         """Close the channel and the port, also when the other side is gone."""
-        try:
-            super().shutdown()
-        finally:
-            self._close_port()
+        with self._socket_closed():
+            try:
+                super().shutdown()
+            finally:
+                self.serialPortOrig.close()
 
-    def _close_port(self) -> None:
-        port: Any = getattr(self, "serialPortOrig", None)
-        if port is None:
-            return
-        # pyserial forgets a socket without closing it when the peer has gone first
-        connection = getattr(port, "_socket", None)
-        port.close()
-        if connection is not None:
-            connection.close()
+    @contextlib.contextmanager
+    def _socket_closed(self) -> Iterator[None]:
+        """Close the socket in the end: pyserial forgets it when the peer has gone first."""
+        connection = getattr(getattr(self, "serialPortOrig", None), "_socket", None)
+        try:
+            yield
+        finally:
+            if connection is not None:
+                connection.close()
 
 
 def open_bus(source: CanSource) -> can.BusABC:

@@ -13,7 +13,7 @@ from cantools.errors import Error as CantoolsError
 from adapters.can.config import CanChannel, CanSource
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers import ChannelBinding, PlanBinding
-from adapters.samples import Quality, Sample, is_good
+from adapters.samples import Quality, Sample, is_good, next_time_us
 
 FrameKey = tuple[int, bool]  # identifier, extended or not
 
@@ -78,15 +78,14 @@ class BoundMessage:
         Returns
         -------
         list of Sample
-            One per bound channel (a signal of another multiplexer page has none), later than any
-            before.
+            One per bound channel (a signal of another multiplexer page has none).
         """
         self.errors.clear()
         if self.last_frame_us:
             elapsed_us = now_us - self.last_frame_us
-            if not self.period_us:
+            if self.period_us <= 0.0:
                 self.period_us = elapsed_us
-            elif elapsed_us < 10.0 * self.period_us:  # a gap says nothing about the period
+            elif 0 < elapsed_us < 10.0 * self.period_us:  # a gap says nothing about the period
                 self.period_us += 0.05 * (elapsed_us - self.period_us)
         self.last_frame_us = now_us
         if len(data) != self.message.length:
@@ -129,7 +128,7 @@ class BoundMessage:
         return 1e6 * max(age_s, TIGHTEST_AGE_WALL_S * rate)
 
     def _next_time(self, now_us: int) -> int:
-        self.last_time_us = max(now_us, self.last_time_us + 1)
+        self.last_time_us = next_time_us(self.last_time_us, now_us)
         return self.last_time_us
 
 

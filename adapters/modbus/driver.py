@@ -14,7 +14,15 @@ from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusTcpSour
 from adapters.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
 from adapters.modbus.mapping import MAX_REGISTERS, Group, Point, UnitMap, check, compile_units
 from adapters.modbus.plan import ImplausiblePlanError, decode_plan
-from adapters.samples import Batch, PlannedProfile, Quality, Sample, is_bad, is_good
+from adapters.samples import (
+    Batch,
+    PlannedProfile,
+    Quality,
+    Sample,
+    is_bad,
+    is_good,
+    next_time_us,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -135,6 +143,8 @@ class ModbusTcpDriver:
                     await asyncio.sleep(self._reconnect_backoff.next())
                     continue
                 now_us = self._clock.now_us()
+                if due_us - now_us > interval_us:  # the clock was set back
+                    due_us = now_us
                 if now_us < due_us:
                     await self._clock.sleep((due_us - now_us) / 1e6)
                 else:
@@ -370,8 +380,8 @@ class ModbusTcpDriver:
 
 
 def _stamped(point: Point, time_us: int, value: float, quality: Quality) -> Sample:
-    """Make a sample whose time is later than the channel's last one."""
-    point.last_time_us = max(time_us, point.last_time_us + 1)
+    """Make a sample whose time is not the channel's last one."""
+    point.last_time_us = next_time_us(point.last_time_us, time_us)
     return Sample(
         point.asset, point.channel, point.last_time_us, value, int(quality), point.last_time_us
     )
