@@ -1,0 +1,95 @@
+"""What `deploy/` ships must load, and fit the virtual bench that it says it fits."""
+
+from pathlib import Path
+
+import pytest
+
+import adapters.virtual_bench
+from adapters.can.config import CanChannel, CanSource
+from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
+from adapters.virtual_bench.modbus_server import (
+    CONTROLLER_UNIT,
+    PLAN_ADDRESS,
+    PLAN_ROWS,
+    STATUS_ADDRESS,
+    TRANSMITTER_UNIT,
+)
+from adapters.virtual_bench.sensors import PT100_CHANNELS
+from service.settings import SENSOR_CHANNELS, Settings, load_settings
+from service.wiring import SourceWiring, wire
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+EXAMPLE = DEPLOY / "bearing-twin.example.toml"
+
+
+@pytest.fixture(scope="module")
+def settings() -> Settings:
+    return load_settings(EXAMPLE)
+
+
+@pytest.fixture(scope="module")
+def sources(settings: Settings) -> dict[str, SourceWiring]:
+    return {source.name: source for source in wire(settings).sources}
+
+
+def test_the_example_wires_every_sensor_and_the_controller(settings: Settings) -> None:
+    assert set(wire(settings).channels["bench-1"]) == {
+        *SENSOR_CHANNELS,
+        "phase",
+        "speed_setpoint_rpm",
+        "load_setpoint_n",
+    }
+
+
+def test_the_example_listens_on_loopback_at_real_time(settings: Settings) -> None:
+    assert settings.service.host == "127.0.0.1"
+    assert settings.clock.rate == 1.0
+    assert settings.data_dir == DEPLOY / "var"
+
+
+def test_the_modbus_side_is_the_virtual_bench_s_register_map(
+    sources: dict[str, SourceWiring],
+) -> None:
+    source = sources["pt100"]
+    assert isinstance(source.config, ModbusTcpSource)
+    assert (source.config.port, source.config.unit) == (5020, TRANSMITTER_UNIT)
+    channels = {}
+    for binding in source.channels:
+        assert isinstance(binding.config, ModbusChannel)
+        channels[binding.channel] = binding.config
+    for register, name in enumerate(PT100_CHANNELS):
+        channel = channels.pop(name)
+        assert (channel.address, channel.kind, channel.scale) == (register, "input", 0.1)
+        assert channel.status is not None
+        assert channel.status.address == STATUS_ADDRESS + register
+    assert {(name, channel.unit_id, channel.address) for name, channel in channels.items()} == {
+        ("phase", CONTROLLER_UNIT, 0),
+        ("speed_setpoint_rpm", CONTROLLER_UNIT, 2),
+        ("load_setpoint_n", CONTROLLER_UNIT, 4),
+    }
+    (plan,) = source.plans
+    assert isinstance(plan.config, ModbusPlan)
+    assert (plan.config.unit_id, plan.config.address, plan.config.rows) == (
+        CONTROLLER_UNIT,
+        PLAN_ADDRESS,
+        PLAN_ROWS,
+    )
+
+
+def test_the_can_side_is_the_virtual_bench_s(sources: dict[str, SourceWiring]) -> None:
+    source = sources["drive"]
+    assert isinstance(source.config, CanSource)
+    assert source.config.channel == "socket://127.0.0.1:5021"
+    signals = set()
+    for binding in source.channels:
+        assert isinstance(binding.config, CanChannel)
+        signals.add((binding.channel, binding.config.message, binding.config.signal))
+    assert signals == {
+        ("speed_rpm", "DriveStatus", "Speed"),
+        ("load_n", "LoadCell", "RadialLoad"),
+    }
+
+
+def test_the_dbc_beside_it_is_the_bench_s() -> None:
+    bench = Path(adapters.virtual_bench.__file__).with_name("bench.dbc")
+    assert (DEPLOY / "bench.dbc").read_bytes() == bench.read_bytes()
