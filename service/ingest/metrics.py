@@ -55,14 +55,17 @@ class SampleLedger:
     def counts(self) -> Mapping[str, int]:
         """All figures of one moment: accepted, stored, duplicate, skipped and waiting."""
         with self._lock:
-            skipped = sum(self._skipped.values())
-            return {
-                "accepted": self._stored + self._duplicate + skipped + self._waiting,
-                "stored": self._stored,
-                "duplicate": self._duplicate,
-                "skipped": skipped,
-                "waiting": self._waiting,
-            }
+            return self._counts()
+
+    def _counts(self) -> dict[str, int]:
+        skipped = sum(self._skipped.values())
+        return {
+            "accepted": self._stored + self._duplicate + skipped + self._waiting,
+            "stored": self._stored,
+            "duplicate": self._duplicate,
+            "skipped": skipped,
+            "waiting": self._waiting,
+        }
 
     def describe(self) -> Iterable[Metric]:
         """Name the figures, so that the registry refuses a second ledger."""
@@ -70,8 +73,8 @@ class SampleLedger:
 
     def collect(self) -> Iterable[Metric]:
         """Show the figures to Prometheus."""
-        counts = self.counts()
         with self._lock:
+            counts = self._counts()
             skipped_by_reason = dict(self._skipped)
         skipped = CounterMetricFamily(
             f"{_PREFIX}_skipped", "Accepted samples that were not stored.", labels=["reason"]

@@ -1,0 +1,387 @@
+import asyncio
+import contextlib
+import itertools
+import math
+import sqlite3
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import pytest
+from prometheus_client import CollectorRegistry
+
+from adapters.drivers import SourceHealth
+from adapters.samples import Batch, PlannedProfile, PlanStep, Quality, Sample
+from service.clock import ProcessClock
+from service.ingest import Ingest
+from service.ingest.metrics import SampleLedger
+from service.ingest.writer import QUEUE_SAMPLES, SampleWriter
+from service.store import Store, StoreUnavailableError, WriteCounts
+from service.store.database import FILE_NAME
+
+NAN = float("nan")
+
+
+class ScriptedSource:
+    """A driver that yields what the test puts in; an exception put in is raised."""
+
+    def __init__(self, name: str = "pt100") -> None:
+        self.name = name
+        self.script: asyncio.Queue[Batch | Exception] = asyncio.Queue()
+        self.entered = 0
+        self.left = 0
+        self.up = True
+
+    async def __aenter__(self) -> Self:
+        self.entered += 1
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.left += 1
+
+    async def batches(self) -> AsyncIterator[Batch]:
+        while True:
+            step = await self.script.get()
+            if isinstance(step, Exception):
+                raise step
+            yield step
+
+    def health(self) -> SourceHealth:
+        return SourceHealth(self.name, "scripted", up=self.up)
+
+
+class Hall:
+    """An ingest on a real store, and what it told the twin."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self.path = data_dir / FILE_NAME
+        self.store = Store.open("", data_dir)
+        self.registry = CollectorRegistry()
+        self.taken: list[tuple[float, Batch]] = []
+        self.ingest = Ingest(self.store, ProcessClock(), self._take, registry=self.registry)
+
+    def _take(self, batch: Batch) -> None:
+        self.taken.append((time.monotonic(), batch))
+
+    @contextlib.asynccontextmanager
+    async def running(self, *sources: ScriptedSource) -> AsyncIterator[None]:
+        task = asyncio.create_task(self.ingest.run(sources))
+        await asyncio.sleep(0.05)
+        try:
+            yield
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    def stored(self, asset: str = "a") -> list[tuple[str, int, float | None, int]]:
+        return [tuple(one) for one in self.store.read_samples(asset, None, 0, 2**62, 10**6)]
+
+    def metric(self, name: str, **labels: str) -> float | None:
+        return self.registry.get_sample_value(f"bearing_twin_{name}", labels)
+
+    async def until(self, **counts: int) -> None:
+        await self.until_true(lambda: counts.items() <= self.ingest.counts().items())
+
+    async def until_true(self, holds: Callable[[], bool]) -> None:
+        async with asyncio.timeout(20):
+            while not holds():  # noqa: ASYNC110 - the counts have no event to wait for
+                await asyncio.sleep(0.001)
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Somebody else holds the right to write."""
+        intruder = sqlite3.connect(self.path, isolation_level=None)
+        intruder.execute("BEGIN EXCLUSIVE")
+        try:
+            yield
+        finally:
+            intruder.rollback()
+            intruder.close()
+
+
+@pytest.fixture
+def hall(tmp_path: Path) -> Iterator[Hall]:
+    hall = Hall(tmp_path)
+    yield hall
+    hall.store.close()
+
+
+def sample(time_us: int, value: float = 1.0, quality: int = 192, channel: str = "x") -> Sample:
+    return Sample("a", channel, time_us, value, quality, time_us)
+
+
+async def test_a_batch_reaches_the_twin_at_once_and_the_store_soon(hall: Hall) -> None:
+    source = ScriptedSource()
+    plan = PlannedProfile("a", 5, (PlanStep(60.0, 4200.0, 2650.0),))
+    batch = Batch([sample(5), sample(5, 2.0, channel="y")], [plan], poll_s=0.003)
+    async with hall.running(source):
+        source.script.put_nowait(batch)
+        source.script.put_nowait(Batch([], [plan]))
+        await asyncio.sleep(0.05)
+        assert [one for _, one in hall.taken] == [batch, Batch([], [plan])]
+        await hall.until(stored=2)
+        assert hall.stored() == [("x", 5, 1.0, 192), ("y", 5, 2.0, 192)]
+    assert (source.entered, source.left) == (1, 1)
+    assert hall.metric("poll_seconds_count", source="pt100") == 1
+    assert hall.metric("poll_seconds_sum", source="pt100") == pytest.approx(0.003)
+
+
+async def test_metrics_have_the_contracts_names_and_add_up(hall: Hall) -> None:
+    source = ScriptedSource()
+    async with hall.running(source):
+        source.script.put_nowait(Batch([sample(1), sample(2), sample(-1)]))
+        await hall.until(stored=2, skipped=1)
+        source.script.put_nowait(Batch([sample(2), sample(3)]))
+        await hall.until(stored=3)
+        assert hall.metric("samples_accepted_total") == 5
+        assert hall.metric("samples_stored_total") == 3
+        assert hall.metric("samples_duplicate_total") == 1
+        assert hall.metric("samples_skipped_total", reason="refused") == 1
+        assert hall.metric("samples_skipped_total", reason="queue_full") == 0
+        assert hall.metric("spool_samples") == 0
+        assert hall.metric("source_up", source="pt100") == 1
+        source.up = False
+        assert hall.metric("source_up", source="pt100") == 0
+    with pytest.raises(ValueError, match="Duplicated timeseries"):
+        SampleLedger(hall.registry)
+
+
+async def test_what_was_accepted_is_stored_when_it_stops(hall: Hall) -> None:
+    source = ScriptedSource()
+    async with hall.running(source):
+        for number in range(200):
+            source.script.put_nowait(Batch([sample(number * 60 + k) for k in range(60)]))
+        await hall.until_true(lambda: len(hall.taken) == 200)
+        hall.ingest.submit([sample(7, 3.0, channel="x.twin")])
+        assert hall.ingest.counts()["waiting"] > 0  # stopped in the middle
+    assert hall.ingest.counts() == {
+        "accepted": 12_001,
+        "stored": 12_001,
+        "duplicate": 0,
+        "skipped": 0,
+        "waiting": 0,
+    }
+    assert len(hall.stored()) == 12_001
+
+
+async def test_a_locked_store_delays_neither_polling_nor_the_twin_nor_loses_a_sample(
+    hall: Hall,
+) -> None:
+    source = ScriptedSource()
+    sent = 0
+    async with hall.running(source):
+        source.script.put_nowait(Batch([sample(0)]))
+        await hall.until(stored=1)
+        with hall.locked():
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end:
+                sent += 1
+                source.script.put_nowait(Batch([sample(sent)]))
+                await asyncio.sleep(0.01)
+            assert hall.ingest.counts()["stored"] == 1
+            assert hall.ingest.counts()["waiting"] == sent
+            assert hall.ingest.problem is not None
+            assert "locked" in hall.ingest.problem
+        await hall.until(stored=sent + 1)
+        assert hall.ingest.problem is None
+    moments = [moment for moment, _ in hall.taken]
+    assert len(moments) == sent + 1
+    assert max(b - a for a, b in itertools.pairwise(moments[1:])) < 0.3
+    assert [time_us for _, time_us, _, _ in hall.stored()] == list(range(sent + 1))
+
+
+async def test_a_driver_that_fails_or_ends_is_entered_again_and_disturbs_no_other(
+    hall: Hall,
+) -> None:
+    bad, good = ScriptedSource("bad"), ScriptedSource("good")
+    async with hall.running(bad, good):
+        bad.script.put_nowait(Batch([sample(1, channel="bad")]))
+        bad.script.put_nowait(RuntimeError("a driver with a fault"))
+        good.script.put_nowait(Batch([sample(1)]))
+        await hall.until(stored=2)
+        assert (bad.entered, bad.left) == (1, 1)
+        bad.script.put_nowait(Batch([sample(2, channel="bad")]))
+        good.script.put_nowait(Batch([sample(2)]))
+        await hall.until(stored=4)
+        assert (bad.entered, good.entered) == (2, 1)
+
+
+async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
+    def fail(batch: Batch) -> None:
+        raise RuntimeError("a twin with a fault")
+
+    with Store.open("", tmp_path) as store:
+        ingest = Ingest(store, ProcessClock(), fail, registry=CollectorRegistry())
+        source = ScriptedSource()
+        task = asyncio.create_task(ingest.run([source]))
+        for number in range(3):
+            source.script.put_nowait(Batch([sample(number)]))
+        await asyncio.sleep(0.1)
+        assert await ingest.accept([sample(9)]) == (1, 0)
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+        assert len(store.read_samples("a", None, 0, 99, 99)) == 4
+        assert source.entered == 1
+
+
+async def test_pushed_samples_are_on_the_disk_when_the_answer_comes(hall: Hall) -> None:
+    async with hall.running():
+        started = time.monotonic()
+        counts = await hall.ingest.accept([sample(1), sample(2), sample(2)])
+        assert time.monotonic() - started < 0.4  # does not wait for the next batch
+        assert counts == WriteCounts(stored=2, duplicates=1)
+        with contextlib.closing(sqlite3.connect(hall.path)) as outside:
+            assert outside.execute("SELECT COUNT(*) FROM samples").fetchone() == (2,)
+        assert await hall.ingest.accept([sample(1), sample(3)]) == (1, 1)
+        assert await hall.ingest.accept([]) == (0, 0)
+        answers = await asyncio.gather(
+            *(hall.ingest.accept([sample(t), sample(t + 1)]) for t in range(100, 150))
+        )
+        assert sum(stored for stored, _ in answers) == 51
+    assert len(hall.taken) == 52
+
+
+async def test_a_push_waits_for_a_locked_store_and_survives_its_caller(hall: Hall) -> None:
+    async with hall.running():
+        with hall.locked():
+            gone = asyncio.create_task(hall.ingest.accept([sample(1)]))
+            patient = asyncio.create_task(hall.ingest.accept([sample(2)]))
+            await asyncio.sleep(0.3)
+            assert not patient.done()
+            gone.cancel()
+            await asyncio.sleep(0)
+        assert await patient == (1, 0)
+        assert await hall.ingest.accept([sample(3)]) == (1, 0)
+    assert [time_us for _, time_us, _, _ in hall.stored()] == [1, 2, 3]
+
+
+async def test_a_push_to_a_stopped_service_is_refused(hall: Hall) -> None:
+    async with hall.running():
+        pass
+    with pytest.raises(StoreUnavailableError, match="stopping"):
+        await hall.ingest.accept([sample(1)])
+    hall.ingest.submit([sample(2)])
+    assert hall.ingest.counts()["skipped"] == hall.ingest.counts()["accepted"] == 1
+
+
+async def test_the_gap_while_the_service_was_away_is_marked_once(tmp_path: Path) -> None:
+    def run_of(*batches: Batch) -> list[tuple[str, int, float | None, int]]:
+        async def run() -> list[tuple[str, int, float | None, int]]:
+            hall = Hall(tmp_path)
+            source = ScriptedSource()
+            async with hall.running(source):
+                for batch in batches:
+                    source.script.put_nowait(batch)
+                await asyncio.sleep(0.1)
+                await hall.ingest.accept([sample(900, channel="pushed")])
+            stored = hall.stored()
+            hall.store.close()
+            return stored
+
+        return asyncio.run(run())
+
+    before = [sample(100), sample(100, NAN, Quality.COMM_FAILURE, channel="y")]
+    await asyncio.to_thread(run_of, Batch(before))
+    after = [sample(800), sample(801), sample(800, channel="y"), sample(800, channel="new")]
+    stored = await asyncio.to_thread(run_of, Batch(after[:1]), Batch(after[1:]))
+    assert stored == [
+        ("x", 100, 1.0, 192),
+        ("y", 100, None, Quality.COMM_FAILURE),  # ended already
+        ("x", 101, None, Quality.OUT_OF_SERVICE),
+        ("new", 800, 1.0, 192),
+        ("x", 800, 1.0, 192),
+        ("y", 800, 1.0, 192),
+        ("x", 801, 1.0, 192),
+        ("pushed", 900, 1.0, 192),
+    ]
+
+
+def test_a_full_queue_skips_the_newest_and_says_so(hall: Hall) -> None:
+    ledger = SampleLedger(CollectorRegistry())
+    writer = SampleWriter(hall.store, ledger)
+    writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10)])
+    writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10, QUEUE_SAMPLES + 20)])
+    with pytest.raises(StoreUnavailableError, match=f"{QUEUE_SAMPLES} samples already wait"):
+        writer.put_and_tell([sample(1)])
+    assert ledger.counts()["skipped"] == 20
+    assert ledger.counts()["waiting"] == QUEUE_SAMPLES
+    writer.start()
+    writer.close(timeout_s=10)
+    assert ledger.counts()["stored"] == QUEUE_SAMPLES
+    assert len(hall.stored()) == QUEUE_SAMPLES
+
+
+def test_a_store_that_stays_away_cannot_hold_up_the_stop(hall: Hall) -> None:
+    ledger = SampleLedger(CollectorRegistry())
+    writer = SampleWriter(hall.store, ledger)
+    writer.start()
+    with hall.locked():
+        promised = writer.put_and_tell([sample(1)])
+        writer.put([sample(2), sample(3)])
+        started = time.monotonic()
+        writer.close(timeout_s=0.5)
+        assert time.monotonic() - started < 5
+        with pytest.raises(StoreUnavailableError):
+            promised.result(timeout=0)
+    assert ledger.counts()["skipped"] == 3
+    assert ledger.counts()["waiting"] == 0
+
+
+def test_a_refused_sample_takes_no_other_with_it(hall: Hall) -> None:
+    ledger = SampleLedger(CollectorRegistry())
+    writer = SampleWriter(hall.store, ledger)
+    samples = [sample(time_us) for time_us in range(100)]
+    samples[37] = sample(-1)
+    samples[80] = sample(80, math.pi, 300)
+    writer.put(samples)
+    writer.start()
+    writer.close(timeout_s=5)
+    assert ledger.counts()["stored"] == 98
+    assert ledger.counts()["skipped"] == 2
+    assert len(hall.stored()) == 98
+
+
+def test_every_scrape_adds_up(hall: Hall) -> None:
+    registry = CollectorRegistry()
+    writer = SampleWriter(hall.store, SampleLedger(registry))
+    writer.start()
+    stop = threading.Event()
+    wrong: list[dict[str, float]] = []
+    scrapes = 0
+
+    def scrape() -> None:
+        nonlocal scrapes
+        while not stop.is_set():
+            now = {"skipped": 0.0}
+            for metric in registry.collect():
+                for one in metric.samples:
+                    name = one.name.removeprefix("bearing_twin_").removesuffix("_total")
+                    now[name] = now.get(name, 0.0) + one.value
+            settled = sum(now[f"samples_{what}"] for what in ("stored", "duplicate", "skipped"))
+            if now["samples_accepted"] != settled + now["spool_samples"]:
+                wrong.append(now)
+            scrapes += 1
+
+    scraper = threading.Thread(target=scrape)
+    scraper.start()
+    for number in range(300):
+        times = range(number * 40, number * 40 + 50)  # ten are sent twice
+        writer.put([sample(time_us) for time_us in times])
+        if number % 50 == 0:
+            writer.put_and_tell([sample(-1)])
+    writer.close(timeout_s=10)
+    stop.set()
+    scraper.join()
+    assert scrapes > 10
+    assert wrong == []
+    assert len(hall.stored()) == 300 * 40 + 10
