@@ -13,7 +13,7 @@ from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 from adapters.virtual_bench.modbus_server import BenchModbusServer
 from adapters.virtual_bench.scenarios import Scenario, find_scenario
 
-CAN_PERIOD_S = 0.1  # process time
+CAN_PERIOD_S = 0.05  # process time: 20 frames per second and message at rate 1
 _SHORTEST_PERIOD_S = 0.01  # wall time
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adapters.virtual_bench.plant import BenchProfile, Truth
 
 PT100_CHANNELS = ("t_inner_ring_c", "t_outer_ring_c", "ambient_c")
-CAN_TICK_S = 0.1
+CAN_TICK_S = 0.05
 _BLOCK = 1024
 
 
@@ -34,7 +34,7 @@ class SensorParameters:
     resolution_k : float
         Step of the transmitter's output.
     speed_sd_rpm, load_sd_n : float
-        White noise of encoder and load cell, per 0.1 s.
+        White noise of encoder and load cell, per reading (every 0.05 s).
     """
 
     lag_s: float = 20.0
