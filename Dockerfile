@@ -7,7 +7,7 @@ FROM ${BASE} AS builder
 RUN apt-get update \
     && DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends \
         ca-certificates python3 python3-venv \
-    && rm -rf /var/lib/apt/lists/*
+    && apt-get clean && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/venv
 WORKDIR /src
 COPY LICENSE README.md pyproject.toml constraints.txt ./
@@ -25,13 +25,13 @@ LABEL org.opencontainers.image.title="Bearing Twin" \
       org.opencontainers.image.licenses="Apache-2.0"
 RUN apt-get update \
     && DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends python3 \
-    && rm -rf /var/lib/apt/lists/* \
+    && apt-get clean && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 10001 --user-group --no-create-home --home-dir /data \
         --shell /usr/sbin/nologin bearing-twin \
     && install --directory --owner=bearing-twin --group=bearing-twin --mode=0750 \
         /data /var/cache/bearing-twin \
     && install --directory --mode=0755 /etc/bearing-twin
-COPY deploy/bearing-twin.example.toml deploy/bench.dbc /usr/share/bearing-twin/
+COPY deploy/bearing-twin.example.toml adapters/virtual_bench/bench.dbc /usr/share/bearing-twin/
 COPY --from=builder /opt/venv /opt/venv
 # The compiled kernels are kept where the service may write: those from the build serve hosts with
 # the build machine's kind of processor, any other compiles its own at the first start.

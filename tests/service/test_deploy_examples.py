@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-import adapters.virtual_bench
 from adapters.can.config import CanChannel, CanSource
 from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
 from adapters.virtual_bench.modbus_server import (
@@ -88,8 +87,3 @@ def test_the_can_side_is_the_virtual_bench_s(sources: dict[str, SourceWiring]) -
         ("speed_rpm", "DriveStatus", "Speed"),
         ("load_n", "LoadCell", "RadialLoad"),
     }
-
-
-def test_the_dbc_beside_it_is_the_bench_s() -> None:
-    bench = Path(adapters.virtual_bench.__file__).with_name("bench.dbc")
-    assert (DEPLOY / "bench.dbc").read_bytes() == bench.read_bytes()
