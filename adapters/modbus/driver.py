@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from types import TracebackType
 from typing import Self
 
@@ -55,6 +56,14 @@ class Backoff:
         self._next_s = self._first_s
 
 
+class _Probe(Enum):
+    """What trying a silent unit over a second connection gave."""
+
+    ANSWERS = "answers"
+    STILL_SILENT = "still silent"
+    NO_SECOND_CONNECTION = "no second connection"  # the unit must be tried over the first one
+
+
 @dataclass(slots=True)
 class _Unit:
     """A unit with its standing: alive, or silent and tried again now and then."""
@@ -64,8 +73,7 @@ class _Unit:
     silent: str = ""  # why, or empty
     retry_at: float = 0.0  # wall, monotonic
     lost: bool = False  # the bad samples that mark the gap have been handed over
-    probe: asyncio.Task[bool] | None = None
-    probe_failed_to_connect: bool = False
+    probe: asyncio.Task[_Probe] | None = None
 
 
 class ModbusTcpDriver:
@@ -209,37 +217,29 @@ class ModbusTcpDriver:
         if unit.probe is not None:
             if not unit.probe.done():
                 return False
-            alive = unit.probe.result()
+            verdict = unit.probe.result()
             unit.probe = None
-            if alive:
-                return True
-            if not unit.probe_failed_to_connect:
+            if verdict is _Probe.STILL_SILENT:
                 unit.retry_at = time.monotonic() + unit.backoff.next()
                 return False
-            return True  # a gateway with room for one connection only: there is no other way
+            return True
         if time.monotonic() < unit.retry_at:
             return False
-        if all(other.silent for other in self._units):
+        witness = next((u for u in self._units if not u.silent and u.map.groups), None)
+        if witness is None:
             return True
-        unit.probe = asyncio.create_task(self._probe(unit))
+        unit.probe = asyncio.create_task(self._probe(unit, witness))
         return False
 
-    async def _probe(self, unit: _Unit) -> bool:
-        """Ask a silent unit for its first group over a second connection; tell if it answers."""
+    async def _probe(self, unit: _Unit, witness: _Unit) -> _Probe:
+        """Ask a silent unit over a second connection, if the server serves one."""
         link = Link(self._source.host, self._source.port, self._source.timeout_s)
-        group = unit.map.groups[0]
         try:
-            unit.probe_failed_to_connect = not await link.connect()
-            if unit.probe_failed_to_connect:
-                return False
-            await link.read(group.kind, unit.map.unit, group.start, group.count)
-        except DeviceRefusedError:
-            return True
-        except (NoAnswerError, LinkLostError):
-            return False
+            if not await link.connect() or not await _answers(link, witness.map):
+                return _Probe.NO_SECOND_CONNECTION
+            return _Probe.ANSWERS if await _answers(link, unit.map) else _Probe.STILL_SILENT
         finally:
             link.drop()
-        return True
 
     async def _poll_unit(self, unit: _Unit, samples: list[Sample]) -> bool:
         """Read one unit's channels; tell if it answered."""
@@ -377,6 +377,18 @@ class ModbusTcpDriver:
             if list(first[2:]) != registers[2:PLAN_ROW_REGISTERS]:
                 raise ImplausiblePlanError("table: the step changed while it was read")
         return registers
+
+
+async def _answers(link: Link, unit: UnitMap) -> bool:
+    """Tell if a unit answers anything to the read of its first group."""
+    group = unit.groups[0]
+    try:
+        await link.read(group.kind, unit.unit, group.start, group.count)
+    except DeviceRefusedError:
+        return True
+    except (NoAnswerError, LinkLostError):
+        return False
+    return True
 
 
 def _stamped(point: Point, time_us: int, value: float, quality: Quality) -> Sample:

@@ -24,10 +24,10 @@ class RunningClock:
 
     def __init__(self, rate: float = 1.0) -> None:
         self.rate = rate
-        self._began = time.monotonic()
+        self.began = time.monotonic()
 
     def now_us(self) -> int:
-        return 1_900_000_000_000_000 + round((time.monotonic() - self._began) * self.rate * 1e6)
+        return 1_900_000_000_000_000 + round((time.monotonic() - self.began) * self.rate * 1e6)
 
     async def sleep(self, process_seconds: float) -> None:
         await asyncio.sleep(process_seconds / self.rate)
@@ -36,9 +36,11 @@ class RunningClock:
 class Record:
     """What a running driver has handed over."""
 
-    def __init__(self, driver: Driver) -> None:
+    def __init__(self, driver: Driver, clock: RunningClock) -> None:
         self.driver = driver
+        self.clock = clock
         self.batches: list[Batch] = []
+        self.clock_was_set_back = False
 
     @property
     def samples(self) -> list[Sample]:
@@ -67,10 +69,11 @@ class Record:
         """What must hold whatever happened: no sample twice, times ascend, no value when bad."""
         last: dict[str, int] = {}
         for sample in self.samples:
-            assert sample.time_us > last.get(sample.channel, 0), sample
+            assert self.clock_was_set_back or sample.time_us > last.get(sample.channel, 0), sample
             last[sample.channel] = sample.time_us
             assert math.isnan(sample.value) == (sample.quality < 64), sample
             assert sample.received_us >= sample.time_us
+        assert len({(s.channel, s.time_us) for s in self.samples}) == len(self.samples)
         assert self.driver.health().samples == len(self.samples)
 
 
@@ -90,13 +93,10 @@ async def running_driver(
     if plan is not None:
         assert spec.plan_model is not None
         plans = [PlanBinding("bench", spec.plan_model.model_validate({"source": "s", **plan}))]
-    driver = spec.create(
-        spec.source_model.model_validate({"name": "s", **source}),
-        bindings,
-        plans,
-        RunningClock(rate),
-    )
-    record = Record(driver)
+    clock = RunningClock(rate)
+    settings = spec.source_model.model_validate({"name": "s", **source})
+    driver = spec.create(settings, bindings, plans, clock)
+    record = Record(driver, clock)
 
     async def consume() -> None:
         async with driver:

@@ -1,6 +1,7 @@
 """The Modbus driver against real servers."""
 
 import asyncio
+import contextlib
 import itertools
 import logging
 import math
@@ -251,6 +252,21 @@ async def test_cycles_that_come_too_late_are_skipped_and_never_queue(
     assert device.most_at_once == 1
 
 
+async def test_a_clock_that_is_set_back_does_not_stop_the_polling(
+    device: Device, source: dict[str, Any], drive: Callable[..., Any]
+) -> None:
+    async with drive(source, {"t_inner_ring_c": temperature(0)}) as record:
+        await record.until(lambda: len(record.samples) >= 3)
+        before = len(record.samples)
+        record.clock.began += 3600.0
+        record.clock_was_set_back = True
+        await record.until(lambda: len(record.samples) >= before + 10)
+        times = [sample.time_us for sample in record.samples[before + 1 :]]
+        assert times[-1] <= record.clock.now_us()
+        pauses = [later - earlier for earlier, later in itertools.pairwise(times)]
+        assert sum(30_000 < pause < 200_000 for pause in pauses) >= len(pauses) - 2
+
+
 async def test_a_foreign_server_is_read_alike(
     source: dict[str, Any], free_port: int, drive: Callable[..., Any], peer: Callable[..., Any]
 ) -> None:
@@ -315,7 +331,7 @@ Answer = Callable[[int, bytes], bytes | None]
 @pytest.fixture
 async def raw_server(free_port: int) -> AsyncIterator[list[Any]]:
     """A server that sends what the test puts in as answer(connection number, request)."""
-    script: list[Any] = [None, 0]
+    script: list[Any] = [None, 0, contextlib.nullcontext()]
     tasks = set()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -323,13 +339,14 @@ async def raw_server(free_port: int) -> AsyncIterator[list[Any]]:
         script[1] += 1
         number = script[1]
         try:
-            while request := await reader.read(260):
-                answer = script[0](number, request)
-                if asyncio.iscoroutine(answer):
-                    answer = await answer
-                if answer is None:
-                    break
-                writer.write(answer)
+            async with script[2]:
+                while request := await reader.read(260):
+                    answer = script[0](number, request)
+                    if asyncio.iscoroutine(answer):
+                        answer = await answer
+                    if answer is None:
+                        break
+                    writer.write(answer)
         except ConnectionError:
             pass
         finally:
@@ -364,6 +381,27 @@ async def test_a_late_reply_is_never_taken_for_the_answer_to_a_newer_request(
         await record.until(lambda: len(record.samples) >= 10)
         assert record.qualities("c")[0] == COMM
         assert {s.value for s in record.samples[1:]} == {222.0}
+
+
+async def test_a_gateway_that_serves_one_connection_gets_its_dead_unit_back(
+    raw_server: list[Any], source: dict[str, Any], drive: Callable[..., Any]
+) -> None:
+    dead = True
+
+    async def gateway(number: int, request: bytes) -> bytes:
+        if request[6] == 2 and dead:
+            await asyncio.sleep(0.6)
+            return b""
+        return registers_answer(request, request[6])
+
+    raw_server[2] = asyncio.Lock()  # a second connection is accepted, but has to wait
+    raw_server[0] = gateway
+    channels = {"a": {"register": 0}, "b": {"register": 0, "unit_id": 2}}
+    async with drive(source, channels) as record:
+        await record.until(lambda: len(record.of("a")) >= 20)
+        assert record.qualities("b") == [COMM]
+        dead = False
+        await record.until(lambda: record.qualities("b")[-1] == GOOD, 20.0)
 
 
 async def test_a_server_that_closes_after_every_answer_costs_no_sample(
