@@ -1,7 +1,7 @@
 // Alarms after ISA-18.2: the state is said by colour, by shape and by text.
 import { call } from './api.js';
 import { bold, h, put, setText } from './dom.js';
-import { fixed, isNumber, milliseconds, percent, spanText, timeElement } from './format.js';
+import { fixed, isNumber, joined, milliseconds, percent, spanText, timeElement } from './format.js';
 import { icon } from './icons.js';
 import { isActive, isDistrust } from './readings.js';
 
@@ -40,15 +40,15 @@ export function detailText(alarm, live) {
   if (!alarm.predicted) {
     if (isDistrust(alarm)) return alarm.kind;
     const value = live.value(alarm.channel) ?? alarm.value;
-    return isNumber(value) ? `${fixed(value)} °C` : alarm.kind;
+    return isNumber(value) ? joined(`${fixed(value)} °C`) : alarm.kind;
   }
-  const { probability, median, earliest } = live.crossing(alarm.channel, alarm.level)
+  const { probability, median, earliest } = live.crossing(alarm.channel, alarm.limit_level)
     ?? { probability: alarm.probability, median: alarm.lead_time_s };
   const parts = [];
   if (isNumber(median)) parts.push(`in ${spanText(median)}`);
   else if (isNumber(earliest)) parts.push(`earliest in ${spanText(earliest)}`);
   if (isNumber(probability)) parts.push(percent(probability));
-  return parts.join(' · ');
+  return joined(parts.join(' · '));
 }
 
 export function symbol(alarm, size, inverse = false) {
@@ -120,7 +120,7 @@ export class AlarmList {
   updateRow(row, alarm, live) {
     row.alarm = alarm;
     const detail = detailText(alarm, live);
-    setText(row.message, alarm.message);
+    setText(row.message, joined(alarm.message));
     setText(row.detail, alarm.predicted ? `predicted ${detail}` : detail);
     row.button.hidden = !needsAcknowledge(alarm) || !this.mayAcknowledge();
     row.button.setAttribute('aria-label', `Acknowledge: ${alarm.message}`);

@@ -205,8 +205,8 @@ export class TrendChart {
     context.strokeRect(...area);
     context.setLineDash([]);
     const size = fontSize() * ratio;
-    write(context, 'no data', left - 6 * ratio, bbox.top + 2.6 * size,
-      { size, strong: true, colour: token('--bad-text'), align: 'right', base: 'top' });
+    write(context, 'no data', left - 6 * ratio, bbox.top + bbox.height - 6 * ratio,
+      { size, strong: true, colour: token('--bad-text'), align: 'right' });
   }
 
   /** A dot and a figure at the head of every measured line, its name where the line begins. */
@@ -232,10 +232,23 @@ export class TrendChart {
       const under = near && heads.length > 1;
       this.paintName(plot, head.sensor, under);
       if (!wide) return;
-      write(context, fixed(head.value), x - 12 * ratio,
-        y(head.value) + (under ? size * 2.2 : -9 * ratio),
-        { size: size * 1.75, strong: true, align: 'right',
-          colour: token(head.usable ? '--ink' : '--bad-text') });
+      const right = x - 12 * ratio;
+      const covered = this.measuredBetween(plot, head.sensor, right - size * 4, right);
+      const at = under ? y(Math.min(head.value, lowest(covered))) + size * 2.2
+        : y(Math.max(head.value, highest(covered))) - 9 * ratio;
+      write(context, fixed(head.value), right, at, {
+        size: size * 1.75, strong: true, align: 'right',
+        colour: token(head.usable ? '--ink' : '--bad-text'),
+      });
+    });
+  }
+
+  /** Measured values between two places on the canvas, which a text there must not cover. */
+  measuredBetween(plot, sensor, left, right) {
+    const { times, past } = this.model;
+    return past[sensor].measured.filter((_, i) => {
+      const x = plot.valToPos(times[i] / 1000, 'x', true);
+      return x >= left && x <= right;
     });
   }
 
@@ -252,10 +265,7 @@ export class TrendChart {
     const right = left + context.measureText(channelName(sensor)).width;
     const room = plot.valToPos(this.model.nowMs / 1000, 'x', true) - 70 * ratio;
     if (right > room) return;
-    const covered = values.filter((_, i) => {
-      const x = plot.valToPos(times[i] / 1000, 'x', true);
-      return x >= left - 8 * ratio && x <= right;
-    });
+    const covered = this.measuredBetween(plot, sensor, left - 8 * ratio, right);
     const gap = 9 * ratio;
     const at = under
       ? plot.valToPos(lowest(covered), 'y', true) + gap + size * 1.3

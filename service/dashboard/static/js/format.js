@@ -57,6 +57,9 @@ export const utc = (ms) => new Date(ms).toISOString().replace('T', ' ').replace(
 export const timeZone = (ms) =>
   new Date(ms).toLocaleTimeString([], { timeZoneName: 'short' }).split(' ').pop();
 
+/** The nearest full minute: plans are made in minutes, the clock that places them is not. */
+export const wholeMinute = (ms) => Math.round(ms / 60000) * 60000;
+
 /** Local time on screen, UTC on hover and for assistive technology. */
 export const timeElement = (ms, text = hourMinute(ms)) =>
   h('time', { datetime: new Date(ms).toISOString(), title: utc(ms) }, text);
@@ -64,6 +67,7 @@ export const timeElement = (ms, text = hourMinute(ms)) =>
 /** A span of time as [number, unit, …] pairs: 33 min, 1 h 40 min, 12 s. */
 function spanParts(seconds) {
   const minutes = Math.max(0, Math.round(seconds / 60));
+  if (minutes < 1) return [['< 1', 'min']];
   if (minutes < 100) return [[String(minutes), 'min']];
   if (minutes < 48 * 60) {
     return [[String(Math.floor(minutes / 60)), 'h'],
@@ -77,6 +81,9 @@ export const spanText = (seconds) => spanParts(seconds).flat().join(' ');
 /** The same with small units, for large figures. */
 export const spanNodes = (seconds) =>
   spanParts(seconds).map(([number, name], i) => [i ? ' ' : '', number, unit(name)]);
+
+/** Keep a figure and its unit on one line. */
+export const joined = (text) => text.replace(/ (?=°C|%|min\b|h\b|s\b|K\b|N\b|rpm)/g, '\u00a0');
 
 /** An age that grows: 0.6 s, 42 s, 4 min 05 s, 2 h 10 min. */
 export function ageText(seconds) {

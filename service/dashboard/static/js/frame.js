@@ -2,18 +2,19 @@
 import { detailText, isShown, needsAcknowledge, symbol, worst } from './alarms.js';
 import { h, put, setText } from './dom.js';
 import {
-  ageText, channelName, fixed, hourMinuteSecond, milliseconds, shortAge, significant, timeElement,
-  timeZone, utc,
+  ageText, channelName, fixed, hourMinuteSecond, joined, milliseconds, shortAge, significant,
+  timeElement, timeZone, utc,
 } from './format.js';
 import { icon, logo } from './icons.js';
 import { isDistrust, limitedReadings } from './readings.js';
 
 const JOB_SHOWN_AFTER_MS = 15000;
 
-/** Age of what a source gave last, in process seconds. */
+/** Age of what a source gave last, in process seconds; null when it never gave anything. */
 function sourceAge(source, clock) {
-  const since = source.heardMs === null ? 0 : (clock.now() - source.heardMs) / 1000;
-  return source.age_s === null ? null : source.age_s + Math.max(0, since);
+  const now = clock.now();
+  if (now === null || typeof source.age_s !== 'number') return null;
+  return source.age_s + Math.max(0, (now - source.heardMs) / 1000);
 }
 
 export class Header {
@@ -22,26 +23,36 @@ export class Header {
     this.tabs = h('nav', { class: 'tabs', 'aria-label': 'Views' });
     this.asset = h('div', { class: 'asset' });
     this.sources = h('div', { class: 'conn', 'aria-label': 'Sources' });
-    this.role = h('span', { class: 'mut s role' });
     this.clockText = h('span', {});
     this.zone = h('small', {});
     this.clock = h('div', { class: 'clock' }, this.clockText, this.zone);
-    this.theme = h('button', { class: 'btn sm ghost', type: 'button', onclick: actions.switchTheme });
-    this.exit = h('button', { class: 'btn sm ghost', type: 'button', onclick: actions.logOut },
-      'Log out');
     this.actions = actions;
+    this.menu = this.createMenu();
     put(box, h('div', { class: 'brand' }, logo(), h('span', {}, 'Bearing Twin')), this.asset,
-      this.tabs, h('div', { class: 'sp' }), this.sources, this.role, this.theme, this.exit,
-      this.clock);
+      this.tabs, h('div', { class: 'sp' }), this.sources, this.menu, this.clock);
+  }
+
+  createMenu() {
+    this.role = h('summary', {});
+    this.theme = h('button', { class: 'btn', type: 'button', onclick: this.actions.switchTheme });
+    this.exit = h('button', { class: 'btn', type: 'button', onclick: this.actions.logOut },
+      'Log out');
+    const menu = h('details', { class: 'menu' }, this.role,
+      h('div', {}, this.theme, this.exit, h('a', { href: '/docs' }, 'HTTP interface')));
+    const close = (event) => {
+      if (!menu.contains(event.target) || event.key === 'Escape') menu.open = false;
+    };
+    document.addEventListener('click', close);
+    document.addEventListener('keydown', (event) => event.key === 'Escape' && close(event));
+    return menu;
   }
 
   showTheme(theme) {
-    setText(this.theme, theme === 'dark' ? 'Light' : 'Dark');
-    this.theme.setAttribute('aria-label', `Switch to the ${this.theme.textContent} theme`);
+    setText(this.theme, theme === 'dark' ? 'Light theme' : 'Dark theme');
   }
 
   showSession(session, canLogOut) {
-    setText(this.role, session?.role ?? '');
+    setText(this.role, session?.role ?? 'menu');
     this.exit.hidden = !canLogOut;
   }
 
@@ -66,15 +77,17 @@ export class Header {
   /** Sources with the age of their data, and the clock of process time. */
   tick(state, clock) {
     const away = state.link.status !== 'live';
+    // How fresh a line is belongs to the wall clock, however fast process time runs.
+    const age = (source) => shortAge(sourceAge(source, clock) / clock.rate);
     const chips = state.sources.map((source) => [
-      source.name, source.up && !away,
-      source.up && !away ? shortAge(sourceAge(source, clock)) : 'no data', source.detail ?? '',
+      source.name, source.up && !away, source.up && !away ? age(source) : 'no data',
+      source.detail ?? '',
     ]);
     if (chips.length !== this.sources.children.length) {
       put(this.sources, chips.map(() => h('span', {}, h('span', {}), h('span', {}),
         h('span', { class: 'd' }))));
     }
-    chips.forEach(([name, up, age, detail], i) => {
+    chips.forEach(([name, up, word, detail], i) => {
       const chip = this.sources.children[i];
       const look = `src${up ? '' : ' bad'}`;
       if (chip.className !== look) {
@@ -82,7 +95,7 @@ export class Header {
         put(chip.children[0], up ? icon('ok', 'filled', '1.05em') : icon('bad', 'current', '1.1em'));
       }
       setText(chip.children[1], name);
-      setText(chip.children[2], age);
+      setText(chip.children[2], word);
       chip.title = detail;
     });
     this.tickClock(state, clock);
@@ -209,7 +222,7 @@ export class Banner {
       put(this.since);
       return;
     }
-    setText(this.message, `${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`);
+    setText(this.message, joined(`${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
     setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, live)}`);
     const raised = milliseconds(alarm.raised_at);
     if (this.raised !== raised || look !== this.sinceLook) {

@@ -1,6 +1,6 @@
 // Keeps the store in step with the service: a fresh start over REST, then the stream.
 import { applyAlarm, isShown } from './alarms.js';
-import { assetPath, call, callOptional } from './api.js';
+import { assetPath, call, callOptional, callPages } from './api.js';
 import { isNumber, milliseconds } from './format.js';
 import { History } from './history.js';
 import { GOOD } from './readings.js';
@@ -79,8 +79,8 @@ export class Live {
       hello: () => this.greet(message),
       measurement: () => this.takeSamples(message.data.samples),
       state: () => this.takeState(message.data),
-      forecast: () => this.store.set('forecast', message.data),
-      alarm: () => applyAlarm(this.store, message.data),
+      forecast: () => this.takeForecast(message.data),
+      alarm: () => this.takeAlarm(message.data),
       job: () => this.takeJob(message.data),
       health: () => this.takeHealth(message.data),
     }[message.type];
@@ -89,23 +89,37 @@ export class Live {
 
   /** First message of a connection: all that may have been missed is asked for anew. */
   greet(message) {
-    this.takeSnapshot(message.data.tags ?? message.data[this.assetId]?.tags ?? {});
+    this.takeSnapshot(message.data.tags);
     this.guarded(() => this.loadAll());
   }
 
   async loadAll() {
+    // What the stream says while the answers are on their way is newer than the answers.
+    const newer = [];
+    this.newerAlarms = newer;
     await this.loadAsset();
     const path = (rest) => assetPath(this.assetId, rest);
-    const [nodes, forecast, alarms] = await Promise.all([
-      callOptional(path('/state')), callOptional(path('/forecast')),
-      call('/alarms', { query: { asset: this.assetId } }),
+    const [state, forecast, alarms] = await Promise.all([
+      callOptional(path('/state')), callOptional(path('/forecast')), callPages('/alarms', {}),
     ]);
-    const mine = (alarms.items ?? alarms).filter((alarm) =>
-      alarm.asset === this.assetId && isShown(alarm));
+    const mine = alarms.filter((alarm) => alarm.asset === this.assetId && isShown(alarm));
     this.store.set('alarms', new Map(mine.map((alarm) => [alarm.id, alarm])));
-    this.store.set('nodes', nodes);
-    if (forecast) this.store.set('forecast', forecast);
+    newer.forEach((alarm) => applyAlarm(this.store, alarm));
+    if (this.newerAlarms === newer) this.newerAlarms = null;
+    if (state) this.takeState(state);
+    if (forecast) this.takeForecast(forecast);
     await this.keepHistory();
+  }
+
+  takeAlarm(alarm) {
+    this.newerAlarms?.push(alarm);
+    applyAlarm(this.store, alarm);
+  }
+
+  takeForecast(forecast) {
+    const known = this.store.get('forecast');
+    if (known && milliseconds(known.made_at) > milliseconds(forecast.made_at)) return;
+    this.store.set('forecast', forecast);
   }
 
   async loadAsset() {
@@ -159,7 +173,8 @@ export class Live {
   }
 
   takeState(state) {
-    const { model_version: before } = this.store.get('nodes') ?? {};
+    const { model_version: before, time } = this.store.get('nodes') ?? {};
+    if (time && milliseconds(time) > milliseconds(state.time)) return;
     this.store.set('nodes', state);
     const changed = before !== undefined && before !== state.model_version;
     if (changed) this.guarded(() => this.loadAsset());

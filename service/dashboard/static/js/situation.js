@@ -47,6 +47,7 @@ export function situation(state, clock) {
   const lost = readings.filter((reading) => !reading.usable);
   return {
     nowMs, live, readings, limits, fan, noForecast, speed,
+    planned: state.forecast?.planned !== false,
     steps: fan ? steps : [],
     endMs: wholeFan?.times.at(-1) ?? null,
     crossings: crossingsAhead(state.forecast, fan, limits, nowMs),
@@ -57,7 +58,7 @@ export function situation(state, clock) {
       readings, speedRpm: speed.usable ? speed.value : null,
       trusted: state.asset.active_model?.trusted !== false,
     }),
-    next: answerNextStep({ fan, steps, limits }),
+    next: answerNextStep({ forecast: state.forecast, fan, steps, limits, nowMs }),
     toLimit: answerTimeToLimit({ forecast: state.forecast, fan, readings, limits, nowMs }),
   };
 }

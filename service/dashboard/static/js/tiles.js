@@ -2,6 +2,7 @@
 import { bold, h, unit } from './dom.js';
 import {
   ageText, channelName, celsius, fixed, hourMinute, percent, spanNodes, spanText, timeElement,
+  wholeMinute,
 } from './format.js';
 import { icon } from './icons.js';
 import { THRESHOLDS } from './verdict.js';
@@ -12,7 +13,7 @@ const nothing = () => icon('none', 'filled', '.8em');
 const lower = (sensor) => channelName(sensor).toLowerCase();
 
 /** parts: { look, label, title, symbol, word, figure, note, why: [lines], small, extra }. */
-function tile({ look = '', label, title, symbol, word, figure, note, why = [], small, extra }) {
+function tile({ look = '', label, title, symbol = null, word, figure, note, why = [], small, extra }) {
   return h('section', { class: `ans ${look}`, 'aria-label': label },
     h('h2', {}, title),
     h('p', { class: 'big' }, symbol, h('span', { class: 'word' }, word),
@@ -64,10 +65,11 @@ export function nowTile(answer, high) {
     });
   }
   const { warning } = reading.limits;
+  const of = `${lower(reading.sensor)}, `;
   const figure = h('span', {}, celsius(reading.value));
   const threat = { warning: (high ?? 0) > warning, alarm: (high ?? 0) > reading.limits.alarm };
   const common = {
-    label, title, figure, note: `${lower(reading.sensor)}, measured`,
+    label, title, figure, note: 'measured',
     extra: gauge(reading, high, threat),
   };
   if (word === 'over') {
@@ -75,10 +77,10 @@ export function nowTile(answer, high) {
     return tile({
       ...common, look: `solid p${answer.priority}`, symbol: icon(answer.priority, 'inverse', SYMBOL),
       word: ['Over ', String(limit), unit('°C')],
-      why: [[bold(`${fixed(reading.value - limit)} K`), ` over ${answer.level} ${limit} °C`]],
+      why: [[of, bold(`${fixed(reading.value - limit)} K`), ` over ${answer.level} ${limit} °C`]],
     });
   }
-  const margin = [bold(`${fixed(warning - reading.value)} K`), ` below warning ${warning} °C`];
+  const margin = [of, bold(`${fixed(warning - reading.value)} K`), ` below warning ${warning} °C`];
   const words = { safe: 'Safe', 'safe now': 'Safe now', rest: 'At rest' };
   return tile({
     ...common, symbol: word === 'rest' ? nothing() : calm(), word: words[word], why: [margin],
@@ -96,10 +98,11 @@ export const noForecastTile = (label, title, why) => tile({
 export const awayTile = (label, title) => unknown(label, title, 'the service does not answer');
 
 /** Is the next step safe? */
-export function nextStepTile(answer, { nowMs, alone }) {
+export function nextStepTile(answer, { nowMs, alone, planned }) {
   const { peak, step, held, fromMs } = answer;
-  const title = held ? 'Present point, held'
-    : ['Next step in ', spanText((fromMs - nowMs) / 1000), ', ', timeElement(fromMs)];
+  const rest = planned ? 'This step, the last one planned' : 'Present point, held';
+  const title = held ? rest : ['Next step in ', spanText((fromMs - nowMs) / 1000), ', ',
+      timeElement(wholeMinute(fromMs))];
   const point = [bold(`${fixed(step.speed_rpm, 0)} rpm`), `, ${fixed(step.load_n, 0)} N, `,
     spanText(step.duration_s)];
   return tile({
@@ -108,6 +111,26 @@ export function nextStepTile(answer, { nowMs, alone }) {
     note: `over ${peak.limits.warning} °C`, why: [point],
     small: [`${lower(peak.sensor)} peak ${fixed(peak.median)} °C, 95 % `,
       `${fixed(peak.low)} … ${fixed(peak.high)}`, alone && h('b', { class: 'bt' }, ', twin alone')],
+  });
+}
+
+/** Is a whole profile safe? `answer` is that of `answerNextStep` over its whole length. */
+export function profileTile(answer) {
+  const { peak } = answer;
+  return tile({
+    look: LOOKS[answer.priority], label: 'Is this profile safe', title: 'This profile',
+    symbol: aheadSymbol(answer.priority), word: WORDS[answer.word],
+    why: [[`${lower(peak.sensor)}: ${percent(peak.warning)} over ${peak.limits.warning} °C, `,
+      `${percent(peak.alarm)} over ${peak.limits.alarm} °C`]],
+  });
+}
+
+/** The hottest moment of a profile; `planned` is that of the plan, or null. */
+export function peakTile({ peak }, planned) {
+  return tile({
+    label: 'Peak', title: `Peak ${lower(peak.sensor)}`, word: celsius(peak.median),
+    why: [['97.5 % below ', bold(`${fixed(peak.high)} °C`),
+      planned && `, as planned ${fixed(planned.median)} °C`]],
   });
 }
 

@@ -46,6 +46,10 @@ export function answerNow({ readings, speedRpm, trusted }) {
   return { word: trusted ? 'safe' : 'safe now', reading: worst };
 }
 
+/** Limits of the sensors that the forecast speaks of. */
+const foretold = (limits, forecast, fan) => Object.fromEntries(Object.entries(limits)
+  .filter(([name]) => fan.bands[name] && forecast.time_to_limit?.[name]));
+
 /** Of all sensors with limits, the one for which `rank` is highest. */
 const worstSensor = (limits, assess, rank) => Object.entries(limits)
   .map(([sensor, own]) => ({ sensor, limits: own, ...assess(sensor, own) }))
@@ -55,15 +59,22 @@ const worstSensor = (limits, assess, rank) => Object.entries(limits)
  * Is the next step safe? `steps` are those of `stepsFrom`, made distinct; with no further step
  * the answer is for the present point, held to the end of the forecast.
  */
-export function answerNextStep({ fan, steps, limits }) {
+export function answerNextStep({ forecast, fan, steps, limits, nowMs }) {
   if (!fan) return { word: 'no forecast' };
   const held = steps.length < 2;
   const step = held ? steps[0] : steps[1];
   const fromMs = step?.from ?? fan.times[0];
   const toMs = step?.to ?? fan.times.at(-1);
-  const known = Object.fromEntries(Object.entries(limits).filter(([name]) => fan.bands[name]));
-  const worst = worstSensor(known, (sensor, own) => overSpan(fan, sensor, own, fromMs, toMs),
-    (peak) => peak.alarm >= THRESHOLDS.alarm ? 1 + peak.alarm : peak.warning
+  const known = foretold(limits, forecast, fan);
+  const assess = (sensor, own) => {
+    const peak = overSpan(fan, sensor, own, fromMs, toMs);
+    const told = (level) => timeToLimit(forecast, sensor, level, nowMs).probability;
+    // Members counted over the whole forecast know best; a part of it cannot be likelier.
+    const share = (level) => (held ? told(level) : Math.min(peak[level], told(level)));
+    return { ...peak, warning: share('warning'), alarm: share('alarm') };
+  };
+  const worst = worstSensor(known, assess, (peak) =>
+    (peak.alarm >= THRESHOLDS.alarm ? 1 + peak.alarm : peak.warning)
       + 1e-6 * (peak.high - peak.limits.warning));
   if (!worst) return { word: 'no forecast' };
   const priority = priorityFor(worst.warning, worst.alarm);
@@ -82,7 +93,7 @@ export function answerTimeToLimit({ forecast, fan, readings, limits, nowMs }) {
     const asked = timeToLimit(forecast, sensor, level, nowMs);
     return { level, over, asked, alarm: timeToLimit(forecast, sensor, 'alarm', nowMs), peak };
   };
-  const known = Object.fromEntries(Object.entries(limits).filter(([name]) => fan.bands[name]));
+  const known = foretold(limits, forecast, fan);
   const soonest = (one) => one.asked.median ?? one.asked.earliest ?? endS;
   const worst = worstSensor(known, assess, (one) =>
     (one.asked.probability >= THRESHOLDS.atRisk ? 1000 - soonest(one) / endS * 100 : 0)

@@ -77,11 +77,11 @@ export class OperatorView {
     }, text));
     return h('section', { class: 'panel p-trend' },
       h('header', {}, h('h2', {}, 'Temperature, °C'), this.modelText, this.labels,
-        h('span', { class: 'sp' }),
-        key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'), key('f50', '50 %'),
-        key('f95', '95 %'),
-        h('span', { class: 'seg', role: 'group', 'aria-label': 'Span of the past' },
-          this.spanButtons)),
+        h('span', { class: 'keys' },
+          key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'),
+          key('f50', '50 %'), key('f95', '95 %'),
+          h('span', { class: 'seg', role: 'group', 'aria-label': 'Span of the past' },
+            this.spanButtons))),
       this.boxes.temperature, this.boxes.speed, this.boxes.load);
   }
 
