@@ -26,8 +26,11 @@ BURN_OUT = -32768  # open or shorted element
 OVER_RANGE = 32767
 STATUS_BITS = {"wire break": 1 << 0, "short circuit": 1 << 1, "over-range": 1 << 2}
 
+START_COIL = 0
+
 _READ_HOLDING = 3
 _READ_INPUT = 4
+_WRITE_COIL = 5
 _CONTROLLER_REGISTERS = 10
 _PLAN_REGISTERS = 6 * PLAN_ROWS
 
@@ -79,11 +82,19 @@ class BenchModbusServer:
         What is served.
     now_s : callable
         Present process time in seconds since the start.
+    start_scenario : callable
+        Called when a client sets the controller's start coil; a second time changes nothing.
     """
 
-    def __init__(self, bench: LiveBench, now_s: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        bench: LiveBench,
+        now_s: Callable[[], float],
+        start_scenario: Callable[[], None],
+    ) -> None:
         self._bench = bench
         self._now_s = now_s
+        self._start_scenario = start_scenario
         self._server: ModbusTcpServer | None = None
 
     async def start(self, host: str, port: int) -> tuple[str, int]:
@@ -154,11 +165,15 @@ class BenchModbusServer:
         async def refresh(
             function: int,
             _start: int,  # both blocks begin at address 0
-            _address: int,
+            address: int,
             _count: int,
             registers: list[int],
-            _values: list[int] | list[bool] | None,
+            values: list[int] | list[bool] | None,
         ) -> ExcCodes | None:
+            if function == _WRITE_COIL and address == START_COIL:
+                if values and values[0]:
+                    self._start_scenario()
+                return None
             if function != _READ_HOLDING:
                 return ExcCodes.ILLEGAL_FUNCTION
             self._bench.advance(self._now_s())

@@ -48,6 +48,7 @@ async def run(
     modbus_port: int = 5020,
     can_port: int = 5021,
     truth: Path | None = None,
+    wait_for_start: bool = False,
     announce: Callable[[dict[str, Any]], None],
     stop: asyncio.Event,
 ) -> None:
@@ -69,8 +70,10 @@ async def run(
         Ports; 0 takes a free one.
     truth : pathlib.Path, optional
         CSV file for the true temperatures of all nodes.
+    wait_for_start : bool
+        Stand still until a client sets the controller's start coil.
     announce : callable
-        Called once, when both ports listen and process time begins, with the addresses.
+        Called once, when both ports listen, with the addresses.
     stop : asyncio.Event
         Ends the run.
 
@@ -88,7 +91,18 @@ async def run(
     try:
         # the compiler's first run must not eat process time
         await asyncio.to_thread(LiveBench(plan, seed).advance, 1.0)
-        await _serve(plan, rate, seed, host, modbus_port, can_port, truth_file, announce, stop)
+        await _serve(
+            plan,
+            rate,
+            seed,
+            host,
+            modbus_port,
+            can_port,
+            truth_file,
+            wait_for_start,
+            announce,
+            stop,
+        )
     finally:
         if truth_file is not None:
             truth_file.close()
@@ -102,22 +116,29 @@ async def _serve(
     modbus_port: int,
     can_port: int,
     truth_file: _TruthFile | None,
+    wait_for_start: bool,
     announce: Callable[[dict[str, Any]], None],
     stop: asyncio.Event,
 ) -> None:
     bench = LiveBench(plan, seed)
     origin: float | None = None
+    wall_start_us = 0
+
+    def begin() -> None:
+        nonlocal origin, wall_start_us
+        if origin is None:
+            origin, wall_start_us = time.monotonic(), time.time_ns() // 1000
 
     def now_s() -> float:
         return 0.0 if origin is None else (time.monotonic() - origin) * rate
 
-    modbus = BenchModbusServer(bench, now_s)
+    modbus = BenchModbusServer(bench, now_s, begin)
     can = BenchCanSender(bench)
     try:
         modbus_host, modbus_at = await modbus.start(host, modbus_port)
         can_host, can_at = await can.start(host, can_port)
-        wall_start_us = time.time_ns() // 1000
-        origin = time.monotonic()
+        if not wait_for_start:
+            begin()
         announce(
             {
                 "modbus": {"host": modbus_host, "port": modbus_at},
@@ -133,7 +154,7 @@ async def _serve(
             }
         )
         period = max(CAN_PERIOD_S / rate, _SHORTEST_PERIOD_S)
-        due = origin
+        due = time.monotonic()
         while not stop.is_set():
             bench.advance(now_s())
             can.send_frames()

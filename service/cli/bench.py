@@ -27,6 +27,12 @@ def virtual_bench(
     truth: Annotated[
         Path | None, typer.Option(help="Write all node temperatures to this CSV file.")
     ] = None,
+    wait_for_start: Annotated[
+        bool,
+        typer.Option(
+            "--wait-for-start", help="Stand still until coil 0 of the controller (unit 2) is set."
+        ),
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Say where it listens as one JSON line.")
     ] = False,
@@ -54,6 +60,7 @@ def virtual_bench(
             modbus_port=modbus_port,
             can_port=can_port,
             truth=truth,
+            wait_for_start=wait_for_start,
             announce=announce,
             stop=stop_on_signals(),
         )

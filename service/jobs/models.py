@@ -8,7 +8,7 @@ from service.live.estimate import ActiveModel
 from service.settings import AssetSection
 from service.store.records import Job, ModelVersion
 from twin_core.bearings import bearing
-from twin_core.identification import Posterior, parameter_report, prior_posterior
+from twin_core.identification import Posterior, prior_posterior
 from twin_core.models import ThermalModel, build_model
 
 
@@ -24,14 +24,13 @@ def first_model(asset: AssetSection) -> dict[str, Any]:
     return {
         "model": model.name,
         "posterior": posterior.to_dict(),
-        "parameters": parameter_report(model, posterior),
+        "parameters": posterior.parameters(model),
         "windows": [],
         "window_records": [],
         "scores": {},
         "naive": {},
         "gates": None,
         "job": None,
-        "identified": False,
     }
 
 
@@ -42,7 +41,7 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dic
     return {
         "model": model.name,
         "posterior": result.posterior,
-        "parameters": parameter_report(model, posterior),
+        "parameters": posterior.parameters(model),
         "windows": [
             {"start": window["start"], "end": window["end"]} | extra
             for window, extra in zip(job.request["windows"], result.windows, strict=True)
@@ -52,7 +51,6 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dic
         "naive": result.naive,
         "gates": result.gates,
         "job": job.id,
-        "identified": True,
     }
 
 
@@ -63,7 +61,7 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
         version=version.version,
         model=thermal_model(posterior.model_name, asset.bearing),
         posterior=posterior,
-        identified_at_us=version.created_at_us if version.document["identified"] else None,
+        identified_at_us=version.created_at_us if posterior.identified else None,
     )
 
 
