@@ -1,5 +1,6 @@
 """Measurements: the history of channels, and the way in for gateways."""
 
+import asyncio
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
@@ -26,10 +27,12 @@ from service.api.problems import Problem, parameter_problem
 from service.api.pushes import PushRequest, judge
 from service.api.times import Instant
 from service.security.roles import PUSH, VIEWER
+from service.store import StoreUnavailableError
 
 LIMIT = 10_000
 LIMIT_MAX = 50_000
 CHANNELS_MAX = 50
+PUSH_PATIENCE_S = 10.0
 DEFAULT_SPAN_US = 3600 * 1_000_000
 CSV = "text/csv; charset=utf-8"
 _CSV_PAGE_ROWS = 5000
@@ -158,7 +161,11 @@ async def post_measurements(context: Context, asset: Asset, request: PushRequest
             ],
         )
     verdict = judge(request.samples, asset, context.clock.now_us(), context.clock.rate)
-    counts = await context.ingest.accept(verdict.samples)
+    try:
+        async with asyncio.timeout(PUSH_PATIENCE_S):
+            counts = await context.ingest.accept(verdict.samples)
+    except TimeoutError as error:
+        raise StoreUnavailableError("pushed samples are not on the disk yet") from error
     return json_response(
         {
             "accepted": counts.stored,

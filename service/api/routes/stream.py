@@ -93,10 +93,10 @@ async def stream(websocket: WebSocket, context: Context, keys: Keys) -> None:
     )
 
 
-async def heartbeats(bus: Bus) -> None:
-    """Send a heartbeat to every subscriber every 15 wall seconds, for ever."""
+async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
+    """Send a heartbeat to every subscriber, every 15 wall seconds, for ever."""
     while True:
-        await asyncio.sleep(HEARTBEAT_S)
+        await asyncio.sleep(every_s)
         bus.publish("heartbeat", None, {"subscribers": bus.subscribers})
 
 

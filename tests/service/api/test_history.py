@@ -1,0 +1,199 @@
+"""GET measurements, on the real store."""
+
+import csv
+import io
+from typing import Any
+
+import pytest
+
+from service.api.bodies import Measurements
+from service.clock import rfc3339
+
+PATH = "/api/v1/assets/bench-1/measurements"
+HOUR_US = 3_600_000_000
+START_US = 1_795_248_000_000_000  # 2026-11-21T08:00:00Z
+INNER, OUTER = "t_inner_ring_c", "t_outer_ring_c"
+
+
+async def get(world: Any, **query: Any) -> dict[str, Any]:
+    response = await world.client("viewer").get(PATH, params=query)
+    assert response.status_code == 200, response.text
+    document: dict[str, Any] = response.json()
+    Measurements.model_validate(document)
+    return document
+
+
+def span(seconds: float, start_us: int = START_US) -> dict[str, str]:
+    return {"start": rfc3339(start_us), "end": rfc3339(start_us + round(seconds * 1e6))}
+
+
+async def test_raw_is_the_default_with_start_in_and_end_out(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, [60.0, 61.0, 62.0])
+    document = await get(world, **span(2))
+    assert document["resolution"] == "raw"
+    assert document["next"] is None
+    assert document["items"] == [
+        {"channel": INNER, "time": rfc3339(START_US), "value": 60.0, "quality": 192},
+        {"channel": INNER, "time": rfc3339(START_US + 1_000_000), "value": 61.0, "quality": 192},
+    ]
+
+
+async def test_bad_sample_has_no_value_but_its_quality(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, [float("nan")])
+    (item,) = (await get(world, **span(2)))["items"]
+    assert item["value"] is None
+    assert item["quality"] < 64
+
+
+async def test_channels_can_be_chosen(world: Any) -> None:
+    for channel in (INNER, OUTER, "speed_rpm"):
+        world.write("bench-1", channel, START_US, [1.0])
+    items = (await get(world, channel=[OUTER, "speed_rpm", OUTER], **span(2)))["items"]
+    assert [item["channel"] for item in items] == ["speed_rpm", OUTER]
+
+
+async def test_channel_that_was_imported_can_be_read_though_not_configured(world: Any) -> None:
+    world.write("bench-1", "t_node_3_c", START_US, [40.0])
+    assert len((await get(world, channel="t_node_3_c", **span(2)))["items"]) == 1
+
+
+@pytest.mark.parametrize("output", ["json", "csv"])
+async def test_pages_hold_everything_once_and_in_order(world: Any, output: str) -> None:
+    world.write("bench-1", INNER, START_US, list(range(10)))
+    world.write("bench-1", OUTER, START_US, list(range(10)))
+    client = world.client("viewer")
+    times: list[tuple[str, str]] = []
+    response = await client.get(PATH, params=span(60) | {"limit": 3, "format": output})
+    for _ in range(7):
+        if output == "json":
+            rows = response.json()["items"]
+        else:
+            rows = list(csv.DictReader(io.StringIO(response.text)))
+        times += [(row["time"], row["channel"]) for row in rows]
+        if "next" not in response.links:
+            break
+        response = await client.get(response.links["next"]["url"])
+    assert len(times) == 20
+    assert times == sorted(set(times))
+
+
+async def test_cursor_keeps_the_span_of_the_first_page(world: Any) -> None:
+    now_us = world.clock.now_us()
+    world.write("bench-1", INNER, now_us - 5_000_000, [1.0, 2.0, 3.0])
+    first = await get(world, limit=2)
+    second = await get(world, cursor=first["next"])
+    assert [item["value"] for item in second["items"]] == [3.0]
+
+
+async def test_without_a_span_the_last_hour_is_given(world: Any) -> None:
+    now_us = world.clock.now_us()
+    world.write("bench-1", INNER, now_us - HOUR_US - 60_000_000, [1.0])
+    world.write("bench-1", INNER, now_us - HOUR_US + 60_000_000, [2.0])
+    assert [item["value"] for item in (await get(world))["items"]] == [2.0]
+
+
+async def test_end_alone_gives_the_hour_before_it(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, [1.0])
+    items = (await get(world, end=rfc3339(START_US + HOUR_US)))["items"]
+    assert [item["value"] for item in items] == [1.0]
+    assert (await get(world, end=rfc3339(START_US + HOUR_US + 1_000)))["items"] == []
+
+
+@pytest.mark.parametrize(("resolution", "buckets"), [("1s", 120), ("1min", 2), ("1h", 1)])
+async def test_rollups_have_mean_extremes_and_count(
+    world: Any, resolution: str, buckets: int
+) -> None:
+    world.write("bench-1", INNER, START_US, list(range(120)))
+    document = await get(world, resolution=resolution, **span(3600))
+    assert document["resolution"] == resolution
+    assert len(document["items"]) == buckets
+    assert sum(item["count"] for item in document["items"]) == 120
+    first = document["items"][0]
+    size = 120 // buckets
+    assert first == {
+        "channel": INNER,
+        "time": rfc3339(START_US),
+        "mean": (size - 1) / 2,
+        "min": 0.0,
+        "max": size - 1.0,
+        "count": size,
+        "quality": 192,
+    }
+
+
+async def test_auto_gives_raw_samples_while_they_are_few(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, list(range(1400)))
+    document = await get(world, resolution="auto", **span(7 * 86400))
+    assert document["resolution"] == "raw"
+    assert len(document["items"]) == 1400
+
+
+@pytest.mark.parametrize(("seconds", "resolution"), [(1501, "2s"), (4000, "5s"), (20_000, "15s")])
+async def test_auto_gives_about_1500_rows_at_most(
+    world: Any, seconds: int, resolution: str
+) -> None:
+    world.write("bench-1", INNER, START_US, list(range(seconds)))
+    document = await get(world, resolution="auto", channel=INNER, **span(30 * 86400))
+    assert document["resolution"] == resolution
+    assert 500 <= len(document["items"]) <= 1501
+    assert sum(item["count"] for item in document["items"]) == seconds
+
+
+async def test_auto_keeps_its_choice_over_pages(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, list(range(4000)))
+    query = {"resolution": "auto", "channel": INNER, "limit": 500} | span(86400)
+    first = await get(world, **query)
+    second = await get(world, **query, cursor=first["next"])
+    assert first["resolution"] == second["resolution"] == "5s"
+    assert second["items"][0]["time"] == rfc3339(START_US + 2_500_000_000)
+
+
+async def test_csv_is_long_with_an_empty_cell_for_no_value(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, [60.25, float("nan")])
+    response = await world.client("viewer").get(PATH, params=span(60) | {"format": "csv"})
+    assert response.headers["content-type"] == "text/csv; charset=utf-8"
+    lines = response.text.split("\r\n")
+    assert lines[:2] == [
+        "time,channel,value,quality",
+        "2026-11-21T08:00:00.000Z,t_inner_ring_c,60.25,192",
+    ]
+    assert lines[2].startswith("2026-11-21T08:00:01.000Z,t_inner_ring_c,,")
+    rollup = await world.client("viewer").get(
+        PATH, params=span(60) | {"format": "csv", "resolution": "1min"}
+    )
+    assert rollup.text.split("\r\n")[:2] == [
+        "time,channel,mean,min,max,count,quality",
+        "2026-11-21T08:00:00.000Z,t_inner_ring_c,60.25,60.25,60.25,1,192",
+    ]
+
+
+async def test_csv_without_limit_is_the_whole_span(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, list(range(12_345)))
+    response = await world.client("viewer").get(PATH, params=span(86400) | {"format": "csv"})
+    values = [float(row["value"]) for row in csv.DictReader(io.StringIO(response.text))]
+    assert values == [float(number) for number in range(12_345)]
+
+
+async def test_json_without_limit_is_a_page(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, list(range(10_001)))
+    document = await get(world, **span(86400))
+    assert len(document["items"]) == 10_000
+    assert document["next"]
+
+
+@pytest.mark.parametrize(
+    "cursor",
+    [
+        "",
+        "%%%",
+        "bnVsbA",
+        "eyJyZXNvbHV0aW9uIjoicmF3In0",
+        # a resolution that was never offered, and a start before all time
+        "eyJyZXNvbHV0aW9uIjoiM3MiLCJzdGFydF91cyI6MCwiZW5kX3VzIjoxLCJjaGFubmVscyI6bnVsbH0",
+        "eyJyZXNvbHV0aW9uIjoicmF3Iiwic3RhcnRfdXMiOi0xLCJlbmRfdXMiOjEsImNoYW5uZWxzIjpudWxsfQ",
+    ],
+)
+async def test_cursor_that_is_not_ours_is_refused(world: Any, cursor: str) -> None:
+    response = await world.client("viewer").get(PATH, params={"cursor": cursor})
+    assert response.status_code == 422
+    assert response.json()["errors"][0]["parameter"] == "cursor"

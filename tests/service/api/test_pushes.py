@@ -1,0 +1,124 @@
+"""POST measurements, through the real ingest into the real store."""
+
+from typing import Any
+
+import pytest
+
+from service.api.bodies import Pushed
+from service.clock import rfc3339
+
+PATH = "/api/v1/assets/rig-2/measurements"
+INNER = "t_inner_ring_c"
+
+
+def sample(world: Any, seconds_ago: float = 0, **changes: Any) -> dict[str, Any]:
+    time_us = world.clock.now_us() - round(seconds_ago * 1e6)
+    return {"channel": INNER, "time": rfc3339(time_us), "value": 60.0} | changes
+
+
+async def push(world: Any, *samples: Any) -> Pushed:
+    response = await world.client("gateway").post(PATH, json={"samples": samples})
+    assert response.status_code == 200, response.text
+    return Pushed.model_validate(response.json())
+
+
+def stored(world: Any) -> list[tuple[str, float | None, int]]:
+    now_us = world.clock.now_us()
+    rows = world.store.read_samples("rig-2", None, 0, now_us + 10**12, 100)
+    return [(row.channel, row.value, row.quality) for row in rows]
+
+
+async def test_pushed_samples_are_stored_when_the_answer_comes(world: Any) -> None:
+    answer = await push(
+        world,
+        sample(world, 2),
+        sample(world, 1, value=61.5, quality=80),
+        sample(world, 0, channel="ambient_c", value=21),
+    )
+    assert (answer.accepted, answer.duplicates, answer.rejected) == (3, 0, [])
+    assert stored(world) == [(INNER, 60.0, 192), (INNER, 61.5, 80), ("ambient_c", 21.0, 192)]
+
+
+async def test_the_live_twin_gets_them_too(world: Any) -> None:
+    await push(world, sample(world, value=63.0))
+    assert [(s.asset, s.channel, s.value) for s in world.taken] == [("rig-2", INNER, 63.0)]
+
+
+async def test_sending_again_is_counted_and_changes_nothing(world: Any) -> None:
+    first = sample(world, 5)
+    await push(world, first)
+    answer = await push(world, first, first | {"value": 99.0})
+    assert (answer.accepted, answer.duplicates) == (0, 2)
+    assert stored(world) == [(INNER, 60.0, 192)]
+
+
+async def test_a_good_sample_mends_a_bad_one_of_the_same_time(world: Any) -> None:
+    first = sample(world, 5)
+    await push(world, first | {"value": None, "quality": 24})
+    answer = await push(world, first)
+    assert answer.accepted == 1
+    assert stored(world) == [(INNER, 60.0, 192)]
+
+
+async def test_sample_without_value_is_bad(world: Any) -> None:
+    await push(world, sample(world, 1, value=None), sample(world, 0, value=5.0, quality=16))
+    assert stored(world) == [(INNER, None, 0), (INNER, None, 16)]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "detail"),
+    [
+        ({"channel": "t_missing_c"}, "pushed channels are: t_inner_ring_c, ambient_c"),
+        ({"channel": 7}, "unknown"),
+        ({"time": "2026-11-21T08:00:00"}, "offset"),
+        ({"time": None}, "RFC 3339"),
+        ({"value": "60"}, "number or null"),
+        ({"value": True}, "number or null"),
+        ({"value": 10**400}, "finite"),
+        ({"value": None, "quality": 192}, "expected a number with quality 192"),
+        ({"quality": 256}, "0 to 255"),
+        ({"quality": "good"}, "0 to 255"),
+    ],
+)
+async def test_wrong_sample_is_rejected_and_its_neighbours_are_not(
+    world: Any, wrong: dict[str, Any], detail: str
+) -> None:
+    answer = await push(world, sample(world, 2), sample(world, 1, **wrong), sample(world, 0))
+    assert answer.accepted == 2
+    (rejected,) = answer.rejected
+    assert rejected.index == 1
+    assert detail in rejected.detail
+
+
+async def test_sample_far_in_the_future_is_rejected(world: Any) -> None:
+    answer = await push(world, sample(world, -3600), sample(world, -60), "no object")
+    assert answer.accepted == 1
+    assert [rejected.index for rejected in answer.rejected] == [0, 2]
+    assert "future" in answer.rejected[0].detail
+
+
+async def test_channel_with_a_wire_takes_no_pushes(world: Any) -> None:
+    response = await world.client("gateway").post(
+        "/api/v1/assets/bench-1/measurements",
+        json={"samples": [sample(world), sample(world, channel="speed_rpm")]},
+    )
+    assert response.status_code == 409
+    pointers = [error["pointer"] for error in response.json()["errors"]]
+    assert sorted(pointers) == ["/samples/0/channel", "/samples/1/channel"]
+    assert "pt100" in response.text
+    assert world.store.channels("bench-1") == []
+
+
+async def test_body_without_samples_is_refused(world: Any) -> None:
+    response = await world.client("gateway").post(PATH, json={"sample": []})
+    assert response.status_code == 422
+    assert "/samples" in {error["pointer"] for error in response.json()["errors"]}
+
+
+async def test_nothing_to_store_is_fine(world: Any) -> None:
+    assert (await push(world)).accepted == 0
+
+
+async def test_many_samples_in_one_call(world: Any) -> None:
+    samples = [sample(world, 3000 - number, value=number) for number in range(3000)]
+    assert (await push(world, *samples)).accepted == 3000

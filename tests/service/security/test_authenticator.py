@@ -1,0 +1,154 @@
+import asyncio
+import sqlite3
+import time
+from pathlib import Path
+
+import pytest
+
+from service.security import Authenticator, Principal, create_key, revoke_key
+from service.security.authenticator import MEMORY_S, SESSION_S
+from service.security.keys import fingerprint, wall_us
+from service.store import Store, StoreUnavailableError
+
+
+def take_away(store: Store, data_dir: Path) -> None:
+    store.close()
+    database = data_dir / "bearing-twin.db"
+    database.rename(data_dir / "elsewhere.db")
+    database.mkdir()
+
+
+async def test_key_names_its_owner(store: Store) -> None:
+    key = create_key(store, "operator")
+    principal = await Authenticator(store).by_key(key.text)
+    assert principal == Principal("operator", key.record.id, key.record.prefix, None, False)
+    assert principal is not None
+    assert principal.who == f"operator {key.record.prefix}"
+
+
+async def test_unknown_key_and_cookie_are_nobody(store: Store) -> None:
+    authenticator = Authenticator(store)
+    assert await authenticator.by_key("bt_00000000_" + "A" * 43) is None
+    assert await authenticator.by_session("nothing") is None
+
+
+async def test_key_made_later_is_known_at_once(store: Store) -> None:
+    authenticator = Authenticator(store)
+    await authenticator.by_key("bt_00000000_" + "A" * 43)
+    key = create_key(store, "viewer")
+    assert await authenticator.by_key(key.text) is not None
+
+
+async def test_polling_asks_the_store_once_in_a_while(store: Store, tmp_path: Path) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer")
+    await authenticator.by_key(key.text)
+    take_away(store, tmp_path)
+    for _ in range(1000):
+        assert await authenticator.by_key(key.text) is not None
+
+
+async def test_revoked_key_is_refused_within_two_seconds(store: Store) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer")
+    assert await authenticator.by_key(key.text) is not None
+    revoke_key(store, key.record.id)
+    began = time.monotonic()
+    while await authenticator.by_key(key.text) is not None:  # noqa: ASYNC110 - nobody tells
+        await asyncio.sleep(0.02)
+    assert MEMORY_S / 2 < time.monotonic() - began < 2.0
+
+
+async def test_known_key_is_trusted_while_the_store_is_away(store: Store, tmp_path: Path) -> None:
+    authenticator = Authenticator(store)
+    known, unknown = create_key(store, "viewer"), create_key(store, "admin")
+    await authenticator.by_key(known.text)
+    take_away(store, tmp_path)
+    await asyncio.sleep(MEMORY_S + 0.05)
+    assert await authenticator.by_key(known.text) is not None
+    with pytest.raises(StoreUnavailableError):
+        await authenticator.by_key(unknown.text)
+
+
+async def logged_in(store: Store) -> tuple[Authenticator, str, Principal]:
+    authenticator = Authenticator(store)
+    principal = await authenticator.by_key(create_key(store, "operator").text)
+    assert principal is not None
+    cookie, opened = await authenticator.log_in(principal)
+    return authenticator, cookie, opened
+
+
+async def test_session_is_as_good_as_its_key_for_twelve_hours(store: Store) -> None:
+    authenticator, cookie, opened = await logged_in(store)
+    principal = await authenticator.by_session(cookie)
+    assert principal == opened
+    assert opened.session
+    assert opened.expires_us is not None
+    assert abs(opened.expires_us - wall_us() - SESSION_S * 1_000_000) < 5_000_000
+
+
+async def test_session_ends_with_log_out(store: Store) -> None:
+    authenticator, cookie, _ = await logged_in(store)
+    assert await authenticator.by_session(cookie) is not None
+    await authenticator.log_out(cookie)
+    assert await authenticator.by_session(cookie) is None
+
+
+async def test_session_ends_with_its_key(store: Store) -> None:
+    authenticator, cookie, opened = await logged_in(store)
+    revoke_key(store, opened.key_id)
+    assert await authenticator.by_session(cookie) is None
+
+
+def let_time_pass(data_dir: Path, seconds: float) -> None:
+    """Move the end of every session nearer, as if it had not been used for so long."""
+    with sqlite3.connect(data_dir / "bearing-twin.db") as connection:
+        connection.execute(
+            "UPDATE browser_sessions SET expires_us = expires_us - ?", (round(seconds * 1e6),)
+        )
+    connection.close()
+
+
+async def test_using_a_session_keeps_it_alive(store: Store, tmp_path: Path) -> None:
+    _, cookie, opened = await logged_in(store)
+    let_time_pass(tmp_path, SESSION_S - 60)
+    principal = await Authenticator(store).by_session(cookie)
+    assert principal is not None
+    assert principal.expires_us is not None
+    assert opened.expires_us is not None
+    assert principal.expires_us >= opened.expires_us
+    kept = store.find_session(fingerprint(cookie))
+    assert kept is not None
+    assert kept.expires_us == principal.expires_us
+
+
+async def test_session_that_was_not_used_for_twelve_hours_is_over(
+    store: Store, tmp_path: Path
+) -> None:
+    _, cookie, _ = await logged_in(store)
+    let_time_pass(tmp_path, SESSION_S + 1)
+    assert await Authenticator(store).by_session(cookie) is None
+
+
+async def test_renewing_at_once_from_many_tabs_loses_nobody(store: Store, tmp_path: Path) -> None:
+    _, cookie, _ = await logged_in(store)
+    let_time_pass(tmp_path, SESSION_S - 60)
+    authenticator = Authenticator(store)
+    found = await asyncio.gather(*(authenticator.by_session(cookie) for _ in range(20)))
+    assert None not in found
+
+
+async def test_session_ends_no_later_than_its_key(store: Store) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer", expires_in_days=0.1)
+    principal = await authenticator.by_key(key.text)
+    assert principal is not None
+    _, opened = await authenticator.log_in(principal)
+    assert opened.expires_us == key.record.expires_us
+
+
+async def test_unknown_keys_take_no_memory(store: Store) -> None:
+    authenticator = Authenticator(store)
+    for number in range(50):
+        await authenticator.by_key(f"bt_{number:08x}_{'A' * 43}")
+    assert not authenticator._memory
