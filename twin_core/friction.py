@@ -18,7 +18,7 @@ import numpy as np
 
 from twin_core.bearings import Bearing
 from twin_core.materials import BaseOil
-from twin_core.network import Coefficient
+from twin_core.network import Coefficient, FrictionKind
 from twin_core.simulation import kernels
 
 
@@ -63,12 +63,12 @@ def palmgren_moment_nmm(
     """Friction moment by Palmgren in N.mm."""
     coefficients = np.array(
         [
-            f2,
-            bearing.pitch_diameter_mm,
-            bearing.static_load_rating_n,
-            oil.viscosity_mm2_s,
-            oil.coefficient_per_k,
-            oil.reference_c,
+            coefficient.factor * (f2 if coefficient.parameter else 1.0)
+            for coefficient in palmgren_coefficients(bearing, oil)
         ]
     )
-    return float(kernels.palmgren_moment_nmm(coefficients, speed_rpm, load_n, temperature_c))
+    kind = int(FrictionKind.PALMGREN)
+    # The kernel gives heat; a moment exists at standstill too, where M_v has its constant form.
+    point = kernels.friction_at_point(kind, coefficients, max(speed_rpm, 1e-6), load_n)
+    heat_w = kernels.friction_heat_w(kind, coefficients, point, temperature_c, 0.0)
+    return float(heat_w / point[0])

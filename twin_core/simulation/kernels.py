@@ -20,6 +20,13 @@ from numba import njit
 
 MAX_STEP_S = 60.0
 """Longer rows are divided into equal steps no longer than this."""
+FRESH_STEP_S = 15.0
+FRESH_S = 120.0
+"""For this long after a change of the operating point the steps are shorter: the heat moves
+fastest there. It depends on the profile alone, so results stay smooth in the parameters."""
+FRESH_SPEED_FRACTION = 0.02
+FRESH_LOAD_FRACTION = 0.05
+"""Smaller changes are measurement noise and need no shorter steps."""
 HEAT_LIMIT_W = 3000.0
 """No bearing of this size survives more friction heat; keeps a run-away model computable."""
 TEMPERATURE_LIMIT_C = 2000.0
@@ -39,6 +46,8 @@ LAW_MIN_FRACTION = 0.1
 PALMGREN = 0
 CONSTANT, CONTACT, CONVECTIVE, CONVECTIVE_REFERENCE, FILM, SHAFT_SINK = 0, 1, 2, 3, 4, 5
 FILM_REFERENCE_K = 12.0
+PALMGREN_BRANCH = math.log(2000.0)
+"""Equation (3) changes its form at nu n = 2000."""
 
 
 def compiled(function):  # type: ignore[no-untyped-def]
@@ -76,50 +85,59 @@ def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def palmgren_moment_nmm(c, speed, load, temperature):  # type: ignore[no-untyped-def]
-    """Equations (2) to (4); c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC."""
-    load_moment = 0.0009 * (load / c[2]) ** 0.55 * load * c[1]
-    viscosity = c[3] * math.exp(-c[4] * (temperature - c[5]))
-    product = viscosity * speed
-    if product >= 2000.0:
-        viscous = 1e-7 * c[0] * product ** (2.0 / 3.0) * c[1] ** 3
-    else:
-        viscous = 160e-7 * c[0] * c[1] ** 3
-    return load_moment + viscous
+def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
+    """Everything of a friction law that does not change while speed and load stay.
 
-
-@compiled
-def separable_moment_nmm(c, speed, load, temperature, revolutions):  # type: ignore[no-untyped-def]
-    """Return the separable law; c: M at the reference in N.mm, p, p2, q, pq, x, x2, A, Nr."""
+    Palmgren, c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC. Separable, c:
+    moment at the reference in N.mm, p, p2, q, pq, x, x2, A, Nr. Gives the numbers for
+    :func:`friction_heat_w`, the first being W per N.mm.
+    """
+    point = np.zeros(5)
+    point[0] = 1e-3 * 2.0 * math.pi / 60.0 * speed
+    if kind == PALMGREN:
+        point[1] = 0.0009 * (load / c[2]) ** 0.55 * load * c[1]
+        # ln(nu n) at 0 degC and its slope: M_v = 1e-7 f2 (nu n)^(2/3) dm^3
+        point[2] = math.log(max(c[3] * speed, 1e-12)) + c[4] * c[5]
+        point[3] = c[4]
+        point[4] = 1e-7 * c[0] * c[1] ** 3
+        return point
     relative_speed = math.log(max(speed / REFERENCE_SPEED_RPM, LAW_MIN_FRACTION))
     relative_load = math.log(max(load / REFERENCE_LOAD_N, LAW_MIN_FRACTION))
-    # Vogel's ln(nu / nu(60 degC)); far below its range the grease is solid and the law moot.
-    viscosity = 989.0 / max(temperature + 95.0, 35.0) - 989.0 / 155.0
-    exponent = (
-        (c[1] + c[2] * relative_speed) * relative_speed
-        + (c[3] + c[4] * relative_speed) * viscosity
-        + (c[5] + c[6] * relative_load) * relative_load
-    )
-    return c[0] * math.exp(exponent) * (1.0 + c[7] * math.exp(-revolutions / c[8]))
+    exponent = (c[1] + c[2] * relative_speed) * relative_speed
+    exponent += (c[5] + c[6] * relative_load) * relative_load
+    point[1] = c[0] * math.exp(exponent)
+    point[2] = c[3] + c[4] * relative_speed
+    return point
 
 
 @compiled
-def friction_heat_w(kind, c, speed, load, temperature, revolutions):  # type: ignore[no-untyped-def]
+def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[no-untyped-def]
     """Heat in W at the temperature of the lubricant, never above HEAT_LIMIT_W."""
     if kind == PALMGREN:
-        moment = palmgren_moment_nmm(c, speed, load, temperature)
+        logarithm = point[2] - point[3] * temperature
+        viscous = 160.0
+        if logarithm >= PALMGREN_BRANCH:
+            viscous = math.exp(2.0 / 3.0 * logarithm)
+        moment = point[1] + point[4] * viscous
     else:
-        moment = separable_moment_nmm(c, speed, load, temperature, revolutions)
-    return min(1e-3 * moment * speed * 2.0 * math.pi / 60.0, HEAT_LIMIT_W)
+        # Vogel's ln(nu / nu(60 degC)); far below its range the grease is solid and the law moot.
+        viscosity = 989.0 / max(temperature + 95.0, 35.0) - 989.0 / 155.0
+        fresh = 1.0 + c[7] * math.exp(-revolutions / c[8]) if c[7] != 0.0 else 1.0
+        moment = point[1] * math.exp(point[2] * viscosity) * fresh
+    return min(point[0] * moment, HEAT_LIMIT_W)
 
 
 @compiled
 def film_excess_w(conductance, exponent, difference):  # type: ignore[no-untyped-def]
-    """Heat in W that a film takes up beyond its linear part at a temperature difference."""
+    """Heat in W that a film takes up beyond its linear part, and its slope in W/K."""
     size = abs(difference)
     if size < 1e-9:
-        return 0.0
-    return conductance * ((size / FILM_REFERENCE_K) ** exponent - 1.0) * difference
+        return 0.0, 0.0
+    relative = (size / FILM_REFERENCE_K) ** exponent
+    return (
+        conductance * (relative - 1.0) * difference,
+        conductance * ((1.0 + exponent) * relative - 1.0),
+    )
 
 
 @compiled
@@ -254,21 +272,30 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
     first = np.empty(count)
     second = np.empty(count)
     heat_input = np.empty(count)
-    excess = np.empty(films)
+    slope = np.empty(films)
+    point = np.empty(5)
+    kind = net.friction_kind
     rate = np.empty(count)
     modes = np.empty((count, count))
     inverse = np.empty((count, count))
     transposed = np.empty((count, count))
     ambient_input = np.empty(count)
     point_speed, point_load, point_step = math.nan, math.nan, math.nan
+    fresh_until = -math.inf
     turned = revolutions
     out[0] = temperature
     for row in range(time.size - 1):
         n = abs(speed[row])
         f = max(load[row], 0.0)
         if n != point_speed or f != point_load:
+            if not (
+                abs(n - point_speed) <= FRESH_SPEED_FRACTION * n
+                and abs(f - point_load) <= FRESH_LOAD_FRACTION * f
+            ):
+                fresh_until = time[row] + FRESH_S
             rate, modes, inverse, ambient_input = decompose(net, capacity, coefficient, n, f)
             transposed = modes.T.copy()
+            point = friction_at_point(kind, friction, n, f)
             point_speed, point_load, point_step = n, f, math.nan
             heat_input[:] = 0.0
             y[:] = 0.0
@@ -276,54 +303,60 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
                 for k in range(count):
                     heat_input[k] += modes[i, k] * share[i]
                     y[k] += inverse[k, i] * temperature[i]
-        duration = time[row + 1] - time[row]
-        steps = max(1, math.ceil(duration / MAX_STEP_S - 1e-9))
-        step = duration / steps
-        if step != point_step:
-            step_functions(rate, step, decay, first, second)
-            point_step = step
         for k in range(count):
             base[k] = ambient_input[k] * ambient[row]
         for i in range(count):
             if disturbance[i] != 0.0:
                 for k in range(count):
                     base[k] += modes[i, k] * disturbance[i]
-        for _ in range(steps):
-            heat = friction_heat_w(
-                net.friction_kind, friction, n, f, temperature[lubricant], turned
-            )
-            for k in range(count):
-                b[k] = base[k] + heat_input[k] * heat
-            for j in range(films):
-                node = film_node[j]
-                excess[j] = film_excess_w(
-                    film_law[j, 0], film_law[j, 1], temperature[node] - ambient[row]
-                )
+        # A part of shorter steps after a change, then the rest of the row.
+        duration = time[row + 1] - time[row]
+        fresh = min(max(fresh_until - time[row], 0.0), duration)
+        for part in range(2):
+            span = fresh if part == 0 else duration - fresh
+            steps = math.ceil(span / (FRESH_STEP_S if part == 0 else MAX_STEP_S) - 1e-9)
+            if steps <= 0:
+                continue
+            step = span / steps
+            if step != point_step:
+                step_functions(rate, step, decay, first, second)
+                point_step = step
+            for _ in range(steps):
+                heat = friction_heat_w(kind, friction, point, temperature[lubricant], turned)
                 for k in range(count):
-                    b[k] -= modes[node, k] * excess[j]
-            for k in range(count):
-                predicted[k] = decay[k] * y[k] + first[k] * b[k]
-            turned += n * step / 60.0
-            later = 0.0
-            for k in range(count):
-                later += modes[lubricant, k] * predicted[k]
-            change = friction_heat_w(net.friction_kind, friction, n, f, later, turned) - heat
-            for k in range(count):
-                b[k] = heat_input[k] * change
-            for j in range(films):
-                node = film_node[j]
-                later = -ambient[row]
+                    b[k] = base[k] + heat_input[k] * heat
+                for j in range(films):
+                    node = film_node[j]
+                    excess, slope[j] = film_excess_w(
+                        film_law[j, 0], film_law[j, 1], temperature[node] - ambient[row]
+                    )
+                    for k in range(count):
+                        b[k] -= modes[node, k] * excess
                 for k in range(count):
-                    later += modes[node, k] * predicted[k]
-                change = film_excess_w(film_law[j, 0], film_law[j, 1], later) - excess[j]
+                    predicted[k] = decay[k] * y[k] + first[k] * b[k]
+                turned += n * step / 60.0
+                later = 0.0
                 for k in range(count):
-                    b[k] -= modes[node, k] * change
-            temperature[:] = 0.0
-            for k in range(count):
-                y[k] = predicted[k] + second[k] * b[k]
+                    later += modes[lubricant, k] * predicted[k]
+                change = friction_heat_w(kind, friction, point, later, turned) - heat
+                for k in range(count):
+                    b[k] = heat_input[k] * change
+                for j in range(films):
+                    node = film_node[j]
+                    later = 0.0
+                    for k in range(count):
+                        later += modes[node, k] * predicted[k]
+                    change = slope[j] * (later - temperature[node])
+                    for k in range(count):
+                        b[k] -= modes[node, k] * change
                 for i in range(count):
-                    temperature[i] += transposed[k, i] * y[k]
-        out[row + 1] = temperature
+                    temperature[i] = 0.0
+                for k in range(count):
+                    y[k] = predicted[k] + second[k] * b[k]
+                    for i in range(count):
+                        temperature[i] += transposed[k, i] * y[k]
+        for i in range(count):
+            out[row + 1, i] = temperature[i]
         for i in range(count):
             if not abs(temperature[i]) <= TEMPERATURE_LIMIT_C:
                 out[row + 1 :] = math.nan
@@ -362,9 +395,9 @@ def heat_balance(  # type: ignore[no-untyped-def]
     _, coefficient, friction, share = bind_network(net, values)
     film_node, film_law = film_edges(net, coefficient)
     matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
-    heat = friction_heat_w(
-        net.friction_kind, friction, speed, load, temperature[net.temperature_node], revolutions
-    )
+    kind = net.friction_kind
+    point = friction_at_point(kind, friction, speed, load)
+    heat = friction_heat_w(kind, friction, point, temperature[net.temperature_node], revolutions)
     count = temperature.size
     flow = np.empty(count)
     for i in range(count):
@@ -374,7 +407,8 @@ def heat_balance(  # type: ignore[no-untyped-def]
             flow[i] += matrix[i, j] * (temperature[i] - temperature[j])
     for k in range(film_node.size):
         node = film_node[k]
-        flow[node] -= film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
+        excess, _ = film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
+        flow[node] -= excess
     return flow, heat
 
 
@@ -390,16 +424,13 @@ def heat_balance_linearised(  # type: ignore[no-untyped-def]
     jacobian = -matrix
     lubricant = net.temperature_node
     nudge = 1e-4
-    warmer = friction_heat_w(
-        net.friction_kind, friction, speed, load, temperature[lubricant] + nudge, 0.0
-    )
+    kind = net.friction_kind
+    point = friction_at_point(kind, friction, speed, load)
+    warmer = friction_heat_w(kind, friction, point, temperature[lubricant] + nudge, 0.0)
     for i in range(temperature.size):
         jacobian[i, lubricant] += share[i] * (warmer - heat) / nudge
     for k in range(film_node.size):
         node = film_node[k]
-        difference = temperature[node] - ambient
-        jacobian[node, node] -= (
-            film_excess_w(film_law[k, 0], film_law[k, 1], difference + nudge)
-            - film_excess_w(film_law[k, 0], film_law[k, 1], difference)
-        ) / nudge
+        _, slope = film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
+        jacobian[node, node] -= slope
     return flow, jacobian

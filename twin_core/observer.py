@@ -1,0 +1,461 @@
+"""State observer: all node temperatures from whatever sensors are good at the moment.
+
+A Kalman filter. The mean goes through the same kernel as every simulation; the covariance
+through the exact transition matrix of the operating point. Two kinds of model error:
+
+- *heat disturbances*: at every node an unknown heat that drifts as a stationary first-order
+  process over :data:`DISTURBANCE_TIME_S`; its size goes with the friction heat and most of it
+  sits where friction does. They are states of the filter: it learns a lasting model error and
+  stays on the sensors without an offset, the spread of unmeasured nodes tells how far wrong
+  resistances may have led them, and when sensors are lost it grows everywhere.
+- *heat noise*: short-lived, white, the same at every node; in temperature it counts least where
+  the heat capacity is large.
+
+A sensor's error is white noise, quantisation and a part that stays for about a minute: readings
+that come every second do not count sixty times.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin_core.models import ThermalModel
+from twin_core.simulation import OperatingProfile, SimulationError, kernels, simulate
+
+DISTURBANCE_TIME_S = 5400.0
+DISTURBANCE_HEAT_W = 0.5
+DISTURBANCE_HEAT_FRACTION = 0.03
+DISTURBANCE_SHARE_FRACTION = 0.25
+"""Standard deviation of a node's heat disturbance: 0.5 W, plus 3 % of the friction heat, plus
+25 % of the friction heat that enters at the node."""
+HEAT_NOISE_W_SQRT_S = 4.0
+"""White heat noise per node, in W s^(1/2): 0.17 K per square root of a minute on a ring."""
+
+SENSOR_NOISE_K = 0.05
+SENSOR_RESOLUTION_K = 0.1
+SENSOR_DRIFT_K = 0.1
+SENSOR_DRIFT_TIME_S = 60.0
+"""White noise, quantisation step, and a part of the error that lasts for about a minute."""
+
+_REST_OFFSET_K = 1.0
+_REST_SCATTER_K = 0.3
+_REST_CONTRADICTION_K = 3.0
+_ENSEMBLE_FLOOR_K = 0.5
+_ENSEMBLE_SCATTER = 0.08
+_ENSEMBLE_LEVELS = (0.75, 1.0, 1.3)
+
+
+class Innovation(NamedTuple):
+    """What a sensor said against what was expected.
+
+    Parameters
+    ----------
+    difference_k
+        Reading minus expectation.
+    std_k
+        Expected standard deviation of the difference.
+    """
+
+    difference_k: float
+    std_k: float
+
+
+class Observer:
+    """Kalman filter over the state nodes of a model.
+
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Its parameters, shape (p,), physical units.
+    temperatures_c
+        Mean, shape (nodes,).
+    covariance
+        In K2, shape (nodes, nodes).
+    revolutions
+        Revolutions since greasing.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong or a value not finite.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        values: ArrayLike,
+        temperatures_c: ArrayLike,
+        covariance: ArrayLike,
+        revolutions: float = 0.0,
+    ) -> None:
+        nodes = len(model.node_names)
+        mean = np.array(temperatures_c, dtype=np.float64)
+        spread = np.array(covariance, dtype=np.float64)
+        self._model = model
+        self._values = np.array(values, dtype=np.float64)
+        for name, array, shape in (
+            ("temperatures_c", mean, (nodes,)),
+            ("covariance", spread, (nodes, nodes)),
+            ("values", self._values, (model.parameters.size,)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} is not finite: {array.tolist()}")
+        self._nodes = nodes
+        self._state = np.concatenate((mean, np.zeros(nodes)))
+        self._covariance = np.eye(2 * nodes)
+        self._covariance[:nodes, :nodes] = (spread + spread.T) / 2.0
+        self._revolutions = float(revolutions)
+        self._elapsed_s: dict[str, float] = {}
+        self._bound = kernels.bind_network(model.compiled, self._values)
+        self._point: tuple[float, float] | None = None
+        self._modes: tuple[NDArray[np.float64], ...] = ()
+
+    @property
+    def model(self) -> ThermalModel:
+        """The model in use."""
+        return self._model
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The parameters in use, shape (p,)."""
+        return self._values.copy()
+
+    @property
+    def temperatures_c(self) -> NDArray[np.float64]:
+        """Mean of the node temperatures, shape (nodes,)."""
+        return self._state[: self._nodes].copy()
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the node temperatures in K2, shape (nodes, nodes)."""
+        return self._covariance[: self._nodes, : self._nodes].copy()
+
+    @property
+    def std_c(self) -> NDArray[np.float64]:
+        """Standard deviation of the node temperatures in K, shape (nodes,)."""
+        std: NDArray[np.float64] = np.sqrt(np.diag(self._covariance)[: self._nodes])
+        return std
+
+    @property
+    def revolutions(self) -> float:
+        """Revolutions since greasing."""
+        return self._revolutions
+
+    def sensor(self, name: str) -> tuple[float, float]:
+        """Mean in degC and standard deviation in K of what a perfect sensor would read now.
+
+        Raises
+        ------
+        ValueError
+            If there is no such sensor or node.
+        """
+        row = self._model.sensor_row(name)
+        spread = self._covariance[: self._nodes, : self._nodes]
+        return float(row @ self._state[: self._nodes]), float(np.sqrt(row @ spread @ row))
+
+    def predict(self, dt_s: float, speed_rpm: float, load_n: float, ambient_c: float) -> None:
+        """Advance by *dt_s* at a constant operating point; any length, zero does nothing.
+
+        Raises
+        ------
+        ValueError
+            If *dt_s* is negative or an argument is not finite.
+        SimulationError
+            If the model runs away; the state is left as it was.
+        """
+        if not np.isfinite([dt_s, speed_rpm, load_n, ambient_c]).all() or dt_s < 0.0:
+            raise ValueError(
+                f"predict: dt_s is {dt_s}, speed_rpm {speed_rpm}, load_n {load_n}, ambient_c "
+                f"{ambient_c}; expected finite numbers and dt_s >= 0"
+            )
+        if dt_s == 0.0:
+            return
+        speed, load = abs(float(speed_rpm)), max(float(load_n), 0.0)
+        compiled, nodes = self._model.compiled, self._nodes
+        if self._point != (speed, load):
+            capacity, coefficient, _, _ = self._bound
+            self._modes = kernels.decompose(compiled, capacity, coefficient, speed, load)
+            self._point = (speed, load)
+        scale_w = self._disturbance_scale_w(speed, load)
+        fading = 1.0 / DISTURBANCE_TIME_S
+        mean_fading = -np.expm1(-fading * dt_s) / (fading * dt_s)
+        heat = scale_w * mean_fading * self._state[nodes:]
+        path = np.empty((2, nodes))
+        failed = kernels.simulate_kernel(
+            compiled,
+            self._values,
+            np.array([0.0, dt_s]),
+            np.array([speed, speed]),
+            np.array([load, load]),
+            np.array([ambient_c, ambient_c], dtype=np.float64),
+            self._state[:nodes].copy(),
+            self._revolutions,
+            heat,
+            path,
+        )
+        if failed >= 0:
+            raise SimulationError(
+                f"the observer's model {self._model.name!r} ran away at {speed:g} rpm and "
+                f"{load:g} N"
+            )
+        transition, noise = self._transition(dt_s, scale_w)
+        self._covariance = transition @ self._covariance @ transition.T + noise
+        self._state[:nodes] = path[1]
+        self._state[nodes:] *= np.exp(-fading * dt_s)
+        self._revolutions += speed * dt_s / 60.0
+        for name in self._elapsed_s:
+            self._elapsed_s[name] += dt_s
+
+    def update(self, measured: Mapping[str, float]) -> dict[str, Innovation]:
+        """Take in readings of any sensors; those not named are simply not there.
+
+        Parameters
+        ----------
+        measured
+            Temperature in degC by sensor or node name; good readings only.
+
+        Returns
+        -------
+        dict
+            The innovation of each sensor, against the state before this call.
+
+        Raises
+        ------
+        ValueError
+            If a name is unknown or a reading not finite; nothing is taken in then.
+        """
+        names = list(measured)
+        if not names:
+            return {}
+        readings = np.array([measured[name] for name in names], dtype=np.float64)
+        for name, reading in zip(names, readings.tolist(), strict=True):
+            if not np.isfinite(reading):
+                raise ValueError(f"reading of {name} is {reading}, expected a finite number")
+        rows = np.zeros((len(names), self._state.size))
+        rows[:, : self._nodes] = self._model.sensor_matrix(names)
+        variance = np.array([self._sensor_variance(name) for name in names])
+        self._elapsed_s.update(dict.fromkeys(names, 0.0))
+        difference = readings - rows @ self._state
+        expected = rows @ self._covariance @ rows.T + np.diag(variance)
+        gain = np.linalg.solve(expected, rows @ self._covariance).T
+        self._state = self._state + gain @ difference
+        # Joseph form: stays symmetric and positive whatever the rounding of the gain.
+        kept = np.eye(self._state.size) - gain @ rows
+        self._covariance = kept @ self._covariance @ kept.T + (gain * variance) @ gain.T
+        std = np.sqrt(np.diag(expected))
+        return {
+            name: Innovation(float(difference[k]), float(std[k])) for k, name in enumerate(names)
+        }
+
+    def with_parameters(self, model: ThermalModel, values: ArrayLike) -> "Observer":
+        """Continue with another model or other parameters and the same temperatures.
+
+        The heat disturbances start anew: what they had learned was the old model's error.
+
+        Raises
+        ------
+        ValueError
+            If the model has other nodes, or *values* has the wrong shape.
+        """
+        if model.node_names != self._model.node_names:
+            raise ValueError(
+                f"model {model.name!r} has other nodes than model {self._model.name!r}"
+            )
+        swapped = Observer(model, values, self.temperatures_c, self.covariance, self._revolutions)
+        swapped._elapsed_s = dict(self._elapsed_s)
+        return swapped
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the whole state as plain JSON types; the model and its values are not in it."""
+        return {
+            "state": self._state.tolist(),
+            "covariance": self._covariance.tolist(),
+            "revolutions": self._revolutions,
+        }
+
+    @classmethod
+    def from_dict(cls, model: ThermalModel, values: ArrayLike, data: Mapping[str, object]) -> Self:
+        """Restore what :meth:`to_dict` gave.
+
+        Raises
+        ------
+        ValueError
+            If the data do not belong to this kind of model.
+        """
+        nodes = len(model.node_names)
+        size = 2 * nodes
+        state = np.asarray(data.get("state"), dtype=np.float64)
+        covariance = np.asarray(data.get("covariance"), dtype=np.float64)
+        if state.shape != (size,) or covariance.shape != (size, size):
+            raise ValueError(
+                f"observer state has shapes {state.shape} and {covariance.shape}, expected "
+                f"({size},) and ({size}, {size})"
+            )
+        revolutions = data.get("revolutions")
+        if not isinstance(revolutions, int | float):
+            raise ValueError(f"observer state: revolutions is {revolutions!r}, expected a number")
+        observer = cls(model, values, state[:nodes], covariance[:nodes, :nodes], float(revolutions))
+        if not (np.isfinite(state).all() and np.isfinite(covariance).all()):
+            raise ValueError("observer state is not finite")
+        observer._state = state
+        observer._covariance = covariance
+        return observer
+
+    def _disturbance_scale_w(self, speed: float, load: float) -> NDArray[np.float64]:
+        """Standard deviation of every node's heat disturbance in W, shape (nodes,)."""
+        compiled = self._model.compiled
+        _, _, friction, share = self._bound
+        kind = compiled.friction_kind
+        heat = kernels.friction_heat_w(
+            kind,
+            friction,
+            kernels.friction_at_point(kind, friction, speed, load),
+            self._state[compiled.temperature_node],
+            self._revolutions,
+        )
+        scale: NDArray[np.float64] = DISTURBANCE_HEAT_W + heat * (
+            DISTURBANCE_HEAT_FRACTION + DISTURBANCE_SHARE_FRACTION * share
+        )
+        return scale
+
+    def _sensor_variance(self, name: str) -> float:
+        """Variance of a reading; a quickly repeated one repeats most of the slow error."""
+        elapsed = self._elapsed_s.get(name, SENSOR_DRIFT_TIME_S)
+        repeats = max(SENSOR_DRIFT_TIME_S / max(elapsed, 1e-3), 1.0)
+        return SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0 + SENSOR_DRIFT_K**2 * repeats
+
+    def _transition(
+        self, dt_s: float, scale_w: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Exact transition matrix and process noise over a step, heat feedback left out.
+
+        In the modal coordinates y of the operating point dy/dt = -lam y + D d + B w and
+        dd/dt = -a d + sqrt(2 a) v with white w, v: every integral is a sum of exponentials.
+        """
+        rate, modes, inverse, _ = self._modes
+        nodes, size = self._nodes, self._state.size
+        a = 1.0 / DISTURBANCE_TIME_S
+        # A mode exactly as fast as the disturbance would divide by zero; a part in 1e4 is moot.
+        rate = np.where(np.abs(rate - a) < 1e-4 * a, a * 1.0002, rate)
+        response = modes.T * scale_w / (rate - a)[:, None]
+
+        def decayed(total: NDArray[np.float64]) -> NDArray[np.float64]:
+            """Integral of exp(-total s) over the step."""
+            exponent = total * dt_s
+            small = exponent < 1e-12
+            safe = np.where(small, 1.0, exponent)
+            result: NDArray[np.float64] = dt_s * np.where(small, 1.0, -np.expm1(-safe) / safe)
+            return result
+
+        decay, fade = np.exp(-rate * dt_s), np.exp(-a * dt_s)
+        transition = np.zeros((size, size))
+        transition[:nodes, :nodes] = (modes * decay) @ inverse
+        transition[:nodes, nodes:] = modes @ (response * (fade - decay)[:, None])
+        transition[nodes:, nodes:] = fade * np.eye(size - nodes)
+
+        pair = decayed(rate[:, None] + rate[None, :])
+        mixed = decayed(a + rate)
+        own = float(decayed(np.array(2.0 * a)))
+        driven = 2.0 * a * (response @ response.T) * (own - mixed[:, None] - mixed[None, :] + pair)
+        white = HEAT_NOISE_W_SQRT_S**2 * (modes.T @ modes) * pair
+        cross = modes @ (2.0 * a * response * (own - mixed)[:, None])
+        noise = np.zeros((size, size))
+        noise[:nodes, :nodes] = modes @ (driven + white) @ modes.T
+        noise[:nodes, nodes:] = cross
+        noise[nodes:, :nodes] = cross.T
+        noise[nodes:, nodes:] = 2.0 * a * own * np.eye(size - nodes)
+        return transition, (noise + noise.T) / 2.0
+
+
+def initial_state(
+    model: ThermalModel,
+    values: ArrayLike,
+    measured: Mapping[str, float],
+    ambient_c: float,
+    speed_rpm: float,
+    load_n: float,
+    at_rest: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Temperatures to start an observer with, and how little is known about them.
+
+    A machine that stood still for long lies at ambient. Otherwise nothing is assumed about the
+    past: the state is one that the model could be in while warming up or cooling down towards the
+    present operating point, at some unknown moment and with an uncertain level of heat, given
+    what the sensors say. If the sensors contradict *at_rest* by more than 3 K, it is ignored.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters, shape (p,).
+    measured
+        Readings in degC by sensor or node name; may be empty.
+    ambient_c, speed_rpm, load_n
+        The present operating point.
+    at_rest
+        Whether the machine stood still long enough to have cooled down.
+
+    Returns
+    -------
+    mean : ndarray
+        Shape (nodes,), degC.
+    covariance : ndarray
+        Shape (nodes, nodes), K2.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or a value not finite.
+    SimulationError
+        If the model runs away.
+    """
+    nodes = len(model.node_names)
+    contradicted = any(abs(t - ambient_c) > _REST_CONTRADICTION_K for t in measured.values())
+    if at_rest and not contradicted:
+        mean = np.full(nodes, float(ambient_c))
+        covariance = _REST_OFFSET_K**2 * np.ones((nodes, nodes)) + _REST_SCATTER_K**2 * np.eye(
+            nodes
+        )
+    else:
+        states = _possible_states(model, values, ambient_c, speed_rpm, load_n)
+        mean = states.mean(axis=0)
+        scatter = _ENSEMBLE_FLOOR_K + _ENSEMBLE_SCATTER * np.abs(mean - ambient_c)
+        covariance = np.cov(states, rowvar=False) + np.diag(scatter**2)
+    observer = Observer(model, values, mean, covariance)
+    observer.update(measured)
+    return observer.temperatures_c, observer.covariance
+
+
+def _possible_states(
+    model: ThermalModel, values: ArrayLike, ambient_c: float, speed_rpm: float, load_n: float
+) -> NDArray[np.float64]:
+    """States on the way to an operating point from cold and from hot, shape (members, nodes)."""
+    hot_speed = 1.3 * max(abs(speed_rpm), 3000.0)
+    hot_load = 1.5 * max(load_n, 2000.0)
+    minutes = np.concatenate(([0.0], np.geomspace(1.0, 600.0, 24)))
+    heating_s = 4.0 * 3600.0
+    cold = np.full(len(model.node_names), float(ambient_c))
+    present = (np.full(minutes.size, float(speed_rpm)), np.full(minutes.size, float(load_n)))
+    warming = OperatingProfile(minutes * 60.0, *present, np.full(minutes.size, float(ambient_c)))
+    heated = OperatingProfile(
+        np.array([0.0, heating_s / 8.0, heating_s]),
+        np.full(3, hot_speed),
+        np.full(3, hot_load),
+        np.full(3, float(ambient_c)),
+    )
+    # The run-in state is unknown here; long since run in is the usual case.
+    run_in = 1e9
+    up = simulate(model, values, warming, cold, run_in).temperatures_c
+    states = [up]
+    for hot in simulate(model, values, heated, cold, run_in).temperatures_c[1:]:
+        states.append(simulate(model, values, warming, hot, run_in).temperatures_c)
+    rise = np.concatenate(states) - ambient_c
+    result: NDArray[np.float64] = ambient_c + np.concatenate(
+        [level * rise for level in _ENSEMBLE_LEVELS]
+    )
+    return result
