@@ -1,0 +1,258 @@
+"""The dashboard's parts, run in the browser that will run them."""
+
+import re
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page
+
+from service.dashboard import static_directory
+
+pytestmark = pytest.mark.browser
+
+# A forecast made at the epoch: rows every 10 min over 60 min, one sensor, warming up.
+FORECAST = """
+const row = [60, 70, 80, 90, 100, 110, 120];
+const forecast = {
+  made_at: '1970-01-01T00:00:00.000Z',
+  time_s: [0, 600, 1200, 1800, 2400, 3000, 3600],
+  nodes: { t_inner_ring_c: {
+    q025: row.map((v) => v - 4), q25: row.map((v) => v - 1), q50: row,
+    q75: row.map((v) => v + 1), q975: row.map((v) => v + 4),
+  } },
+  profile: [
+    { duration_s: 1200, speed_rpm: 4200, load_n: 2650 },
+    { duration_s: 600, speed_rpm: 6200, load_n: 2650 },
+    { duration_s: 1800, speed_rpm: 6200, load_n: 2650 },
+  ],
+  time_to_limit: { t_inner_ring_c: {
+    warning: { probability: 1, median_s: 1800, earliest_s: 1500 },
+    alarm: { probability: 0.9, median_s: 2700, earliest_s: 2400 },
+  } },
+};
+const limits = { t_inner_ring_c: { warning: 90, alarm: 105 } };
+"""
+
+
+def run(page: Page, body: str, **arguments: Any) -> Any:
+    """Run an asynchronous function body in the page; `arguments` are its variables."""
+    names = ", ".join(arguments)
+    return page.evaluate(f"async ({{{names}}}) => {{ {body} }}", arguments)
+
+
+def answer_now(page: Page, readings: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
+    given = {"readings": readings, "speedRpm": 3000, "trusted": True} | more
+    answer: dict[str, Any] = run(
+        page,
+        "const { answerNow } = await import('/js/verdict.js'); return answerNow(given);",
+        given=given,
+    )
+    return answer
+
+
+def reading(value: float | None, *, usable: bool = True, **limits: float) -> dict[str, Any]:
+    pair = {"warning": 90, "alarm": 105} | limits
+    return {"sensor": "t_inner_ring_c", "value": value, "usable": usable, "limits": pair}
+
+
+@pytest.mark.parametrize(
+    ("value", "word", "priority"),
+    [(89.9, "safe", None), (90.0, "over", 2), (104.9, "over", 2), (105.0, "over", 1)],
+)
+def test_now_compares_with_both_limits(
+    parts: Page, value: float, word: str, priority: int | None
+) -> None:
+    answer = answer_now(parts, [reading(value)])
+    assert (answer["word"], answer.get("priority")) == (word, priority)
+
+
+def test_now_takes_the_sensor_nearest_to_its_limit(parts: Page) -> None:
+    answer = answer_now(parts, [reading(80), reading(79, warning=80)])
+    assert answer["reading"]["value"] == 79
+
+
+def test_lost_data_are_never_safe(parts: Page) -> None:
+    assert answer_now(parts, [reading(50), reading(40, usable=False)])["word"] == "unknown"
+    assert answer_now(parts, [reading(50, usable=False)])["word"] == "unknown"
+    assert answer_now(parts, [])["word"] == "unknown"
+
+
+def test_a_measured_limit_outweighs_another_lost_sensor(parts: Page) -> None:
+    assert answer_now(parts, [reading(95), reading(40, usable=False)])["word"] == "over"
+
+
+def test_an_untrusted_model_or_a_standing_bench_changes_the_word(parts: Page) -> None:
+    assert answer_now(parts, [reading(50)], trusted=False)["word"] == "safe now"
+    assert answer_now(parts, [reading(50)], speedRpm=0)["word"] == "rest"
+    assert answer_now(parts, [reading(50)], speedRpm=None)["word"] == "safe"
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [(80, 0.5), (90, 0.25), (109.06, 0.025), (120, 0.004), (40, 0.996)],
+)
+def test_probability_is_read_from_quantiles(parts: Page, limit: float, expected: float) -> None:
+    # A normal distribution of mean 80 and standard deviation 14.826.
+    quantiles = [50.94, 70, 80, 90, 109.06]
+    probability = run(
+        parts,
+        "const { probabilityOver } = await import('/js/forecast.js');"
+        "return probabilityOver(quantiles, limit);",
+        quantiles=quantiles,
+        limit=limit,
+    )
+    assert probability == pytest.approx(expected, abs=0.002)
+
+
+def test_the_fan_begins_at_now(parts: Page) -> None:
+    fan = run(
+        parts,
+        FORECAST + "const { fanFrom } = await import('/js/forecast.js');"
+        "return fanFrom(forecast, 900e3, ['t_inner_ring_c']);",
+    )
+    assert fan["times"] == [900e3, 1200e3, 1800e3, 2400e3, 3000e3, 3600e3]
+    assert fan["bands"]["t_inner_ring_c"]["q50"] == [75, 80, 90, 100, 110, 120]
+
+
+def test_a_forecast_that_has_run_out_or_ran_away_is_cut(parts: Page) -> None:
+    cut = run(
+        parts,
+        FORECAST + "const { fanFrom } = await import('/js/forecast.js');"
+        "const names = ['t_inner_ring_c'];"
+        "const late = fanFrom(forecast, 3600e3, names);"
+        "forecast.nodes.t_inner_ring_c.q975[3] = null;"
+        "return [late, fanFrom(forecast, 0, names).times];",
+    )
+    assert cut[0] is None
+    assert cut[1] == [0, 600e3, 1200e3]
+
+
+def test_the_next_step_is_judged_over_its_own_span(parts: Page) -> None:
+    answer = run(
+        parts,
+        FORECAST + "const f = await import('/js/forecast.js');"
+        "const { answerNextStep } = await import('/js/verdict.js');"
+        "const fan = f.fanFrom(forecast, 900e3, ['t_inner_ring_c']);"
+        "const steps = f.distinctSteps(f.stepsFrom(forecast, 900e3));"
+        "return answerNextStep({ forecast, fan, steps, limits, nowMs: 900e3 });",
+    )
+    assert answer["held"] is False
+    assert (answer["step"]["from"], answer["step"]["to"]) == (1200e3, 3600e3)
+    assert answer["word"] == "unsafe"
+    assert answer["priority"] == 1
+    assert answer["peak"]["median"] == 120
+
+
+def test_time_to_limit_counts_from_now_and_turns_to_the_alarm(parts: Page) -> None:
+    ask = (
+        FORECAST + "const f = await import('/js/forecast.js');"
+        "const { answerTimeToLimit } = await import('/js/verdict.js');"
+        "const nowMs = 900e3;"
+        "const fan = f.fanFrom(forecast, nowMs, ['t_inner_ring_c']);"
+        "const readings = [{ sensor: 't_inner_ring_c', value, usable: true }];"
+        "return answerTimeToLimit({ forecast, fan, readings, limits, nowMs });"
+    )
+    before = run(parts, ask, value=75)
+    assert (before["level"], before["asked"]["median"], before["priority"]) == ("warning", 900, 2)
+    over = run(parts, ask, value=92)
+    assert (over["level"], over["asked"]["earliest"], over["priority"]) == ("alarm", 1500, 1)
+
+
+def test_no_chance_of_a_limit_is_none(parts: Page) -> None:
+    answer = run(
+        parts,
+        FORECAST + "const f = await import('/js/forecast.js');"
+        "const { answerTimeToLimit } = await import('/js/verdict.js');"
+        "const high = { t_inner_ring_c: { warning: 200, alarm: 210 } };"
+        "const none = { probability: 0.01, median_s: null, earliest_s: null };"
+        "forecast.time_to_limit.t_inner_ring_c = { warning: none, alarm: none };"
+        "const fan = f.fanFrom(forecast, 0, ['t_inner_ring_c']);"
+        "return answerTimeToLimit({ forecast, fan, readings: [], limits: high, nowMs: 0 });",
+    )
+    assert answer["word"] == "none"
+
+
+def test_process_clock_finds_the_rate_and_runs_on(parts: Page) -> None:
+    found = run(
+        parts,
+        "const { ProcessClock } = await import('/js/clock.js');"
+        "const clock = new ProcessClock();"
+        "clock.tell(1e12, 5e11);"
+        "clock.tell(1e12 + 3 * 120e3, 5e11 + 3000);"
+        "const first = clock.now();"
+        "await new Promise((done) => setTimeout(done, 200));"
+        "return { rate: clock.rate, ran: (clock.now() - first) / 1000 };",
+    )
+    assert found["rate"] == 120
+    assert 20 < found["ran"] < 60
+
+
+def test_what_the_server_sends_stays_text(parts: Page) -> None:
+    shown = run(
+        parts,
+        """
+        const { AlarmList } = await import('/js/alarms.js');
+        const { h } = await import('/js/dom.js');
+        const box = h('div');
+        const list = new AlarmList(box, { onAcknowledge() {}, mayAcknowledge: () => true });
+        const evil = '<img src=x onerror="window.broken = true">';
+        const alarm = { id: evil, kind: evil, message: evil, state: 'ACKED', priority: 2,
+          channel: evil, raised_at: '2026-11-21T08:00:00Z', acknowledged_by: evil };
+        list.update(new Map([[evil, alarm]]), { value: () => null, crossing: () => null }, false);
+        document.documentElement.append(box);
+        await new Promise((done) => setTimeout(done, 100));
+        return { images: box.querySelectorAll('img').length, broken: window.broken ?? false,
+          text: box.textContent };
+        """,
+    )
+    assert shown["images"] == 0
+    assert shown["broken"] is False
+    assert shown["text"].count('<img src=x onerror="window.broken = true">') >= 3
+
+
+def test_rows_stay_in_place_while_their_texts_change(parts: Page) -> None:
+    same = run(
+        parts,
+        """
+        const { AlarmList } = await import('/js/alarms.js');
+        const { h } = await import('/js/dom.js');
+        const box = h('div');
+        const list = new AlarmList(box, { onAcknowledge() {}, mayAcknowledge: () => true });
+        const alarm = { id: '1', kind: 'forecast limit', message: 'It will pass', priority: 2,
+          state: 'UNACK', channel: 't_inner_ring_c', limit_level: 'warning', predicted: true,
+          raised_at: '2026-11-21T08:00:00Z', lead_time_s: 1800, probability: 0.4 };
+        const live = { value: () => null, crossing: () => null };
+        list.update(new Map([['1', alarm]]), live, false);
+        const button = box.querySelector('button');
+        const before = box.querySelector('.m span').textContent;
+        list.update(new Map([['1', { ...alarm, lead_time_s: 600 }]]), live, false);
+        return { same: button === box.querySelector('button'), before,
+          after: box.querySelector('.m span').textContent };
+        """,
+    )
+    assert same["same"] is True
+    assert same["before"].replace("\u00a0", " ") == "predicted in 30 min · 40 %"
+    assert same["after"].replace("\u00a0", " ") == "predicted in 10 min · 40 %"
+
+
+def test_files_keep_to_the_rules_of_the_page() -> None:
+    """Nothing from elsewhere, no HTML from text, no line that nobody can read."""
+    own = [
+        file
+        for kind in ("js", "css", "html")
+        for file in static_directory().rglob(f"*.{kind}")
+        if "vendor" not in file.parts
+    ]
+    assert len(own) > 20
+    for file in own:
+        text = file.read_text(encoding="utf-8")
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|eval\(", text)
+        assert not re.search(r"""(src|href)=["']https?:|url\(https?:|from 'https?:""", text), file
+        longest = max(len(line) for line in text.splitlines())
+        assert longest <= 120, f"{file} has a line of {longest} characters"
+
+
+def test_vendored_parts_come_with_their_licences() -> None:
+    static = static_directory()
+    assert "MIT License" in (static / "vendor/uPlot-LICENSE.txt").read_text()
+    assert "SIL OPEN FONT LICENSE" in (static / "fonts/B612-OFL.txt").read_text()
