@@ -1,0 +1,265 @@
+"""Forecasts with intervals: an ensemble over parameters, present state and what models leave out.
+
+Members are the model with parameters drawn from the posterior, started from states drawn from the
+observer's, run over the profile ahead. To each sensor and node a slow deviation is added, which
+begins at zero (the state has just been observed) and grows to its stationary spread: what no
+parameter vector can express. Sensors further get their constant offset, noise and resolution.
+
+Intervals are not shrunk by any calibration: a factor learned on machines that share one load law
+would be knowledge of those machines.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin_core.forecasting.labels import forecast_labels
+from twin_core.identification.posterior import Posterior
+from twin_core.models import ThermalModel
+from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
+
+FloatArray = NDArray[np.float64]
+
+QUANTILE_LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
+RUNAWAY_C = 130.0
+"""A member in which any sensor passes this temperature has run away: no grease survives it."""
+
+DEVIATION_K = 0.25
+DEVIATION_S = 1800.0
+SENSOR_OFFSET_K = 0.10
+SENSOR_WHITE_K = 0.05
+SENSOR_RESOLUTION_K = 0.1
+# What a failed simulation counts as: over every limit, and finite, so that it can be drawn.
+_CEILING_C = 500.0
+_EARLIEST = 0.025
+
+
+@dataclass(frozen=True, slots=True)
+class Exceedance:
+    """How likely and when a limit is passed.
+
+    Attributes
+    ----------
+    probability
+        Share of the members that pass the limit within the span.
+    median_s
+        Time at which half of the members have passed it; None when fewer than half do.
+    earliest_s
+        Time at which 2.5 % of the members have passed it; None when fewer do.
+    """
+
+    probability: float
+    median_s: float | None
+    earliest_s: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """An ensemble forecast.
+
+    Attributes
+    ----------
+    time_s
+        (n,) times of the rows, as in the profile.
+    names
+        Sensors, then nodes.
+    quantiles
+        (5, n, names) at 2.5, 25, 50, 75 and 97.5 %, degC: of what a sensor will read, of a node's
+        true temperature.
+    members_c
+        (members, n, sensors) readings of every member without their minute-to-minute noise.
+    sensors
+        Names of the members' last axis.
+    runaway_probability
+        Share of the members in which a sensor passes 130 degC or the simulation fails.
+    labels
+        What must be said with this forecast; see `twin_core.forecasting.labels`.
+    """
+
+    time_s: FloatArray
+    names: tuple[str, ...]
+    quantiles: FloatArray
+    members_c: FloatArray
+    sensors: tuple[str, ...]
+    runaway_probability: float
+    labels: tuple[str, ...]
+
+    def quantile(self, name: str) -> FloatArray:
+        """Return the (5, n) quantiles of a sensor or node."""
+        return np.asarray(self.quantiles[:, :, self._index(self.names, name)])
+
+    def exceedance(
+        self, name: str, limit_c: float, start_s: float = -np.inf, end_s: float = np.inf
+    ) -> Exceedance:
+        """Tell how likely and when a sensor reaches a limit between two times.
+
+        Crossing times are interpolated between rows; a member that is over the limit at the first
+        row of the span crosses it there.
+
+        Parameters
+        ----------
+        name
+            A sensor.
+        limit_c
+            The limit in degC.
+        start_s, end_s
+            The span, on the forecast's time axis, both inclusive.
+
+        Raises
+        ------
+        KeyError
+            If there is no such sensor.
+        ValueError
+            If no row lies in the span.
+        """
+        rows = np.flatnonzero((self.time_s >= start_s) & (self.time_s <= end_s))
+        if rows.size == 0:
+            raise ValueError(f"no row of the forecast lies between {start_s} and {end_s} s")
+        paths = self.members_c[:, rows, self._index(self.sensors, name)]
+        times = np.sort(_first_crossings(self.time_s[rows], paths, limit_c))
+        crossed = int(np.count_nonzero(np.isfinite(times)))
+        return Exceedance(
+            probability=crossed / times.size,
+            median_s=_time_of_share(times, 0.5),
+            earliest_s=_time_of_share(times, _EARLIEST),
+        )
+
+    @staticmethod
+    def _index(names: Sequence[str], name: str) -> int:
+        if name not in names:
+            raise KeyError(f"{name!r} is not in this forecast, expected one of {', '.join(names)}")
+        return names.index(name)
+
+
+def forecast(
+    model: ThermalModel,
+    posterior: Posterior,
+    state_c: ArrayLike,
+    state_covariance: ArrayLike,
+    revolutions: float,
+    profile: OperatingProfile,
+    *,
+    members: int = 200,
+    seed: int = 0,
+) -> Forecast:
+    """Forecast all sensors and nodes over a profile.
+
+    Parameters
+    ----------
+    model, posterior
+        What is known of the machine; they must belong together.
+    state_c, state_covariance
+        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the present node temperatures.
+    revolutions
+        Revolutions since the grease was fresh.
+    profile
+        n rows ahead; the first is now.
+    members
+        Even number of members; drawn in antithetic pairs, so that the ensemble's centre is the
+        posterior's.
+    seed
+        Same seed, same forecast.
+
+    Raises
+    ------
+    ValueError
+        If posterior and model do not belong together, or ``members`` is odd or below 2.
+    """
+    posterior.check(model)
+    if members < 2 or members % 2:
+        raise ValueError(f"members is {members}, expected an even number of at least 2")
+    rng = np.random.default_rng(seed)
+    parameters = model.parameters
+    z = posterior.z + _normal(rng, members, posterior.covariance)
+    z = np.clip(z, parameters.z_lower, parameters.z_upper)
+    start = np.asarray(state_c, np.float64) + _normal(
+        rng, members, np.asarray(state_covariance, np.float64)
+    )
+    temperatures = simulate_batch(
+        model,
+        parameters.values_from_z(z),
+        hold_operating_point(profile),
+        start,
+        max(float(revolutions), 0.0),
+    )
+    failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
+    temperatures[failed] = _CEILING_C
+    sensors = model.sensor_names
+    readings = temperatures @ model.sensor_matrix(sensors).T
+    readings += _deviation(rng, members, profile.time_s, len(sensors))
+    readings += SENSOR_OFFSET_K * _paired(rng, members, (1, len(sensors)))
+    nodes = temperatures + _deviation(rng, members, profile.time_s, temperatures.shape[2])
+    noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
+    noisy = readings + noise_k * rng.standard_normal(readings.shape)
+    quantiles = _quantiles(np.concatenate((noisy, nodes), axis=2))
+    runaway = failed | np.any(readings > RUNAWAY_C, axis=(1, 2))
+    probability = float(np.mean(runaway))
+    upper = quantiles[-1, :, : len(sensors)]
+    return Forecast(
+        time_s=profile.time_s,
+        names=(*sensors, *model.node_names),
+        quantiles=quantiles,
+        members_c=readings,
+        sensors=sensors,
+        runaway_probability=probability,
+        labels=forecast_labels(posterior, profile, float(np.max(upper)), probability),
+    )
+
+
+def _paired(rng: np.random.Generator, members: int, shape: tuple[int, ...]) -> FloatArray:
+    """Standard normal numbers (members, ...) in antithetic pairs."""
+    half = rng.standard_normal((members // 2, *shape))
+    return np.concatenate((half, -half))
+
+
+def _normal(rng: np.random.Generator, members: int, covariance: FloatArray) -> FloatArray:
+    """Antithetic draws (members, k) of N(0, covariance); the covariance may be singular."""
+    variance, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    factor = directions * np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(_paired(rng, members, (len(covariance),)) @ factor.T)
+
+
+def _deviation(
+    rng: np.random.Generator, members: int, time_s: FloatArray, count: int
+) -> FloatArray:
+    """First-order random deviation (members, n, count) in K that begins at zero."""
+    deviation = np.zeros((members, time_s.size, count))
+    keep = np.exp(-np.diff(time_s) / DEVIATION_S)
+    shocks = DEVIATION_K * np.sqrt(1.0 - keep**2)
+    normal = _paired(rng, members, (keep.size, count))
+    for row in range(keep.size):
+        deviation[:, row + 1] = keep[row] * deviation[:, row] + shocks[row] * normal[:, row]
+    return deviation
+
+
+def _quantiles(values: FloatArray) -> FloatArray:
+    """Quantiles (5, ...) over the members, linear between order statistics."""
+    ordered = np.sort(np.ascontiguousarray(values.transpose(1, 2, 0)), axis=-1)
+    position = np.array(QUANTILE_LEVELS) * (ordered.shape[-1] - 1)
+    below = np.floor(position).astype(np.intp)
+    weight = position - below
+    above = np.minimum(below + 1, ordered.shape[-1] - 1)
+    quantiles = (1.0 - weight) * ordered[..., below] + weight * ordered[..., above]
+    return np.ascontiguousarray(quantiles.transpose(2, 0, 1))
+
+
+def _first_crossings(time_s: FloatArray, paths: FloatArray, limit_c: float) -> FloatArray:
+    """Time (members,) at which each path (members, n) first reaches the limit; inf if never."""
+    over = paths >= limit_c
+    first = np.argmax(over, axis=1)
+    member = np.arange(len(paths))
+    before = np.maximum(first - 1, 0)
+    low, high = paths[member, before], paths[member, first]
+    rise = np.where(high > low, high - low, 1.0)
+    share = np.where(first > 0, np.clip((limit_c - low) / rise, 0.0, 1.0), 0.0)
+    times = time_s[before] + share * (time_s[first] - time_s[before])
+    return np.where(np.any(over, axis=1), times, np.inf)
+
+
+def _time_of_share(ordered_times: FloatArray, share: float) -> float | None:
+    """Time at which a share of the members has crossed; None when fewer do."""
+    needed = max(int(np.ceil(share * ordered_times.size)), 1)
+    time = float(ordered_times[needed - 1])
+    return time if np.isfinite(time) else None

@@ -1,0 +1,68 @@
+"""What must be said along with a forecast that goes beyond what the data taught.
+
+The rules come from an offline study on random virtual benches: a load law learned from one load is
+only the prior's, whatever the residuals say; about one machine in thirty runs away thermally under
+heavy load although a moderate load looks normal, and nothing in low-risk data shows which.
+"""
+
+import numpy as np
+
+from twin_core.identification.posterior import Posterior
+from twin_core.operating_points import STANDING_RPM
+from twin_core.simulation import OperatingProfile
+
+NOT_IDENTIFIED = "not identified yet: prior parameters only"
+LOAD_LAW = "load law from prior only"
+SPEED_LAW = "speed law from prior only"
+RUNAWAY = "runaway not excluded"
+
+_BEYOND = 1.1
+_LOAD_STEP = 1.5
+_HOT_C = 100.0
+_RUNAWAY_PROBABILITY = 0.005
+
+
+def forecast_labels(
+    posterior: Posterior,
+    profile: OperatingProfile,
+    hottest_c: float,
+    runaway_probability: float,
+) -> tuple[str, ...]:
+    """Labels of a forecast.
+
+    Parameters
+    ----------
+    posterior
+        What the forecast rests on.
+    profile
+        What lies ahead.
+    hottest_c
+        Highest upper edge (97.5 %) of any sensor.
+    runaway_probability
+        Share of the members that run away.
+
+    Returns
+    -------
+    tuple of str
+        ``"not identified yet: prior parameters only"`` before any identification.
+        ``"load law from prior only"`` when the data hold a single load and the profile goes more
+        than 10 % beyond it; ``"speed law from prior only"`` likewise for a single speed.
+        ``"runaway not excluded"`` when the upper edge passes 100 degC, a load beyond 1.5 times the
+        trained one lies ahead, or members run away.
+    """
+    trained = posterior.trained
+    running = np.abs(profile.speed_rpm) >= STANDING_RPM
+    load_n = float(np.max(profile.load_n[running], initial=0.0))
+    speed_rpm = float(np.max(np.abs(profile.speed_rpm), initial=0.0))
+    labels = []
+    if not posterior.identified:
+        labels.append(NOT_IDENTIFIED)
+    else:
+        if trained.distinct_loads < 2 and load_n > _BEYOND * trained.load_n_max:
+            labels.append(LOAD_LAW)
+        if trained.distinct_speeds < 2 and speed_rpm > _BEYOND * trained.speed_rpm_max:
+            labels.append(SPEED_LAW)
+    heavy = posterior.identified and load_n > _LOAD_STEP * trained.load_n_max
+    if hottest_c > _HOT_C or heavy or runaway_probability > _RUNAWAY_PROBABILITY:
+        labels.append(RUNAWAY)
+    return tuple(labels)

@@ -1,0 +1,62 @@
+"""What parameters are identified from: windows of measured rows and how each one began."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from twin_core.windows import MinuteData, OperatingPoint, window_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentificationWindow:
+    """One contiguous span of measured rows.
+
+    Attributes
+    ----------
+    minutes
+        The rows; bad ones are skipped, not filled.
+    at_rest
+        Whether the whole machine was at ambient temperature at the first row. If not, the initial
+        temperatures are estimated along with the parameters.
+    revolutions
+        Revolutions of the shaft since the grease was fresh, at the first row.
+    """
+
+    minutes: MinuteData
+    at_rest: bool
+    revolutions: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentificationData:
+    """All windows of one identification, in time order.
+
+    Raises
+    ------
+    ValueError
+        If there is no window, or one without three good rows with a temperature.
+    """
+
+    windows: tuple[IdentificationWindow, ...]
+
+    def __post_init__(self) -> None:
+        if not self.windows:
+            raise ValueError("no windows, expected at least one")
+        for number, window in enumerate(self.windows):
+            if int(window.minutes.good.sum()) < 3 or not window.minutes.sensors:
+                raise ValueError(
+                    f"window {number}: {int(window.minutes.good.sum())} good rows with "
+                    f"{len(window.minutes.sensors)} temperature sensors, expected at least 3 rows "
+                    "with 1 sensor"
+                )
+
+    @property
+    def operating_points(self) -> tuple[OperatingPoint, ...]:
+        """The operating points of all windows."""
+        return tuple(
+            point for window in self.windows for point in window_of(window.minutes).operating_points
+        )
+
+
+def with_windows(windows: Sequence[IdentificationWindow]) -> IdentificationData:
+    """Make a data set of windows in any order."""
+    return IdentificationData(tuple(sorted(windows, key=lambda w: float(w.minutes.time_s[0]))))

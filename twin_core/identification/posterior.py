@@ -1,0 +1,262 @@
+"""What is known about a model's parameters after (or before) an identification."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.identification.problem import IdentificationProblem
+from twin_core.models import ThermalModel
+from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, distinct_values
+
+FloatArray = NDArray[np.float64]
+Verdict = Literal["informed", "weak", "prior only"]
+
+_INFORMED, _WEAK = 0.5, 0.9
+# An operating point must have lasted this long to have taught anything.
+_TAUGHT_S = 1200.0
+# Singular values below this share of the largest are noise of the finite differences.
+_RANK_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRange:
+    """Which operation a posterior was identified from.
+
+    Attributes
+    ----------
+    operating_points
+        In time order.
+    minutes
+        Number of rows.
+    from_rest
+        Whether any window began on a machine at rest.
+    revolutions
+        Revolutions since the grease was fresh, at the first row.
+    """
+
+    operating_points: tuple[OperatingPoint, ...] = ()
+    minutes: int = 0
+    from_rest: bool = False
+    revolutions: float = 0.0
+
+    @property
+    def speed_rpm_max(self) -> float:
+        """Highest speed, 0 without any."""
+        return max((point.speed_rpm for point in self.operating_points), default=0.0)
+
+    @property
+    def load_n_max(self) -> float:
+        """Highest load, 0 without any."""
+        return max((point.load_n for point in self.operating_points), default=0.0)
+
+    @property
+    def distinct_loads(self) -> int:
+        """Number of loads that differ by more than 8 % and lasted 20 minutes."""
+        return len(distinct_values([p.load_n for p in self._lasting()], NEW_LOAD))
+
+    @property
+    def distinct_speeds(self) -> int:
+        """Number of speeds that differ by more than 10 % and lasted 20 minutes."""
+        return len(distinct_values([p.speed_rpm for p in self._lasting()], NEW_SPEED))
+
+    def _lasting(self) -> Sequence[OperatingPoint]:
+        return [point for point in self.operating_points if point.duration_s >= _TAUGHT_S]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """A normal distribution of a model's standard coordinates, and where it comes from.
+
+    Attributes
+    ----------
+    model_name, bearing
+        Which model it belongs to.
+    z
+        (p,) most probable standard coordinates.
+    covariance
+        (p, p) Laplace approximation around them.
+    train_rms_k
+        Root mean square error in the training data per sensor, K.
+    cost_per_residual
+        Mean squared whitened residual; about 1 or less for a good fit.
+    rank, condition
+        Numerical rank and condition number of the whitened sensitivities, initial states
+        eliminated. 0 and 1 before any identification.
+    informed_combinations
+        Parameter combinations that the data determine better than the prior does.
+    trained
+        The data.
+    evaluations
+        Simulations of the data set that the identification took.
+    """
+
+    model_name: str
+    bearing: str
+    z: FloatArray
+    covariance: FloatArray
+    train_rms_k: Mapping[str, float]
+    cost_per_residual: float
+    rank: int
+    condition: float
+    informed_combinations: int
+    trained: TrainedRange
+    evaluations: int
+
+    @property
+    def identified(self) -> bool:
+        """Whether any data went into it."""
+        return self.trained.minutes > 0
+
+    @property
+    def std(self) -> FloatArray:
+        """(p,) standard deviations of the standard coordinates; 1 is the prior's."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def verdicts(self) -> list[Verdict]:
+        """What the data say about each parameter, by posterior over prior standard deviation."""
+        return [
+            "informed" if ratio < _INFORMED else "weak" if ratio < _WEAK else "prior only"
+            for ratio in self.std
+        ]
+
+    def parameters(self, model: ThermalModel) -> dict[str, dict[str, Any]]:
+        """Return value, unit, 95 % interval and verdict of every parameter.
+
+        Raises
+        ------
+        ValueError
+            If the model is another one.
+        """
+        self.check(model)
+        half = 1.959964 * self.std
+        value = model.parameters.values_from_z(self.z)
+        low = model.parameters.values_from_z(self.z - half)
+        high = model.parameters.values_from_z(self.z + half)
+        return {
+            parameter.name: {
+                "value": float(value[k]),
+                "unit": parameter.unit,
+                "low": float(low[k]),
+                "high": float(high[k]),
+                "verdict": verdict,
+                "description": parameter.description,
+            }
+            for k, (parameter, verdict) in enumerate(
+                zip(model.parameters.parameters, self.verdicts(), strict=True)
+            )
+        }
+
+    def check(self, model: ThermalModel) -> None:
+        """Raise ValueError unless this posterior belongs to the model."""
+        if (model.name, model.bearing.designation, model.parameters.size) != (
+            self.model_name,
+            self.bearing,
+            self.z.size,
+        ):
+            raise ValueError(
+                f"posterior of model {self.model_name!r} on bearing {self.bearing!r} with "
+                f"{self.z.size} parameters does not belong to model {model.name!r} on bearing "
+                f"{model.bearing.designation!r} with {model.parameters.size}"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types."""
+        return {
+            "model": self.model_name,
+            "bearing": self.bearing,
+            "z": self.z.tolist(),
+            "covariance": self.covariance.tolist(),
+            "train_rms_k": dict(self.train_rms_k),
+            "cost_per_residual": self.cost_per_residual,
+            "rank": self.rank,
+            "condition": self.condition,
+            "informed_combinations": self.informed_combinations,
+            "trained": {
+                "operating_points": [p.to_dict() for p in self.trained.operating_points],
+                "minutes": self.trained.minutes,
+                "from_rest": self.trained.from_rest,
+                "revolutions": self.trained.revolutions,
+            },
+            "evaluations": self.evaluations,
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> "Posterior":
+        """Take back what `to_dict` gave."""
+        trained = document["trained"]
+        return cls(
+            model_name=str(document["model"]),
+            bearing=str(document["bearing"]),
+            z=np.array(document["z"], dtype=np.float64),
+            covariance=np.array(document["covariance"], dtype=np.float64),
+            train_rms_k={name: float(rms) for name, rms in document["train_rms_k"].items()},
+            cost_per_residual=float(document["cost_per_residual"]),
+            rank=int(document["rank"]),
+            condition=float(document["condition"]),
+            informed_combinations=int(document["informed_combinations"]),
+            trained=TrainedRange(
+                tuple(OperatingPoint.from_dict(point) for point in trained["operating_points"]),
+                int(trained["minutes"]),
+                bool(trained["from_rest"]),
+                float(trained["revolutions"]),
+            ),
+            evaluations=int(document["evaluations"]),
+        )
+
+
+def prior_posterior(model: ThermalModel) -> Posterior:
+    """Return what is known before any identification: the prior."""
+    p = model.parameters.size
+    return Posterior(
+        model.name,
+        model.bearing.designation,
+        np.zeros(p),
+        np.eye(p),
+        {},
+        0.0,
+        0,
+        1.0,
+        0,
+        TrainedRange(),
+        0,
+    )
+
+
+def laplace(problem: IdentificationProblem, unknowns: FloatArray) -> Posterior:
+    """Approximate the posterior around the optimum ``unknowns`` (d,) by a normal distribution."""
+    p, m = problem.parameter_count, problem.measurement_count
+    residuals = problem.residuals(unknowns)[0]
+    jacobian = problem.jacobian(unknowns, residuals, central=True)
+    of_z, of_w = jacobian[:m, :p], jacobian[:m, p:]
+    # Sensitivities to the parameters with the initial states regressed out, priors included.
+    stacked = np.concatenate((of_w, np.eye(of_w.shape[1])))
+    basis, _ = np.linalg.qr(stacked)
+    free = np.concatenate((of_z, np.zeros((of_w.shape[1], p))))
+    free -= basis @ (basis.T @ free)
+    padded = np.concatenate((free, np.zeros((p, p))))  # with few data, directions without any
+    _, singular, directions = np.linalg.svd(padded, full_matrices=False)
+    covariance = (directions.T / (1.0 + singular**2)) @ directions
+    windows = problem.data.windows
+    largest = float(singular[0])
+    smallest = max(float(singular[-1]), largest * 1e-16, 1e-300)
+    return Posterior(
+        model_name=problem.model.name,
+        bearing=problem.model.bearing.designation,
+        z=unknowns[:p].copy(),
+        covariance=0.5 * (covariance + covariance.T),
+        train_rms_k=problem.rms_k(unknowns),
+        cost_per_residual=float(np.mean(residuals[:m] ** 2)),
+        rank=int(np.count_nonzero(singular > _RANK_TOLERANCE * largest)),
+        condition=largest / smallest if largest > 0.0 else 1.0,
+        informed_combinations=int(np.count_nonzero(singular > 1.0)),
+        trained=TrainedRange(
+            problem.data.operating_points,
+            sum(int(window.minutes.good.sum()) for window in windows),
+            any(window.at_rest for window in windows),
+            float(windows[0].revolutions),
+        ),
+        evaluations=problem.evaluations,
+    )

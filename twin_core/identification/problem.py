@@ -1,0 +1,362 @@
+"""The identification of one model from one data set as a least-squares problem.
+
+Unknowns are the model's standard coordinates z (prior N(0, 1) each) and, for every window, standard
+coordinates w of its initial temperatures: around what its first measurements suggest, or one common
+deviation from ambient if the machine stood at rest. Residuals are those of all sensors, whitened,
+and the unknowns themselves (their priors); half the sum of their squares is the negative log
+posterior.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.whitening import Whitening, whitening
+from twin_core.models import ThermalModel
+from twin_core.observer import initial_state
+from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
+from twin_core.windows import MinuteData
+
+FloatArray = NDArray[np.float64]
+
+_INITIAL_STATE_LIMIT = 6.0
+# A machine that stood still is at the temperature of its hall, give or take a day's swing.
+_REST_SPREAD_K = 0.3
+_DIFFERENCE_Z = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Channel:
+    """A sensor's good values in one window."""
+
+    name: str
+    row: FloatArray
+    index: NDArray[np.intp]
+    measured_c: FloatArray
+    whitening: Whitening
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Span:
+    """One window prepared for simulation.
+
+    ``unknown`` says which of the problem's unknowns hold the initial state's coordinates: one per
+    node, or a single common deviation from ambient for a window that began at rest.
+    """
+
+    profile: OperatingProfile
+    revolutions: float
+    initial_c: FloatArray
+    initial_factor: FloatArray
+    unknown: slice
+    channels: tuple[_Channel, ...]
+    residuals: slice
+
+
+class IdentificationProblem:
+    """Residuals, costs and derivatives of a model on a data set.
+
+    Parameters
+    ----------
+    model
+        What is identified.
+    data
+        Measured windows.
+    guess_z
+        (p,) parameters at which initial states are estimated from the first measurements of
+        windows that began warm; the prior's centre by default.
+
+    Attributes
+    ----------
+    parameter_count, unknown_count
+        p, and p plus the coordinates of unknown initial states.
+    evaluations
+        Simulations of the whole data set so far, finite differences included.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        data: IdentificationData,
+        guess_z: FloatArray | None = None,
+    ) -> None:
+        self.model = model
+        self.data = data
+        self.parameter_count = model.parameters.size
+        self.evaluations = 0
+        guess = np.zeros(self.parameter_count) if guess_z is None else guess_z
+        values = model.parameters.values_from_z(guess)
+        spans: list[_Span] = []
+        unknown, residual = self.parameter_count, 0
+        for window in data.windows:
+            span = _prepare(model, window, values, unknown, residual)
+            spans.append(span)
+            unknown, residual = span.unknown.stop, span.residuals.stop
+        self._spans = tuple(spans)
+        self.unknown_count = unknown
+        self.measurement_count = residual
+        limit = np.full(unknown - self.parameter_count, _INITIAL_STATE_LIMIT)
+        self.lower: FloatArray = np.concatenate((model.parameters.z_lower, -limit))
+        self.upper: FloatArray = np.concatenate((model.parameters.z_upper, limit))
+        self._initial_sensitivity: FloatArray | None = None
+
+    # ------------------------------------------------------------------ residuals
+    def residuals(self, unknowns: FloatArray) -> FloatArray:
+        """Whitened residuals and prior residuals of many candidates.
+
+        Parameters
+        ----------
+        unknowns
+            (B, d).
+
+        Returns
+        -------
+        ndarray
+            (B, m + d): the m measurements first. NaN throughout where a simulation failed.
+        """
+        batch = np.atleast_2d(unknowns)
+        self.evaluations += len(batch)
+        measured = np.empty((len(batch), self.measurement_count))
+        for span in self._spans:
+            measured[:, span.residuals] = self._whitened(span, batch)
+        measured[~np.all(np.isfinite(measured), axis=1)] = np.nan
+        return np.concatenate((measured, batch), axis=1)
+
+    def _temperatures(self, span: _Span, batch: FloatArray) -> FloatArray:
+        values = self.model.parameters.values_from_z(batch[:, : self.parameter_count])
+        initial = span.initial_c + batch[:, span.unknown] @ span.initial_factor.T
+        return simulate_batch(self.model, values, span.profile, initial, span.revolutions)
+
+    def _whitened(self, span: _Span, batch: FloatArray) -> FloatArray:
+        temperatures = self._temperatures(span, batch)
+        parts = []
+        for channel in span.channels:
+            errors = temperatures[:, channel.index] @ channel.row - channel.measured_c
+            parts.append(channel.whitening.apply(errors))
+        return np.concatenate(parts, axis=1)
+
+    def jacobian(
+        self, unknowns: FloatArray, at: FloatArray | None = None, central: bool = False
+    ) -> FloatArray:
+        """Derivatives of `residuals` by finite differences, all in one parallel batch per window.
+
+        Parameters
+        ----------
+        unknowns
+            (d,) where.
+        at
+            (m + d,) residuals there, for one-sided differences; computed if not given.
+        central
+            Differences on both sides, twice the work. At a bound always one-sided.
+
+        Returns
+        -------
+        ndarray
+            (m + d, d). A derivative towards a failing simulation is taken from the other side; if
+            both fail it is zero.
+        """
+        d = self.unknown_count
+        forward = np.where(unknowns + _DIFFERENCE_Z <= self.upper, _DIFFERENCE_Z, 0.0)
+        backward = np.where(unknowns - _DIFFERENCE_Z >= self.lower, -_DIFFERENCE_Z, 0.0)
+        if not central:
+            backward = np.where(forward > 0.0, 0.0, backward)
+        centre = self.residuals(unknowns)[0] if at is None else at
+        jacobian = np.zeros((self.measurement_count + d, d))
+        jacobian[self.measurement_count :] = np.eye(d)
+        used = 0
+        for span in self._spans:
+            own = np.concatenate(
+                (np.arange(self.parameter_count), np.arange(span.unknown.start, span.unknown.stop))
+            )
+            high, low = forward[own], backward[own]
+            columns = self._differences(span, unknowns, own, high, low, centre[span.residuals])
+            used = max(used, int(np.count_nonzero(high) + np.count_nonzero(low)))
+            jacobian[span.residuals, own] = columns.T
+        self.evaluations += used
+        return jacobian
+
+    def _differences(
+        self,
+        span: _Span,
+        unknowns: FloatArray,
+        own: NDArray[np.intp],
+        high: FloatArray,
+        low: FloatArray,
+        centre: FloatArray,
+    ) -> FloatArray:
+        """Difference quotients (own, residuals of the span)."""
+        steps = [(k, step) for k, step in enumerate(high) if step != 0.0]
+        steps += [(k, step) for k, step in enumerate(low) if step != 0.0]
+        batch = np.tile(unknowns, (len(steps), 1))
+        for member, (k, step) in enumerate(steps):
+            batch[member, own[k]] += step
+        moved = self._whitened(span, batch)
+        ends: list[list[tuple[float, FloatArray]]] = [[] for _ in own]
+        for (k, step), values in zip(steps, moved, strict=True):
+            if np.all(np.isfinite(values)):
+                ends[k].append((float(step), values))
+        quotients = np.zeros((own.size, centre.size))
+        for k, found in enumerate(ends):
+            if len(found) == 2:
+                (first, above), (second, below) = found
+                quotients[k] = (above - below) / (first - second)
+            elif len(found) == 1:
+                step, values = found[0]
+                quotients[k] = (values - centre) / step
+        return quotients
+
+    # ------------------------------------------------------------------ for a global search
+    def costs(self, z: FloatArray) -> FloatArray:
+        """Sum of squared residuals of many parameter vectors, unknown initial states eliminated.
+
+        The initial states are eliminated by linear regression with their sensitivities at the
+        prior's centre, priors included, so that a candidate is not blamed for them.
+
+        Parameters
+        ----------
+        z
+            (B, p).
+
+        Returns
+        -------
+        ndarray
+            (B,), infinite where a simulation failed.
+        """
+        batch = np.zeros((len(z), self.unknown_count))
+        batch[:, : self.parameter_count] = z
+        residuals = self.residuals(batch)
+        measured = residuals[:, : self.measurement_count]
+        total = np.sum(residuals**2, axis=1)
+        if self.unknown_count > self.parameter_count:
+            sensitivity = self._initial_states()
+            projected = measured @ sensitivity
+            count = sensitivity.shape[1]
+            information = np.eye(count) + sensitivity.T @ sensitivity
+            total -= np.sum(projected * np.linalg.solve(information, projected.T).T, axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def best_initial_states(self, z: FloatArray) -> FloatArray:
+        """Unknowns (d,) with the given parameters and linearly regressed initial states."""
+        unknowns = np.zeros(self.unknown_count)
+        unknowns[: self.parameter_count] = z
+        if self.unknown_count > self.parameter_count:
+            measured = self.residuals(unknowns)[0, : self.measurement_count]
+            sensitivity = self._initial_states()
+            information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
+            step = -np.linalg.solve(information, sensitivity.T @ measured)
+            if np.all(np.isfinite(step)):
+                unknowns[self.parameter_count :] = step
+        return np.clip(unknowns, self.lower, self.upper)
+
+    def _initial_states(self) -> FloatArray:
+        if self._initial_sensitivity is None:
+            jacobian = self.jacobian(np.clip(np.zeros(self.unknown_count), self.lower, self.upper))
+            self._initial_sensitivity = jacobian[: self.measurement_count, self.parameter_count :]
+        return self._initial_sensitivity
+
+    # ------------------------------------------------------------------ reports
+    def errors_c(self, unknowns: FloatArray) -> list[dict[str, FloatArray]]:
+        """Twin minus measurement in K, per window and sensor, at the sensors' good rows."""
+        batch = np.atleast_2d(unknowns)
+        errors = []
+        for span in self._spans:
+            temperatures = self._temperatures(span, batch)[0]
+            errors.append(
+                {
+                    channel.name: temperatures[channel.index] @ channel.row - channel.measured_c
+                    for channel in span.channels
+                }
+            )
+        return errors
+
+    def rms_k(self, unknowns: FloatArray) -> dict[str, float]:
+        """Root mean square error of every sensor over all windows, in K."""
+        squares: dict[str, list[FloatArray]] = {}
+        for errors in self.errors_c(unknowns):
+            for name, values in errors.items():
+                squares.setdefault(name, []).append(values**2)
+        return {
+            name: float(np.sqrt(np.mean(np.concatenate(parts)))) for name, parts in squares.items()
+        }
+
+    def whitened(self, unknowns: FloatArray) -> list[dict[str, FloatArray]]:
+        """Whitened residuals per window and sensor; independent N(0, 1) for a perfect model."""
+        return [
+            {
+                channel.name: channel.whitening.apply(errors[channel.name])
+                for channel in span.channels
+            }
+            for span, errors in zip(self._spans, self.errors_c(unknowns), strict=True)
+        ]
+
+
+def profile_of(minutes: MinuteData) -> OperatingProfile:
+    """Operating profile of the good rows; noise within an operating point is averaged out."""
+    rows = minutes.take(minutes.good)
+    return hold_operating_point(
+        OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
+    )
+
+
+def first_measurements(minutes: MinuteData) -> Mapping[str, float]:
+    """Temperatures of the first good row at which every sensor's first value is near in time."""
+    rows = minutes.take(minutes.good)
+    first = {}
+    for name, values in rows.temperatures_c.items():
+        known = np.flatnonzero(np.isfinite(values[:3]))
+        if known.size:
+            first[name] = float(values[known[0]])
+    return first
+
+
+def _prepare(
+    model: ThermalModel,
+    window: IdentificationWindow,
+    values: FloatArray,
+    unknown: int,
+    residual: int,
+) -> _Span:
+    rows = window.minutes.take(window.minutes.good)
+    profile = profile_of(window.minutes)
+    channels = []
+    start = residual
+    for name, measured in rows.temperatures_c.items():
+        index = np.flatnonzero(np.isfinite(measured))
+        if index.size:
+            channels.append(
+                _Channel(
+                    name,
+                    model.sensor_row(name),
+                    index,
+                    measured[index],
+                    whitening(rows.time_s[index]),
+                )
+            )
+            residual += index.size
+    nodes = len(model.node_names)
+    if window.at_rest:
+        initial_c = np.full(nodes, profile.ambient_c[0])
+        factor = np.full((nodes, 1), _REST_SPREAD_K)
+    else:
+        initial_c, covariance = initial_state(
+            model,
+            values,
+            dict(first_measurements(window.minutes)),
+            float(profile.ambient_c[0]),
+            float(profile.speed_rpm[0]),
+            float(profile.load_n[0]),
+            False,
+        )
+        factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(nodes))
+    return _Span(
+        profile,
+        float(window.revolutions),
+        initial_c,
+        factor,
+        slice(unknown, unknown + factor.shape[1]),
+        tuple(channels),
+        slice(start, residual),
+    )
