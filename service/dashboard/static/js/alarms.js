@@ -20,7 +20,7 @@ const rank = (alarm) =>
 const newest = (alarm) => -milliseconds(alarm.raised_at) / 1e15;
 
 /** Alarms to show, the worst first. */
-export const ranked = (alarms) => [...alarms.values()].filter(isShown)
+const ranked = (alarms) => [...alarms.values()].filter(isShown)
   .sort((a, b) => rank(a) + newest(a) - rank(b) - newest(b));
 
 /** The alarm of the banner: active, and about the machine rather than about its sensors. */

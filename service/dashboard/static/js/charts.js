@@ -108,7 +108,7 @@ export class TrendChart {
     const calm = Math.max(...alarms, 60) + 7;
     const needed = Math.min(Math.max(...seen) + 3, calm + 40);
     const top = Math.max(calm, Math.ceil(needed / 5) * 5);
-    return [low < 22 ? Math.floor((low - 2) / 10) * 10 : 20, top];
+    return [low < 27 ? Math.floor((low - 12) / 10) * 10 : 20, top];
   }
 
   paint(plot) {

@@ -3,36 +3,18 @@ import { token } from './dom.js';
 import { significant } from './format.js';
 import { mount, pixelRatio, fontSize, timeAxis, valueAxis, write } from './paint.js';
 
-const MOST_POINTS = 2000;
-
 export class ConvergenceChart {
   constructor(box) {
     this.box = box;
-    this.job = null;
-    this.points = [[], []];
   }
 
-  /** A job as the service tells it; another job starts another line. */
-  add(job) {
-    if (job.id !== this.job) {
-      this.job = job.id;
-      this.points = [[], []];
-    }
-    const [evaluations, fitness] = this.points;
-    const known = evaluations.length && job.evaluations <= evaluations.at(-1);
-    if (job.best_fitness > 0 && job.evaluations > 0 && !known && evaluations.length < MOST_POINTS) {
-      evaluations.push(job.evaluations);
-      fitness.push(job.best_fitness);
-    }
-    this.draw();
-  }
-
-  draw() {
+  /** `trace` is [evaluations, best fitness], as `Live` keeps it with a job. */
+  update(trace) {
     if (this.mounted) {
-      this.mounted.plot.setData(this.points);
+      this.mounted.plot.setData(trace);
       return;
     }
-    if (!this.points[0].length) return;
+    if (trace[0].length < 2) return;
     const thousands = (value) => (value >= 1000 ? `${value / 1000} k` : String(value));
     this.mounted = mount(this.box, {
       scales: { x: { time: false, range: (_, low, high) => [0, Math.max(high * 1.05, 100)] },
@@ -43,7 +25,7 @@ export class ConvergenceChart {
       series: [{}, { stroke: token('--twin'), width: 2.5, points: { show: false } }],
       cursor: { show: false }, padding: [8, 10, 0, 0],
       hooks: { draw: [(plot) => this.paint(plot)] },
-    }, this.points);
+    }, trace);
   }
 
   paint(plot) {

@@ -285,11 +285,11 @@ export class JobStrip {
     this.box.className = job ? 'jobstrip' : '';
     this.box.hidden = !job;
     if (!job) return;
-    const share = `${Math.round((job.progress ?? 0) * 100)} %`;
+    const share = Math.round((job.progress ?? 0) * 100);
     setText(this.text, jobText(job));
-    setText(this.share, job.status === 'running' ? share : '');
+    setText(this.share, job.status === 'running' ? `${share} %` : '');
     this.bar.hidden = job.status !== 'running';
-    this.bar.setAttribute('aria-valuenow', Math.round((job.progress ?? 0) * 100));
-    this.fill.style.width = share;
+    this.bar.setAttribute('aria-valuenow', share);
+    this.fill.style.width = `${share}%`;
   }
 }

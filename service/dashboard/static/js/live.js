@@ -11,6 +11,7 @@ export const SENSORS = ['t_inner_ring_c', 't_outer_ring_c'];
 const PAST = ['speed_rpm', 'load_n', ...SENSORS, ...SENSORS.map((sensor) => `${sensor}.twin`)];
 const HOUR_MS = 3600e3;
 const SUMMARY_EVERY_MS = 20000;
+const MOST_TRACE_POINTS = 5000;
 
 export class Live {
   /** `onLoggedOut` is called when the service no longer knows the session. */
@@ -180,8 +181,16 @@ export class Live {
     if (changed) this.guarded(() => this.loadAsset());
   }
 
+  /** A job keeps the trace of its best fitness as long as the page is open. */
   takeJob(job) {
-    const heard = { ...job, heardMs: Date.now() };
+    const trace = this.store.get('jobs').get(job.id)?.trace ?? [[], []];
+    const [evaluations, fitness] = trace;
+    const further = job.evaluations > (evaluations.at(-1) ?? 0);
+    if (further && job.best_fitness > 0 && evaluations.length < MOST_TRACE_POINTS) {
+      evaluations.push(job.evaluations);
+      fitness.push(job.best_fitness);
+    }
+    const heard = { ...job, trace, heardMs: Date.now() };
     this.store.set('jobs', new Map(this.store.get('jobs')).set(job.id, heard));
   }
 

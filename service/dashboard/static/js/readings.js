@@ -9,7 +9,7 @@ export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'A
 export const isDistrust = (alarm) => LOST_KINDS.includes(alarm.kind);
 
 /** Configuration of a channel as the service tells it, {} when it tells nothing. */
-export function channelOf(asset, name) {
+function channelOf(asset, name) {
   const channels = asset?.channels ?? [];
   if (!Array.isArray(channels)) return channels[name] ?? {};
   return channels.find((channel) => (channel.name ?? channel) === name) ?? {};
@@ -49,7 +49,7 @@ function whyUnusable(state, clock, name, tag, ageS) {
 }
 
 /** OPC DA quality in words. */
-export function qualityText(quality) {
+function qualityText(quality) {
   const words = {
     4: 'configuration error', 8: 'not connected', 12: 'device failure', 16: 'sensor failure',
     20: 'last known value', 24: 'no communication', 28: 'out of service',

@@ -1,7 +1,7 @@
 // What the page knows, by topic. Views subscribe; the live connection writes.
 
 /** Run `action` now if it has not run for `intervalMs`, else once when that time is over. */
-export function throttled(action, intervalMs) {
+function throttled(action, intervalMs) {
   let last = -Infinity;
   let timer = null;
   return () => {

@@ -5,15 +5,16 @@ import { overSpan, timeToLimit } from './forecast.js';
 export const THRESHOLDS = { atRisk: 0.05, notSafe: 0.5, alarm: 0.2 };
 
 const STANDING_RPM = 5;
+const COLD_C = 20;
 
 /** The word for a probability of passing the warning limit. */
-export function wordFor(probability) {
+function wordFor(probability) {
   if (probability < THRESHOLDS.atRisk) return 'safe';
   return probability < THRESHOLDS.notSafe ? 'risk' : 'unsafe';
 }
 
 /** Priority that a look ahead deserves: 1 where the alarm limit is near, 2, or 0 for calm. */
-export function priorityFor(warning, alarm) {
+function priorityFor(warning, alarm) {
   if (alarm >= THRESHOLDS.alarm) return 1;
   return warning >= THRESHOLDS.atRisk ? 2 : 0;
 }
@@ -32,9 +33,11 @@ const levelOf = (reading) => {
  */
 export function answerNow({ readings, speedRpm, trusted }) {
   const usable = readings.filter((reading) => reading.usable);
-  const margin = (reading) => reading.limits.warning - reading.value;
+  // How far on its way from a cold machine to its own limit: a ring that runs cooler by nature
+  // does not take the place of the one that matters.
+  const nearness = ({ value, limits }) => (value - COLD_C) / (limits.warning - COLD_C);
   const worst = usable.toSorted(
-    (a, b) => (levelOf(a) || 9) - (levelOf(b) || 9) || margin(a) - margin(b))[0];
+    (a, b) => (levelOf(a) || 9) - (levelOf(b) || 9) || nearness(b) - nearness(a))[0];
   const lost = readings.find((reading) => !reading.usable);
   if (worst && levelOf(worst)) {
     const priority = levelOf(worst);

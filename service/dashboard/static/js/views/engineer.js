@@ -128,7 +128,7 @@ export class EngineerView {
     this.fill.style.width = `${Math.round((job?.progress ?? 0) * 100)}%`;
     setText(this.jobText, job ? this.describe(job)
       : 'Takes all low-risk windows of the store; runs in the background.');
-    if (job) this.chart.add(job);
+    if (job) this.chart.update(job.trace ?? [[], []]);
     const ended = job && !runs && this.wasRunning === job.id;
     this.wasRunning = runs ? job.id : null;
     if (ended) this.load();
