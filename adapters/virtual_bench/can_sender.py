@@ -133,11 +133,11 @@ class BenchCanSender:
         PortInUseError
             When host and port cannot be listened on.
         """
-        check_port("can port", host, port)
+        address = check_port("can port", host, port)
         self._server = await asyncio.get_running_loop().create_server(
-            lambda: _SlcanAdapter(self._clients), host, port
+            lambda: _SlcanAdapter(self._clients), address, port
         )
-        return host, int(self._server.sockets[0].getsockname()[1])
+        return address, int(self._server.sockets[0].getsockname()[1])
 
     async def stop(self) -> None:
         """Close the port and every connection."""

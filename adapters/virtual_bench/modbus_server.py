@@ -117,9 +117,9 @@ class BenchModbusServer:
         PortInUseError
             When host and port cannot be listened on.
         """
-        check_port("modbus port", host, port)
+        address = check_port("modbus port", host, port)
         server = ModbusTcpServer(
-            [self._transmitters(), self._controller(), self._others()], address=(host, port)
+            [self._transmitters(), self._controller(), self._others()], address=(address, port)
         )
         try:
             await server.serve_forever(background=True)
@@ -127,7 +127,7 @@ class BenchModbusServer:
             raise PortInUseError(f"modbus port {host}:{port}: cannot listen") from error
         self._server = server
         listener = cast(asyncio.Server, server.transport)
-        return host, int(listener.sockets[0].getsockname()[1])
+        return address, int(listener.sockets[0].getsockname()[1])
 
     async def stop(self) -> None:
         """Close the port and every connection."""
@@ -202,7 +202,7 @@ class BenchModbusServer:
 
 
 def _no_bits() -> tuple[list[SimData], list[SimData]]:
-    """Coils and discrete inputs: the library wants some, the action refuses them."""
+    """Coils and discrete inputs: the library wants some, the actions decide what may be done."""
     return (
         [SimData(0, values=[False] * 16, datatype=DataType.BITS)],
         [SimData(0, values=[False] * 16, datatype=DataType.BITS)],
@@ -213,8 +213,8 @@ def _no_registers() -> list[SimData]:
     return [SimData(0, values=[0], datatype=DataType.REGISTERS)]
 
 
-def check_port(what: str, host: str, port: int) -> None:
-    """Try whether a port can be listened on.
+def check_port(what: str, host: str, port: int) -> str:
+    """Try whether a port can be listened on; return the numeric address of the host.
 
     Raises
     ------
@@ -229,6 +229,7 @@ def check_port(what: str, host: str, port: int) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
             probe.listen(1)
+            return str(address[0])
     except OSError as error:
         reason = error.strerror or str(error)
         raise PortInUseError(f"{what} {host}:{port}: cannot listen: {reason}") from error

@@ -30,6 +30,8 @@ class _TruthFile:
         self._writer.writerow([*TRUTH_COLUMNS, "wall_time_us"])
 
     def write(self, rows: list[tuple[float, ...]], wall_start_us: int, rate: float) -> None:
+        if not rows:
+            return
         for row in rows:
             wall_us = wall_start_us + round(row[0] / rate * 1e6)
             self._writer.writerow([*(f"{value:.4f}" for value in row), wall_us])
@@ -137,6 +139,7 @@ async def _serve(
     try:
         modbus_host, modbus_at = await modbus.start(host, modbus_port)
         can_host, can_at = await can.start(host, can_port)
+        bracketed = f"[{can_host}]" if ":" in can_host else can_host
         if not wait_for_start:
             begin()
         announce(
@@ -145,7 +148,7 @@ async def _serve(
                 "can": {
                     "host": can_host,
                     "port": can_at,
-                    "channel": f"socket://{can_host}:{can_at}",
+                    "channel": f"socket://{bracketed}:{can_at}",
                 },
                 "scenario": plan.name,
                 "bearing": plan.bearing,
@@ -158,9 +161,10 @@ async def _serve(
         while not stop.is_set():
             bench.advance(now_s())
             can.send_frames()
-            rows = bench.take_truth()
-            if rows and truth_file is not None:
-                truth_file.write(rows, wall_start_us, rate)
+            if origin is not None:  # before the start no wall time belongs to the first row
+                rows = bench.take_truth()
+                if truth_file is not None:
+                    truth_file.write(rows, wall_start_us, rate)
             # after a hiccup the beat goes on from now; the plant has caught up above
             due = max(due + period, time.monotonic() - period)
             await _wait(stop, due - time.monotonic())

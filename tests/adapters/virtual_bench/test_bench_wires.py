@@ -32,21 +32,18 @@ pytestmark = pytest.mark.wires
 
 
 @asynccontextmanager
-async def _bench(
-    scenario: str, rate: float, truth: Path | None = None, seed: int = 0
-) -> AsyncIterator[dict[str, Any]]:
+async def _bench(scenario: str, rate: float, **options: Any) -> AsyncIterator[dict[str, Any]]:
     announced: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
     stop = asyncio.Event()
     task = asyncio.create_task(
         run(
             scenario,
             rate=rate,
-            seed=seed,
             modbus_port=0,
             can_port=0,
-            truth=truth,
             announce=announced.set_result,
             stop=stop,
+            **options,
         )
     )
     task.add_done_callback(lambda _: announced.done() or announced.cancel())
@@ -369,6 +366,47 @@ async def test_bad_input_names_what_is_wrong(tmp_path: Path) -> None:
         await _start(truth=missing)
     with pytest.raises(PortInUseError, match=r"modbus port 203\.0\.113\.9:0"):
         await _start(host="203.0.113.9")
+
+
+async def test_bench_waits_for_its_start_button(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.csv"
+    async with _bench("demo", rate=600.0, truth=truth, wait_for_start=True) as where:
+
+        def elapsed(controller: ModbusClient) -> int:
+            high, low = _read(controller, True, 8, 2)
+            return high << 16 | low
+
+        def look() -> None:
+            controller = _client(where, 2)
+            time.sleep(0.3)
+            assert elapsed(controller) == 0
+            assert not controller.write_single_coil(1, True)  # there is no other button
+            controller.write_single_coil(0, False)
+            time.sleep(0.1)
+            assert elapsed(controller) == 0
+            assert controller.write_single_coil(0, True)
+            time.sleep(0.3)
+            first = elapsed(controller)
+            assert first >= 180
+            assert controller.write_single_coil(0, True)  # pressing again starts nothing over
+            assert elapsed(controller) >= first
+            controller.close()
+
+        ready_us = time.time_ns() // 1000
+        await asyncio.to_thread(look)
+    with truth.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["time_s"]) == 0.0
+    assert int(rows[0]["wall_time_us"]) >= ready_us + 400_000
+
+
+async def test_host_name_listens_on_one_address() -> None:
+    async with _bench("demo", rate=1.0, host="localhost") as where:
+        assert where["modbus"]["host"] == where["can"]["host"]
+        values = await asyncio.to_thread(_read, _client(where, 1), False, 0, 3)
+        assert len(values) == 3
+        version = await _slcan(where, b"V\r", b"\r")
+    assert version == b"V1013\r"
 
 
 async def test_stopping_frees_the_ports_at_once() -> None:
