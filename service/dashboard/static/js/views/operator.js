@@ -1,13 +1,14 @@
 // One screen, three answers, then the evidence.
 import { AlarmList, summary } from '../alarms.js';
-import { LaneChart, TrendChart } from '../charts.js';
 import { h, put, setText } from '../dom.js';
 import { fixed, isNumber, NODE_NAMES } from '../format.js';
+import { LaneChart } from '../lane.js';
 import { SENSORS } from '../live.js';
 import { readChannel } from '../readings.js';
 import { Section } from '../section.js';
 import { liveDetail, situation } from '../situation.js';
 import { awayTile, nextStepTile, noForecastTile, nowTile, timeToLimitTile } from '../tiles.js';
+import { TrendChart } from '../trend.js';
 import { THRESHOLDS } from '../verdict.js';
 
 const HOUR_MS = 3600e3;

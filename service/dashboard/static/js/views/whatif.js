@@ -1,13 +1,14 @@
 // What-if: change the plan and the twin answers at once. Nothing here ever commands the bench.
 import { assetPath, call } from '../api.js';
-import { LaneChart, TrendChart } from '../charts.js';
 import { h, put, setText } from '../dom.js';
 import { distinctSteps, fanFrom, overSpan, stepsFrom } from '../forecast.js';
 import { fixed, hourMinute, spanText, wholeMinute } from '../format.js';
+import { LaneChart } from '../lane.js';
 import { SENSORS } from '../live.js';
 import { readChannel } from '../readings.js';
 import { crossingsAhead, situation } from '../situation.js';
 import { awayTile, noForecastTile, peakTile, profileTile, timeToLimitTile } from '../tiles.js';
+import { TrendChart } from '../trend.js';
 import { answerNextStep, answerTimeToLimit } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
