@@ -159,7 +159,7 @@ class Settings(BaseSettings):
     @model_validator(mode="after")
     def _names_are_unique(self) -> Self:
         for what, names in (
-            ("sources", [source.get("name") for source in self.sources]),
+            ("sources", [str(source.get("name")) for source in self.sources]),
             ("assets", [asset.id for asset in self.assets]),
         ):
             for name in names:

@@ -99,7 +99,7 @@ def _wire(settings: Settings) -> Wiring:
         _wire_plan(asset, f"assets[{number}].controller.plan", sources)
     for source in sources.values():
         source.spec.check(source.config, source.channels, source.plans)
-    return Wiring([source for source in sources.values() if source.channels], facts)
+    return Wiring([source for source in sources.values() if source.channels or source.plans], facts)
 
 
 def _sources(settings: Settings) -> Iterator[tuple[str, SourceWiring]]:

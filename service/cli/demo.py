@@ -73,7 +73,7 @@ async def _demo(
 
     def tell(line: str) -> None:
         minutes, seconds = divmod(int(time.monotonic() - began), 60)
-        console.print(f"[dim]{minutes:02d}:{seconds:02d}[/dim]  {line}")
+        console.print(f"[dim]{minutes:02d}:{seconds:02d}[/dim]  {line}", soft_wrap=True)
 
     with tempfile.TemporaryDirectory(prefix="bearing-twin-demo-") as name:
         folder = Path(name)

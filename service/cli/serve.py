@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from service import app
 from service.cli.signals import stop_on_signals
 from service.logs import configure_logging
 from service.settings import Settings, load_settings
@@ -28,5 +27,8 @@ def serve(config: ConfigFile = None) -> None:
 
 
 async def _serve(settings: Settings) -> None:
+    # Imported here: the compiled twin takes a second to load, which no other command should pay.
+    from service import app
+
     stop = stop_on_signals()
     await app.serve(settings, announce=lambda address: typer.echo(address), stop=stop)

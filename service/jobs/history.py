@@ -11,7 +11,7 @@ from adapters.drivers import Clock
 from service.clock import rfc3339
 from service.settings import AssetSection
 from service.store import Store
-from twin_core.identification import IdentificationData, IdentificationWindow
+from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.windows import LowRiskRegion, MinuteData, Window, find_windows, is_at_rest, varied
 
 MINUTE_US = 60_000_000
@@ -65,7 +65,7 @@ class AssetHistory:
 
     def span_us(self, window: Window) -> tuple[int, int]:
         """Start and end of a window as process time."""
-        return round(window.start_s * 1e6), round(window.end_s * 1e6)
+        return _span_us(window)
 
     async def problem_with(self, start_us: int, end_us: int) -> str | None:
         """Say why a span asked for by a user cannot be identified from; None when it can."""
@@ -180,8 +180,14 @@ def _spread(
     return spread
 
 
+def _span_us(window: Window) -> tuple[int, int]:
+    """Half-open span of a window: its last row is still part of it."""
+    return round(window.start_s * 1e6), round(window.end_s * 1e6) + MINUTE_US
+
+
 def window_json(window: Window) -> dict[str, Any]:
     """A window as the REST interface shows it."""
+    start_us, end_us = _span_us(window)
     points = [
         {
             "speed_rpm": round(point.speed_rpm, 1),
@@ -191,8 +197,8 @@ def window_json(window: Window) -> dict[str, Any]:
         for point in window.operating_points
     ]
     return {
-        "start": rfc3339(round(window.start_s * 1e6)),
-        "end": rfc3339(round(window.end_s * 1e6)),
+        "start": rfc3339(start_us),
+        "end": rfc3339(end_us),
         "speed_rpm_max": max((point["speed_rpm"] for point in points), default=0.0),
         "load_n_max": max((point["load_n"] for point in points), default=0.0),
         "operating_points": points,

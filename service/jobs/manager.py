@@ -31,8 +31,7 @@ from service.jobs.workspace import JobFolder
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.store import ActiveJobError, Store
-from service.store.records import Job
-from twin_core.windows import Window
+from service.store.records import Job, ModelStatus
 
 PROGRESS_EVERY_WALL_S = 0.4
 MOST_ATTEMPTS = 3
@@ -98,6 +97,15 @@ class IdentificationJobs:
             task.cancel()
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self._shut_down_executor()
+        for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
+            # A clean stop is no failed attempt.
+            await self._update(
+                job.id,
+                only_if=["running"],
+                status="queued",
+                progress=0.0,
+                attempts=max(job.attempts - 1, 0),
+            )
 
     # ------------------------------------------------------------------ the API's side
     async def create(
@@ -292,7 +300,7 @@ class IdentificationJobs:
             return  # cancelled at the very end: the result must not take effect
         asset = self._assets[job.asset]
         document = identified_document(job, result, asset.settings)
-        status = "candidate" if result.accepted else "rejected"
+        status: ModelStatus = "candidate" if result.accepted else "rejected"
         version = await anyio.to_thread.run_sync(
             self._store.add_model_version,
             job.asset,
@@ -366,6 +374,3 @@ def job_json(job: Job) -> dict[str, Any]:
         "requested_by": job.request["who"],
         "attempts": job.attempts,
     }
-
-
-__all__ = ["IdentificationJobs", "Window", "job_json"]

@@ -8,7 +8,7 @@ from service.live.estimate import ActiveModel
 from service.settings import AssetSection
 from service.store.records import Job, ModelVersion
 from twin_core.bearings import bearing
-from twin_core.identification import Posterior, prior_posterior
+from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel, build_model
 
 

@@ -1,17 +1,28 @@
 """What the background worker computes: fit, gates, scores. Runs in a process of its own."""
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from twin_core.identification.gates import judge
+
 from service.jobs.workspace import JobFolder, Progress
-from twin_core import identification
 from twin_core.bearings import bearing
-from twin_core.identification import IdentificationData, Posterior
+from twin_core.forecasting import forecast
+from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.identify import DEFAULT_BUDGET, Method, identify
+from twin_core.identification.identify import Progress as FitProgress
+from twin_core.identification.posterior import Posterior, prior_posterior
+from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import build_model
-from twin_core.windows import window_of
+from twin_core.observer import Observer, initial_state
+from twin_core.simulation import OperatingProfile, simulate
+from twin_core.windows import MinuteData, window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
+_FIT_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +52,7 @@ class JobOrder:
     bearing: str
     data: IdentificationData
     active: dict[str, Any]
-    method: str
+    method: Method
     seed: int
     budget: int | None
 
@@ -66,19 +77,91 @@ class JobResult:
 def run_identification(order: JobOrder) -> JobResult:
     """Identify, then let the gates decide whether the result may become active."""
     model = build_model(order.model_name, bearing=bearing(order.bearing))
-    told_at = 0.0
+    tell = _Teller(order.folder)
+    try:
+        fit = identify(
+            model,
+            order.data,
+            method=order.method,
+            budget=order.budget or DEFAULT_BUDGET,
+            seed=order.seed,
+            progress=tell,
+            cancelled=lambda: order.folder.cancelled,
+        )
+        report = judge(
+            model,
+            order.data,
+            fit,
+            active=Posterior.from_dict(order.active),
+            cancelled=lambda: order.folder.cancelled,
+        )
+    except IdentificationCancelled:
+        return JobResult(cancelled=True)
+    windows = [window_of(window.minutes) for window in order.data.windows]
+    return JobResult(
+        accepted=report.accepted,
+        reason=report.reason,
+        best_fitness=fit.best_fitness,
+        evaluations=fit.evaluations,
+        posterior=fit.posterior.to_dict(),
+        windows=[
+            {"speed_rpm_max": window.speed_rpm_max, "load_n_max": window.load_n_max}
+            for window in windows
+        ],
+        window_records=[window.to_dict() for window in windows],
+        scores=dict(report.scores),
+        naive=dict(report.naive),
+        gates=report.to_dict(),
+    )
 
-    def tell(progress: identification.Progress) -> None:
-        nonlocal told_at
-        if time.monotonic() - told_at < PROGRESS_EVERY_WALL_S:
+
+class _Teller:
+    """Writes an identification's progress to the job's folder, a few times a second."""
+
+    def __init__(self, folder: JobFolder) -> None:
+        self._folder = folder
+        self._told_at = 0.0
+
+    def __call__(self, progress: FitProgress) -> None:
+        if time.monotonic() - self._told_at < PROGRESS_EVERY_WALL_S and progress.phase != "done":
             return
-        told_at = time.monotonic()
-        order.folder.write_progress(
+        self._told_at = time.monotonic()
+        fitness = progress.best_fitness
+        self._folder.write_progress(
             Progress(
-                # The gates' fits take the last part of the bar.
-                fraction=0.8 * progress.fraction,
-                phase=progress.phase,
+                # The gates take the last part of the bar.
+                fraction=_FIT_SHARE * progress.fraction,
+                phase="gates" if progress.phase == "done" else progress.phase,
                 evaluations=progress.evaluations,
-                best_fitness=progress.best_fitness,
+                best_fitness=fitness if math.isfinite(fitness) else None,
             )
         )
+
+
+def warm_up() -> None:
+    """Compile every kernel into numba's cache, so that no later start has to wait for it."""
+    model = build_model("default", bearing=bearing("6311"))
+    posterior = prior_posterior(model)
+    values = model.parameters.values_from_z(posterior.z)
+    time_s = np.arange(0.0, 2400.0, 60.0)
+    speed_rpm, load_n = np.where(time_s < 300.0, 0.0, 1500.0), np.full(time_s.size, 2650.0)
+    ambient_c = np.full(time_s.size, 22.0)
+    profile = OperatingProfile(time_s, speed_rpm, load_n, ambient_c)
+    measured = {
+        name: simulate(model, values, profile, np.full(13, 22.0)).temperatures_c
+        @ model.sensor_row(name)
+        for name in model.sensor_names
+    }
+    observer = Observer(
+        model, values, *initial_state(model, values, {"t_inner_ring_c": 22.0}, 22.0, 0.0, 0.0, True)
+    )
+    observer.predict(5.0, 1500.0, 2650.0, 22.0)
+    observer.update({"t_inner_ring_c": 22.1})
+    forecast(
+        model, posterior, observer.temperatures_c, observer.covariance, 0.0, profile, members=4
+    )
+    minutes = MinuteData(
+        time_s, speed_rpm, load_n, ambient_c, measured, np.ones(time_s.size, dtype=np.bool_)
+    )
+    data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
+    identify(model, data, budget=50)

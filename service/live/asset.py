@@ -192,7 +192,9 @@ class AssetRuntime:
         names = [*model.sensor_names, *model.node_names]
         if not self.estimate.started:
             waiting = Quality.WAITING_FOR_INITIAL_DATA
-            return {f"{name}.twin": presentation.tag(None, "°C", waiting, self._began) for name in names}
+            return {
+                f"{name}.twin": presentation.tag(None, "°C", waiting, self._began) for name in names
+            }
         temperatures = self.estimate.observer.temperatures_c
         made = rfc3339(self.estimate.time_us or 0)
         return {

@@ -94,8 +94,9 @@ def _rounded(values: NDArray[np.float64]) -> list[float | None]:
 
 def tag(value: float | None, unit: str, quality: int, time: str) -> dict[str, Any]:
     """One snapshot tag; a value that is not a number is null."""
-    if value is not None and not math.isfinite(value):
-        value = None
+    if value is not None:
+        # A scaled register is 24.7, not 24.700000000000003.
+        value = round(value, 6) if math.isfinite(value) else None
     return {"value": value, "unit": unit, "quality": int(quality), "time": time}
 
 
