@@ -146,10 +146,10 @@ def new_points(
     """
     found: list[OperatingPoint] = []
     for point in candidates:
-        if any(_alike_points(point, other) for other in known):
+        if any(alike_points(point, other) for other in known):
             continue
         for index, other in enumerate(found):
-            if _alike_points(point, other):
+            if alike_points(point, other):
                 total = other.duration_s + point.duration_s
                 found[index] = replace(other, duration_s=total)
                 break
@@ -158,7 +158,8 @@ def new_points(
     return [point for point in found if point.duration_s >= min_duration_s]
 
 
-def _alike_points(first: OperatingPoint, second: OperatingPoint) -> bool:
+def alike_points(first: OperatingPoint, second: OperatingPoint) -> bool:
+    """Tell whether two points are at most 10 % of speed and 8 % of load apart."""
     return alike(first.speed_rpm, second.speed_rpm, NEW_SPEED) and alike(
         first.load_n, second.load_n, NEW_LOAD
     )
