@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from importlib.metadata import version
 from pathlib import Path
 
-from fastapi import APIRouter, FastAPI
+from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 import service.dashboard
@@ -86,7 +86,6 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.context = context
     app.state.authenticator = authenticator
     install_handlers(app)
-    api = APIRouter(prefix=API_PREFIX)
     for module in (
         assets,
         measurements,
@@ -97,8 +96,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         session,
         stream,
     ):
-        api.include_router(module.router)
-    app.include_router(api)
+        app.include_router(module.router, prefix=API_PREFIX)
     app.include_router(health.router)
     install_docs(app)
     app.frontend("/", directory=_DASHBOARD, fallback=None)

@@ -9,7 +9,9 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
+    Tag,
     ValidationInfo,
     WithJsonSchema,
     field_validator,
@@ -33,8 +35,10 @@ NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 PUSH_SOURCE = "push"
 
 
-class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+class RequestBody(BaseModel):
+    """What all bodies have in common: no unknown members, no conversions, finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 def _known_node(name: str) -> str:
@@ -50,7 +54,7 @@ NodeName = Annotated[
 ]
 
 
-class ProfileStep(_Body):
+class ProfileStep(RequestBody):
     """So long at this speed, radial load and, if given, ambient temperature."""
 
     duration_s: float = Field(
@@ -66,7 +70,7 @@ class ProfileStep(_Body):
     )
 
 
-class ForecastRequest(_Body):
+class ForecastRequest(RequestBody):
     """A what-if: the profile to be forecast from the present state of the twin."""
 
     model_config = ConfigDict(
@@ -122,7 +126,7 @@ class ForecastRequest(_Body):
         return step_s
 
 
-class TimeWindow(_Body):
+class TimeWindow(RequestBody):
     """A span of process time, start inclusive and end exclusive."""
 
     start: Instant
@@ -136,14 +140,18 @@ class TimeWindow(_Body):
         return end
 
 
-class IdentificationRequest(_Body):
+class IdentificationRequest(RequestBody):
     """What to identify from, and how."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"windows": "auto", "method": "noa+refine", "seed": 0}]}
     )
 
-    windows: Literal["auto"] | list[TimeWindow] = Field(
+    windows: Annotated[
+        Annotated[Literal["auto"], Tag("auto")]
+        | Annotated[list[TimeWindow], Field(min_length=1, max_length=100), Tag("list")],
+        Discriminator(lambda given: "list" if isinstance(given, list) else "auto"),
+    ] = Field(
         "auto",
         description="`auto` takes the low-risk windows of the store, else these windows.",
     )

@@ -7,10 +7,12 @@ from typing import Any
 import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute, iter_route_contexts
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import to_json
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import compile_path
 
 from service.api.context import (
     ActivationRefusedError,
@@ -45,7 +47,7 @@ class ProblemDocument(BaseModel):
             "examples": [
                 {
                     "type": "about:blank",
-                    "title": "Unprocessable Content",
+                    "title": "Unprocessable Entity",
                     "status": 422,
                     "detail": "profile[0].speed_rpm: Input should be less than or equal to 20000",
                     "instance": "/api/v1/assets/bench-1/forecasts",
@@ -144,9 +146,12 @@ def install_handlers(app: FastAPI) -> None:
         detail = error.detail if isinstance(error.detail, str) else str(error.detail)
         if error.status_code == 404 and detail == "Not Found":
             detail = f"there is nothing at {request.url.path}"
+        headers = error.headers
         if error.status_code == 405:
-            detail = f"{request.method} is not possible at {request.url.path}"
-        return _answer(request, Problem(error.status_code, detail, headers=error.headers))
+            methods = ", ".join(_methods(app, request.url.path))
+            headers = {"Allow": methods} if methods else headers
+            detail = f"{request.method} is not possible here, expected {methods or 'GET'}"
+        return _answer(request, Problem(error.status_code, detail, headers=headers))
 
     async def on_validation_error(request: Request, error: RequestValidationError) -> Response:
         errors = [_field_error(one, error.body) for one in error.errors()]
@@ -184,6 +189,19 @@ def install_handlers(app: FastAPI) -> None:
     }
     for kind, handler in handlers.items():
         app.add_exception_handler(kind, handler)
+
+
+def _methods(app: FastAPI, path: str) -> list[str]:
+    """Methods that a path answers to, over all its routes."""
+    return sorted(
+        {
+            method
+            for route in iter_route_contexts(app.routes)
+            if isinstance(route.original_route, APIRoute)
+            and compile_path(route.path or "")[0].match(path)
+            for method in route.methods or ()
+        }
+    )
 
 
 def _answer(request: Request, problem: Problem) -> Response:

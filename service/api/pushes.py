@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+from pydantic import ConfigDict, Field, WithJsonSchema
 
 from adapters.samples import Quality, Sample, is_bad
-from service.api.context import PUSH_SOURCE, AssetTwin
+from service.api.context import PUSH_SOURCE, AssetTwin, RequestBody
 from service.api.times import parse_time
 
 SAMPLES_MAX = 20_000
@@ -38,13 +38,13 @@ _SAMPLE_SCHEMA = {
         },
     },
 }
+_ANYTHING_ELSE = {"description": "Anything else is rejected, for itself."}
 
 
-class PushRequest(BaseModel):
+class PushRequest(RequestBody):
     """Samples of pushed channels of one asset, in any order."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "examples": [
                 {
@@ -64,7 +64,13 @@ class PushRequest(BaseModel):
     samples: Annotated[
         list[Any],
         Field(max_length=SAMPLES_MAX),
-        WithJsonSchema({"type": "array", "maxItems": SAMPLES_MAX, "items": _SAMPLE_SCHEMA}),
+        WithJsonSchema(
+            {
+                "type": "array",
+                "maxItems": SAMPLES_MAX,
+                "items": {"anyOf": [_SAMPLE_SCHEMA, _ANYTHING_ELSE]},
+            }
+        ),
     ]
 
 

@@ -17,6 +17,7 @@ from service.alarms import (
 )
 from service.api.access import Caller, secured
 from service.api.bodies import AlarmDocument, AlarmJournalList, AlarmList
+from service.api.context import RequestBody
 from service.api.cursors import decode_cursor, encode_cursor, next_link
 from service.api.deps import Context, json_response
 from service.api.problems import Problem, parameter_problem
@@ -30,11 +31,11 @@ _FLUSH_S = 1.0
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 
 
-class AcknowledgeRequest(BaseModel):
+class AcknowledgeRequest(RequestBody):
     """An operator has seen it."""
 
     model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"comment": "load is being reduced"}]}
+        json_schema_extra={"examples": [{"comment": "load is being reduced"}]}
     )
 
     comment: str | None = Field(None, max_length=500, description="For the journal.")
@@ -98,7 +99,7 @@ def get_journal(
     "/{alarm_id}/acknowledge",
     response_model=AlarmDocument,
     summary="Acknowledge an alarm",
-    **secured(OPERATOR, 404, 409, 413),
+    **secured(OPERATOR, 400, 404, 409, 413),
 )
 async def acknowledge_alarm(
     context: Context,

@@ -36,7 +36,7 @@ async def list_windows(asset: Asset) -> Response:
     status_code=202,
     response_model=JobDocument,
     summary="Start an identification",
-    **secured(ENGINEER, 404, 409, 413, 503),
+    **secured(ENGINEER, 400, 404, 409, 413, 503),
 )
 async def post_identification(
     context: Context,

@@ -3,11 +3,12 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Path
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from starlette.responses import Response
 
 from service.api.access import Caller, secured
 from service.api.bodies import ModelDocument, ModelList
+from service.api.context import RequestBody
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
 from service.jobs.models import model_json
@@ -18,11 +19,10 @@ router = APIRouter(prefix="/assets/{asset_id}/models", tags=["models"])
 Version = Annotated[int, Path(ge=1, le=2**31 - 1, description="Counted from 1 per asset.")]
 
 
-class ActivationRequest(BaseModel):
+class ActivationRequest(RequestBody):
     """Why a version is made the active one."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={"examples": [{"comment": "back to the version before the new grease"}]},
     )
 
@@ -56,7 +56,7 @@ def get_model(context: Context, asset: Asset, version: Version) -> Response:
     "/{version}/activate",
     response_model=ModelDocument,
     summary="Make a version the active one",
-    **secured(ENGINEER, 404, 409, 413, 503),
+    **secured(ENGINEER, 400, 404, 409, 413, 503),
 )
 async def activate_model(
     context: Context,

@@ -1,7 +1,7 @@
 """Logging a browser in and out."""
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -13,6 +13,7 @@ from service.api.access import (
     unauthorized,
 )
 from service.api.bodies import SessionDocument
+from service.api.context import RequestBody
 from service.api.deps import Keys, json_response
 from service.api.problems import RETRY_AFTER_S, Problem
 from service.clock import rfc3339
@@ -26,15 +27,15 @@ _COOKIE_AGE_S = 30 * 86_400
 router = APIRouter(prefix="/session", tags=["session"])
 
 
-class LogIn(BaseModel):
+class LogIn(RequestBody):
     """The key that opens the session."""
-
-    model_config = ConfigDict(extra="forbid")
 
     key: str = Field(max_length=200, description="An API key.", examples=["bt_1a2b3c4d_…"])
 
 
-@router.post("", response_model=SessionDocument, summary="Log in", **public(401, 403, 413, 422))
+@router.post(
+    "", response_model=SessionDocument, summary="Log in", **public(400, 401, 403, 413, 422, 503)
+)
 async def log_in(request: Request, body: LogIn, keys: Keys) -> Response:
     """Open a browser session; it ends 12 h after its last use, or with its key."""
     try:

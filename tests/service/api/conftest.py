@@ -4,6 +4,7 @@ The twin and the job manager are the boundary of the web side: small in-memory o
 """
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -244,8 +245,17 @@ class World:
         return next((a.id for a in self.alarms.active() if a.channel == channel), "")
 
 
+@pytest.fixture(scope="session")
+def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a new store: making one costs more than most tests."""
+    folder = tmp_path_factory.mktemp("empty")
+    Store.open("", folder).close()
+    return folder / "bearing-twin.db"
+
+
 @pytest.fixture
-async def world(tmp_path: Path) -> AsyncIterator[World]:
+async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
+    shutil.copy(empty_store, tmp_path)
     clock = ProcessClock()
     settings = Settings()
     bus, registry = Bus(clock), CollectorRegistry()
