@@ -72,10 +72,11 @@ export class History {
   }
 
   /**
-   * Columns over an even grid of minutes, so that a minute without data is a hole in the line.
-   * Gives { times (ms, the middle of each minute), columns: { channel: [] } }.
+   * Columns over an even grid of minutes, so that minutes without data are a hole in the line.
+   * Only holes up to `bridgeMs` are bridged: where process time runs fast, a minute may well pass
+   * between two samples. Gives { times (ms, the middle of each minute), columns: { channel: [] } }.
    */
-  columns(fromMs, toMs) {
+  columns(fromMs, toMs, bridgeMs) {
     const times = [];
     const columns = Object.fromEntries(this.channels.map((channel) => [channel, []]));
     const first = Math.ceil((fromMs - MINUTE_MS / 2) / MINUTE_MS) * MINUTE_MS;
@@ -84,6 +85,7 @@ export class History {
       times.push(minute + MINUTE_MS / 2);
       for (const channel of this.channels) columns[channel].push(row?.[channel] ?? null);
     }
+    for (const channel of this.channels) bridge(columns[channel], bridgeMs / MINUTE_MS);
     return { times, columns };
   }
 
@@ -93,4 +95,14 @@ export class History {
     for (const minute of this.minutes.keys()) first = Math.min(first, minute);
     return Number.isFinite(first) ? first : null;
   }
+}
+
+/** Draw over holes of at most `most` values: undefined is no hole to the chart, null is one. */
+function bridge(values, most) {
+  let last = -1;
+  values.forEach((value, i) => {
+    if (value === null) return;
+    if (last >= 0 && i - last - 1 <= most) values.fill(undefined, last + 1, i);
+    last = i;
+  });
 }

@@ -6,6 +6,7 @@ import {
 } from './paint.js';
 
 const nulls = (count) => Array(count).fill(null);
+const SAME = 0.005; // a measured value this near to its set-point needs no second figure
 const LANE_STEPS = [500, 1000, 2000, 3000, 5000, 10000, 20000];
 
 /**
@@ -72,7 +73,8 @@ export class LaneChart {
     const size = fontSize() * ratio;
     context.save();
     model.steps.forEach((step, i) => {
-      if (i && model.steps[i - 1][model.key] === step[model.key]) return;
+      const change = i ? Math.abs(step[model.key] - model.steps[i - 1][model.key]) : Infinity;
+      if (change < SAME * Math.abs(step[model.key])) return;
       const next = i === 1;
       const left = plot.valToPos(step.from / 1000, 'x', true);
       const right = Math.min(plot.valToPos(step.to / 1000, 'x', true), bbox.left + bbox.width);

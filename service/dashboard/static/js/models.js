@@ -1,6 +1,7 @@
 // Model versions side by side: parameters with intervals, scores beside the naive forecasts.
 import { h } from './dom.js';
-import { fixed, isNumber, significant } from './format.js';
+import { channelName, fixed, isNumber, significant } from './format.js';
+import { icon } from './icons.js';
 
 const VERDICTS = { informed: 'chip on', weak: 'chip', 'prior only': 'chip dot' };
 const STATUS_CHIPS = { active: 'chip on', rejected: 'chip dot', retired: 'chip dot' };
@@ -44,9 +45,11 @@ export function parameterTable(active, other) {
       h('td', { class: i ? 'r b' : 'r' }, significant(parameter?.value)),
       h('td', { class: 'iv' }, parameter && intervalBar(parameter, at)),
     ]));
-    const unitText = (both[0] ?? both[1]).unit;
-    return h('tr', {}, h('td', {}, plainName(name),
-      unitText && unitText !== '1' && h('span', { class: 'u' }, unitText)), cells,
+    const { unit: unitText, description } = both[0] ?? both[1];
+    const hasUnit = unitText && !['1', '-'].includes(unitText);
+    return h('tr', {}, h('td', {}, description ?? plainName(name),
+      h('span', { class: 'u' }, description ? plainName(name) : '',
+        hasUnit ? ` ${unitText}` : '')), cells,
     h('td', {}, h('span', { class: VERDICTS[verdict] ?? 'chip' }, verdict ?? '–')));
   });
   const heads = [active, other].filter(Boolean).flatMap((model) => [
@@ -57,40 +60,60 @@ export function parameterTable(active, other) {
     h('th', {}, `Verdict${other ? ` v${other.version}` : ''}`))), h('tbody', {}, rows));
 }
 
-/** Nested figures as { 'a, b': value }. */
-function flatten(value, path = []) {
-  if (isNumber(value)) return { [path.join(', ')]: value };
-  if (value === null || typeof value !== 'object' || Array.isArray(value)) return {};
-  return Object.assign({}, ...Object.entries(value).map(([name, inner]) =>
-    flatten(inner, [...path, plainName(name)])));
+const TRAINING = 'train_rms_k';
+
+/** One figure for both rings: the root of their mean square. */
+function together(byChannel) {
+  const values = Object.values(byChannel ?? {}).filter(isNumber);
+  if (!values.length) return null;
+  return Math.sqrt(values.reduce((sum, value) => sum + value * value, 0) / values.length);
+}
+
+/** Rows of scores: { name, of(model), naive: { name: figure } }, all in K. */
+function scoreRows(shown) {
+  const training = Object.keys(shown.scores?.[TRAINING] ?? {}).map((channel) => ({
+    name: `${channelName(channel)}, rms on the data it was trained with`,
+    of: (model) => model.scores?.[TRAINING]?.[channel],
+    naive: {},
+  }));
+  const tests = Object.entries(shown.scores ?? {})
+    .filter(([, score]) => isNumber(score?.nested_rms_k))
+    .map(([test, score]) => ({
+      name: `${test.charAt(0).toUpperCase()}${test.slice(1)} to ${fixed(score.speed_rpm, 0)} rpm, `
+        + `${fixed(score.load_n, 0)} N, rms without having seen it`,
+      of: (model) => model.scores?.[test]?.nested_rms_k,
+      naive: Object.fromEntries(Object.entries(shown.naive?.[test] ?? {})
+        .map(([name, byChannel]) => [name, together(byChannel)])),
+    }));
+  return [...training, ...tests];
 }
 
 /** Scores of the versions, and what the naive forecasts reached on the same data. */
 export function scoreTable(active, other) {
   const models = [active, other].filter(Boolean);
-  const columns = models.map((model) => flatten(model.scores));
   const shown = other ?? active;
-  const naive = Object.entries(shown?.naive ?? {}).map(([name, scores]) =>
-    [plainName(name), flatten(scores)]);
-  const rows = [...new Set(columns.flatMap(Object.keys))];
+  const rows = scoreRows(shown);
   if (!rows.length) return null;
+  const naive = [...new Set(rows.flatMap((row) => Object.keys(row.naive)))];
+  const cells = (row) => {
+    const own = row.of(shown);
+    return [
+      models.map((model) => h('td', { class: model === shown ? 'r b' : 'r' },
+        fixed(row.of(model), 2))),
+      naive.map((name) => h('td', { class: row.naive[name] < own ? 'r lose' : 'r' },
+        fixed(row.naive[name], 2))),
+    ];
+  };
   return h('table', { class: 'vt' },
-    h('thead', {}, h('tr', {}, h('th', {}, 'Score on low-risk data'),
+    h('thead', {}, h('tr', {}, h('th', {}, 'Low-risk data, K'),
       models.map((model) => h('th', { class: 'r' }, `v${model.version}`)),
-      naive.map(([name]) => h('th', { class: 'r' }, name)))),
-    h('tbody', {}, rows.map((row) => h('tr', {}, h('td', {}, row),
-      columns.map((column, i) => h('td', { class: i === columns.length - 1 ? 'r b' : 'r' },
-        fixed(column[row], 2))),
-      naive.map(([, scores]) => h('td', { class: 'r' }, fixed(scores[row], 2)))))));
+      naive.map((name) => h('th', { class: 'r' }, plainName(name))))),
+    h('tbody', {}, rows.map((row) => h('tr', {}, h('td', {}, row.name), cells(row)))));
 }
 
-/** The gates that a version had to pass: [{ name, passed, detail }] of whatever shape is told. */
-export function gateList(gates) {
-  if (!gates) return [];
-  return Object.entries(gates).filter(([, gate]) =>
-    typeof gate === 'boolean' || typeof gate?.passed === 'boolean').map(([name, gate]) => ({
-    name: plainName(name),
-    passed: typeof gate === 'boolean' ? gate : gate.passed,
-    detail: typeof gate === 'boolean' ? '' : gate.detail ?? '',
-  }));
+/** The gates that a version had to pass. */
+export function gateList(model) {
+  return h('ul', { class: 'gates' }, (model.gates?.checks ?? []).map((gate) => h('li', {},
+    gate.passed ? icon('ok') : icon(2, 'hollow'),
+    h('span', {}, gate.passed ? gate.detail : ['not passed: ', gate.detail]))));
 }

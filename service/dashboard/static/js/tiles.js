@@ -1,7 +1,7 @@
 // The answer tiles: one word, one figure, the reason below. Words come from verdict.js.
 import { bold, h, unit } from './dom.js';
 import {
-  ageText, channelName, celsius, fixed, hourMinute, percent, spanNodes, spanText, timeElement,
+  ageText, channelName, celsius, fixed, hourMinute, joined, percent, spanNodes, spanText, timeElement,
   wholeMinute,
 } from './format.js';
 import { icon } from './icons.js';
@@ -120,8 +120,8 @@ export function profileTile(answer) {
   return tile({
     look: LOOKS[answer.priority], label: 'Is this profile safe', title: 'This profile',
     symbol: aheadSymbol(answer.priority), word: WORDS[answer.word],
-    why: [[`${lower(peak.sensor)}: ${percent(peak.warning)} over ${peak.limits.warning} °C, `,
-      `${percent(peak.alarm)} over ${peak.limits.alarm} °C`]],
+    why: [joined(`${percent(peak.warning)} over ${peak.limits.warning} °C, `
+      + `${percent(peak.alarm)} over ${peak.limits.alarm} °C`)],
   });
 }
 

@@ -228,9 +228,8 @@ export class TrendChart {
       context.arc(x, y(head.value), 5.5 * ratio, 0, 7);
       context.fill();
       context.stroke();
-      const near = i > 0 && y(head.value) - y(heads[i - 1].value) < size * 2.2;
-      const under = near && heads.length > 1;
-      this.paintName(plot, head.sensor, under);
+      const under = i > 0 && y(head.value) - y(heads[i - 1].value) < size * 2.2;
+      this.paintName(plot, head.sensor, heads[i - 1]?.sensor);
       if (!wide) return;
       const right = x - 12 * ratio;
       const covered = this.measuredBetween(plot, head.sensor, right - size * 4, right);
@@ -252,7 +251,8 @@ export class TrendChart {
     });
   }
 
-  paintName(plot, sensor, under) {
+  /** `above` is the sensor of the line above, which the name must not cover. */
+  paintName(plot, sensor, above) {
     const { times, past } = this.model;
     const { ctx: context, bbox } = plot;
     const ratio = pixelRatio();
@@ -267,9 +267,10 @@ export class TrendChart {
     if (right > room) return;
     const covered = this.measuredBetween(plot, sensor, left - 8 * ratio, right);
     const gap = 9 * ratio;
-    const at = under
-      ? plot.valToPos(lowest(covered), 'y', true) + gap + size * 1.3
-      : plot.valToPos(highest(covered), 'y', true) - gap;
+    const over = plot.valToPos(highest(covered), 'y', true) - gap;
+    const line = above ? lowest(this.measuredBetween(plot, above, left, right)) : Infinity;
+    const hits = Number.isFinite(line) && over - size * 1.5 < plot.valToPos(line, 'y', true) + gap;
+    const at = hits ? plot.valToPos(lowest(covered), 'y', true) + gap + size * 1.3 : over;
     write(context, channelName(sensor), left, at,
       { size: size * 1.15, strong: true, colour: token('--ink') });
   }

@@ -5,7 +5,6 @@ import { askReason } from '../dialogs.js';
 import { h, put, setText } from '../dom.js';
 import { dayTime, milliseconds, spanText, timeElement } from '../format.js';
 import { currentJob, jobText } from '../frame.js';
-import { icon } from '../icons.js';
 import { gateList, parameterTable, scoreTable, statusChip } from '../models.js';
 import { drawWindows, isUsed, pointText } from '../windows.js';
 
@@ -112,10 +111,11 @@ export class EngineerView {
     this.jobText = h('p', { class: 's', role: 'status' });
     this.fill = h('i', {});
     this.plot = h('div', { class: 'plot cv' });
+    this.gates = h('div', { class: 'gatebox' });
     return h('section', { class: 'panel e-job' },
       h('header', {}, h('h2', {}, 'Re-identification'), h('span', { class: 'sp' }), this.phase),
       h('div', { class: 'row' }, this.start, this.cancel),
-      h('div', { class: 'bar' }, this.fill), this.jobText, this.plot);
+      h('div', { class: 'bar' }, this.fill), this.jobText, this.plot, this.gates);
   }
 
   showJob() {
@@ -186,8 +186,11 @@ export class EngineerView {
       h('thead', {}, h('tr', {}, ['Version', 'Status', 'Made', 'Why', '']
         .map((text) => h('th', {}, text)))),
       h('tbody', {}, this.models.map((model) => this.versionRow(model)))));
-    put(this.comparison, active && parameterTable(active, other), this.gates(other ?? active),
+    put(this.comparison, active && parameterTable(active, other),
       active && scoreTable(active, other));
+    const judged = other ?? active;
+    put(this.gates, judged?.gates && h('h2', {}, `Gates of v${judged.version}`),
+      judged?.gates && gateList(judged));
   }
 
   versionRow(model) {
@@ -208,15 +211,6 @@ export class EngineerView {
       h('td', { class: 'nw' }, Number.isFinite(made) && timeElement(made, dayTime(made))),
       h('td', {}, model.reason ?? ''),
       h('td', { class: 'r nw' }, !isActive && [compare, ' ', activate]));
-  }
-
-  gates(model) {
-    const gates = gateList(model?.gates);
-    if (!gates.length) return null;
-    return h('ul', { class: 'gates' }, gates.map((gate) => h('li', {},
-      gate.passed ? icon('ok') : icon(2, 'hollow'),
-      `${gate.name}${gate.passed ? '' : ', not passed'}`,
-      gate.detail && h('span', { class: 'mut' }, gate.detail))));
   }
 
   async activate(model) {

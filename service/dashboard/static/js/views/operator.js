@@ -13,6 +13,7 @@ import { THRESHOLDS } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
 const SPANS = [[1, '1 h'], [3, '3 h'], [12, '12 h']];
+const BRIDGE_WALL_MS = 1500;
 const PHONE = 760;
 const PHONE_PAST_MS = 1.5 * HOUR_MS;
 const NODE_OF_SENSOR = { t_inner_ring_c: 4, t_outer_ring_c: 2 };
@@ -159,7 +160,7 @@ export class OperatorView {
   residual(nowMs) {
     const { history } = this.page.store.state;
     if (!history) return null;
-    const { columns } = history.columns(nowMs - HOUR_MS, nowMs);
+    const { columns } = history.columns(nowMs - HOUR_MS, nowMs, 0);
     const squares = SENSORS.flatMap((sensor) => columns[sensor].map((measured, i) => {
       const twin = columns[`${sensor}.twin`][i];
       return measured === null || twin === null ? null : (measured - twin) ** 2;
@@ -210,7 +211,7 @@ export class OperatorView {
     if (!now || !history) return;
     const past = window.innerWidth < PHONE ? Math.min(this.span, PHONE_PAST_MS) : this.span;
     const fromMs = now.nowMs - past;
-    const { times, columns } = history.columns(fromMs, now.nowMs);
+    const { times, columns } = history.columns(fromMs, now.nowMs, BRIDGE_WALL_MS * clock.rate);
     const span = { nowMs: now.nowMs, fromMs, endMs: now.endMs ?? now.nowMs + past * 0.15, times };
     const limits = Object.fromEntries(
       Object.entries(now.limits).filter(([sensor]) => SENSORS.includes(sensor)));

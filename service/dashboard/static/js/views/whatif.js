@@ -257,7 +257,7 @@ export class WhatIfView {
     const { history } = store.state;
     if (!history) return;
     const fromMs = now.nowMs - PAST_MS;
-    const { times, columns } = history.columns(fromMs, now.nowMs);
+    const { times, columns } = history.columns(fromMs, now.nowMs, 1500 * clock.rate);
     const endMs = fan?.times.at(-1) ?? now.endMs ?? now.nowMs + HOUR_MS;
     const span = { nowMs: now.nowMs, fromMs, endMs, times };
     const limits = Object.fromEntries(
