@@ -79,6 +79,14 @@ def test_a_long_gap_costs_a_page_nothing(store: Store) -> None:
     assert [rollup.time_us for rollup in rollups] == [year_us, 40 * year_us]
 
 
+def test_a_page_never_cuts_a_bucket(store: Store) -> None:
+    store.write_samples([Sample("a", "x", time_us, 1.0, 192, 0) for time_us in (5, 21, 27, 33)])
+    first = store.read_rollup("a", None, 0, 99, 10, 2)
+    assert [(rollup.time_us, rollup.count) for rollup in first] == [(0, 1), (20, 2)]
+    rest = store.read_rollup("a", None, 0, 99, 10, 2, (20, "x"))
+    assert [(rollup.time_us, rollup.count) for rollup in rest] == [(30, 1)]
+
+
 def test_a_bucket_without_length_is_refused(store: Store) -> None:
     with pytest.raises(ValueError, match="bucket_us = 0"):
         store.read_rollup("a", None, 0, 1, 0, 1)

@@ -94,6 +94,17 @@ def test_writers_of_one_process_and_of_another_take_turns(tmp_path: Path) -> Non
         assert len(other.read_samples("a", None, 0, 99, 10**5)) == 2000
 
 
+def test_two_programs_that_read_before_they_write_do_not_trip_each_other(tmp_path: Path) -> None:
+    with Store.open("", tmp_path) as store, Store.open("", tmp_path) as other:
+
+        def add(number: int) -> int:
+            writer = (store, other)[number % 2]
+            return writer.add_model_version("a", "candidate", "", {}, number)
+
+        with ThreadPoolExecutor(8) as pool:
+            assert sorted(pool.map(add, range(40))) == list(range(1, 41))
+
+
 def test_a_store_locked_by_another_program_says_so_in_time_and_comes_back(tmp_path: Path) -> None:
     with Store.open("", tmp_path) as store:
         store.write_samples([Sample("a", "x", 1, 1.0, 192, 0)])

@@ -177,19 +177,3 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("channel_id", "time_us", name=op.f("pk_samples")),
         sqlite_with_rowid=False,
     )
-
-
-def downgrade() -> None:
-    for table in (
-        "samples",
-        "browser_sessions",
-        "alarm_journal",
-        "model_versions",
-        "model_activations",
-        "jobs",
-        "channels",
-        "asset_states",
-        "api_keys",
-        "alarms",
-    ):
-        op.drop_table(table)
