@@ -18,6 +18,7 @@ _PAGE: Final = """<!doctype html>
 <meta charset="utf-8">
 <title>Bearing Twin API</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="/favicon.svg">
 <link rel="stylesheet" href="/docs/files/swagger-ui/swagger-ui.css">
 </head>
 <body>
@@ -61,5 +62,9 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         )
         schemas.update(problem.pop("$defs"))
         schemas[ProblemDocument.__name__] = problem
+        for item in schema["paths"].values():
+            for operation in item.values():
+                if roles := operation.get("x-roles"):
+                    operation["description"] += f"\n\nRoles: {', '.join(roles)}."
         app.openapi_schema = schema
     return app.openapi_schema

@@ -70,6 +70,11 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
     return json_response(body, 200 if ready else 503)
 
 
+# Many probes only ask for the head.
+for _path, _probe in (("/livez", livez), ("/readyz", readyz)):
+    router.add_api_route(_path, _probe, methods=["HEAD"], include_in_schema=False)
+
+
 @router.get(
     "/metrics",
     response_class=Response,

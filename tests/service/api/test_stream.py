@@ -23,7 +23,9 @@ class Server:
     """The application of a world on a loopback port."""
 
     def __init__(self, world: Any) -> None:
-        self.listener = socket.create_server(("127.0.0.1", 0))
+        # With the protocol named, asyncio turns off Nagle's delay on what is accepted.
+        self.listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        self.listener.bind(("127.0.0.1", 0))
         self.port = self.listener.getsockname()[1]
         config = uvicorn.Config(
             world.app, log_config=None, access_log=False, timeout_graceful_shutdown=3
