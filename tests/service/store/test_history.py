@@ -92,18 +92,23 @@ def test_a_bucket_without_length_is_refused(store: Store) -> None:
         store.read_rollup("a", None, 0, 1, 0, 1)
 
 
-@given(series=SERIES, span=st.tuples(*[st.integers(0, 220)] * 2))
+@given(
+    series=SERIES,
+    span=st.tuples(*[st.integers(0, 220)] * 2),
+    offset_us=st.sampled_from([0, -30_000_000]),
+)
 @settings(max_examples=60, deadline=None)
 def test_minute_averages_are_those_of_numpy(
-    shared_store: Store, series: Series, span: tuple[int, int]
+    shared_store: Store, series: Series, span: tuple[int, int], offset_us: int
 ) -> None:
     unit_us = 7_000_000  # up to nine samples in a minute
     asset = fill(shared_store, series, unit_us)
     channels = ["a", "b", "never stored"]
-    table = shared_store.minute_averages(asset, channels, span[0] * unit_us, span[1] * unit_us)
+    start_us, end_us = (edge * unit_us for edge in span)
+    table = shared_store.minute_averages(asset, channels, start_us, end_us, offset_us)
 
     rows = [
-        (channel, time * unit_us // 60_000_000 * 60_000_000, *sample)
+        (channel, (time * unit_us - offset_us) // 60_000_000 * 60_000_000 + offset_us, *sample)
         for (channel, time), sample in series.items()
         if span[0] <= time < span[1]
     ]

@@ -54,7 +54,7 @@ def test_a_killed_writer_loses_nothing_that_it_acknowledged(
 
 
 def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
-    batches, size = 60, 100
+    batches, size = 30, 100
     stop = threading.Event()
 
     def read() -> int:
