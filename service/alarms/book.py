@@ -126,7 +126,7 @@ class AlarmBook:
         """Wait until the store has all changes so far; False when that takes too long."""
         return self._recorder.flush(timeout_s)
 
-    def close(self, timeout_s: float = 3.0) -> None:
+    def close(self, timeout_s: float = 2.0) -> None:
         """Write what is left, for at most so many wall seconds, and stop."""
         self._recorder.close(timeout_s)
 

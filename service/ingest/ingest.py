@@ -16,7 +16,7 @@ from service.store import Store, WriteCounts
 RESTART_FIRST_S = 1.0
 RESTART_LAST_S = 30.0
 #: Wall seconds that a store which does not answer is given when the service stops.
-DRAIN_S = 6.0
+DRAIN_S = 5.0
 
 _log = structlog.get_logger(__name__)
 
