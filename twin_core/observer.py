@@ -32,6 +32,9 @@ DISTURBANCE_SHARE_FRACTION = 0.25
 25 % of the friction heat that enters at the node."""
 HEAT_NOISE_W_SQRT_S = 4.0
 """White heat noise per node, in W s^(1/2): 0.17 K per square root of a minute on a ring."""
+WEAK_NODE_K = 0.3
+"""Constant disturbance and noise each move a node by no more than this against its neighbours:
+at standstill the cage hangs on so little that 0.5 W would be many kelvins."""
 
 SENSOR_NOISE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -115,6 +118,7 @@ class Observer:
         self._bound = kernels.bind_network(model.compiled, self._values)
         self._point: tuple[float, float] | None = None
         self._modes: tuple[NDArray[np.float64], ...] = ()
+        self._tie_w_k = np.zeros(nodes)
 
     @property
     def model(self) -> ThermalModel:
@@ -181,6 +185,9 @@ class Observer:
         if self._point != (speed, load):
             capacity, coefficient, _, _ = self._bound
             self._modes = kernels.decompose(compiled, capacity, coefficient, speed, load)
+            rate, modes, _, _ = self._modes
+            # The diagonal of C^1/2 V lam V' C^1/2: what ties each node to all others.
+            self._tie_w_k = capacity**2 * (modes**2 @ rate)
             self._point = (speed, load)
         scale_w = self._disturbance_scale_w(speed, load)
         fading = 1.0 / DISTURBANCE_TIME_S
@@ -319,7 +326,8 @@ class Observer:
             self._state[compiled.temperature_node],
             self._revolutions,
         )
-        scale: NDArray[np.float64] = DISTURBANCE_HEAT_W + heat * (
+        constant = np.minimum(DISTURBANCE_HEAT_W, WEAK_NODE_K * self._tie_w_k)
+        scale: NDArray[np.float64] = constant + heat * (
             DISTURBANCE_HEAT_FRACTION + DISTURBANCE_SHARE_FRACTION * share
         )
         return scale
@@ -363,7 +371,11 @@ class Observer:
         mixed = decayed(a + rate)
         own = float(decayed(np.array(2.0 * a)))
         driven = 2.0 * a * (response @ response.T) * (own - mixed[:, None] - mixed[None, :] + pair)
-        white = HEAT_NOISE_W_SQRT_S**2 * (modes.T @ modes) * pair
+        # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
+        density = np.minimum(
+            HEAT_NOISE_W_SQRT_S**2, 2.0 * WEAK_NODE_K**2 * self._tie_w_k * self._bound[0]
+        )
+        white = (modes.T * density) @ modes * pair
         cross = modes @ (2.0 * a * response * (own - mixed)[:, None])
         noise = np.zeros((size, size))
         noise[:nodes, :nodes] = modes @ (driven + white) @ modes.T

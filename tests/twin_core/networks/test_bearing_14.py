@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from twin_core.bearings import bearing, bearing_from_dimensions
+from twin_core.models import build_model
+from twin_core.networks.bearing_14 import NODE_NAMES, bearing_14_data
+
+CAPACITY = {
+    "6311": [5452, 272, 143, 177, 1208, 162, 118, 1851, 1851, 150, 150, 2396, 81349],
+    "6016": [5191, 147, 70, 135, 2556, 116, 86, 1685, 1685, 210, 210, 4808, 81349],
+}
+RESISTANCE = {
+    (1, 2): (0.0385, 0.0423),
+    (4, 5): (0.444, 0.263),
+    (4, 12): (0.583, 0.341),
+    (5, 12): (1.391, 0.658),
+    (4, 10): (0.510, 0.374),
+    (4, 11): (0.510, 0.374),
+    (5, 10): (0.217, 0.119),
+    (11, 12): (0.286, 0.158),
+    (1, 8): (0.0495, 0.0520),
+    (1, 9): (0.0495, 0.0520),
+    (2, 8): (0.381, 0.538),
+    (2, 9): (0.381, 0.538),
+    (7, 8): (9.72, 12.6),
+    (7, 9): (9.72, 12.6),
+    (1, 13): (0.0615, 0.0615),
+    (1, 14): (3.27, 3.27),
+    (8, 14): (3.13, 3.34),
+    (9, 14): (3.13, 3.34),
+    (13, 14): (0.131, 0.131),
+    (5, 14): (4.82, 3.32),
+    (12, 14): (2.65, 1.87),
+}
+CONVECTION = {
+    (3, 7): (38.56, 33.70),
+    (2, 7): (30.29, 25.92),
+    (4, 7): (41.83, 31.57),
+    (6, 7): (109.8, 144.7),
+}
+
+
+@pytest.mark.parametrize(("column", "designation"), [(0, "6311"), (1, "6016")])
+def test_capacities_and_resistances_of_both_bearings(column: int, designation: str) -> None:
+    data = bearing_14_data(bearing(designation))
+    assert data.capacity_j_k == pytest.approx(CAPACITY[designation], rel=0.01)
+    assert set(data.constant_k_w) == set(RESISTANCE)
+    for pair, expected in RESISTANCE.items():
+        assert data.constant_k_w[pair] == pytest.approx(expected[column], rel=0.01), pair
+    assert set(data.convection_k_w) == set(CONVECTION)
+    for pair, expected in CONVECTION.items():
+        assert data.convection_k_w[pair] == pytest.approx(expected[column], rel=0.002), pair
+    assert data.half_balls_k_w == pytest.approx((0.0676, 0.0591)[column], rel=0.002)
+
+
+def test_sensor_rows_of_the_6311() -> None:
+    model = build_model(bearing=bearing("6311"))
+    inner, outer = np.zeros(13), np.zeros(13)
+    inner[[3, 4, 11]] = 0.939, 0.035, 0.026
+    outer[[0, 1]] = 0.163, 0.837
+    assert model.sensor_row("t_inner_ring_c") == pytest.approx(inner, abs=1e-3)
+    assert model.sensor_row("t_outer_ring_c") == pytest.approx(outer, abs=1e-3)
+    assert model.sensor_row("t_node_7_c").tolist() == np.eye(13)[6].tolist()
+    assert model.sensor_matrix(model.sensor_names).sum(axis=1) == pytest.approx(1.0)
+
+
+def test_edge_count() -> None:
+    """27 edges as in the paper's network, of which 2 contact, 4 convective."""
+    kinds = [edge.kind.name for edge in build_model("paper", bearing=bearing("6311")).network.edges]
+    assert len(kinds) == 27
+    assert kinds.count("CONTACT") == 2
+    assert kinds.count("CONVECTIVE") == 4
+
+
+def test_any_deep_groove_ball_bearing_has_a_network() -> None:
+    data = bearing_14_data(bearing_from_dimensions("6308", 40.0, 90.0, 23.0))
+    small, large = np.array(data.capacity_j_k), np.array(CAPACITY["6311"])
+    assert (small[1:7] < large[1:7]).all()
+    assert len(NODE_NAMES) == small.size == 13
+
+
+def test_a_bearing_that_does_not_fit_the_drum_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"outer_mm is 190.0, expected less than 180"):
+        bearing_14_data(bearing_from_dimensions("6221", 105.0, 190.0, 36.0))
