@@ -288,13 +288,13 @@ def _warning(stage: Stage, journal: Sequence[Mapping[str, Any]]) -> dict[str, st
     end_us = stage.end_us or stage.start_us
     for entry in sorted(journal, key=lambda entry: str(entry["time"])):
         time_us = from_rfc3339(entry["time"])
-        raised = entry["to_state"] == "UNACK"
+        raised = entry["to"] == "UNACK"
         if time_us >= end_us:
             break
         if entry["kind"] == "forecast limit":
             if raised:
                 standing[entry["alarm_id"]] = entry["time"]
-            elif entry["to_state"] in ("RTNUN", "NORM") and time_us < stage.start_us:
+            elif entry["to"] in ("RTNUN", "NORM") and time_us < stage.start_us:
                 standing.pop(entry["alarm_id"], None)
         if entry["kind"] == "measured limit" and raised and time_us >= stage.start_us:
             measured_at = measured_at or entry["time"]

@@ -324,7 +324,7 @@ class IdentificationJobs:
             "job_succeeded", asset=job.asset, version=version, status=status, reason=result.reason
         )
         if result.accepted and asset.settings.identification.ladder == "apply":
-            await self.activate(job.asset, version, AUTOMATIC, "passed all gates", force=False)
+            await self.activate(job.asset, version, AUTOMATIC, result.reason, force=False)
         self._publish(ended)
 
     async def _end(self, job_id: str, status: Any, error: str) -> None:

@@ -11,7 +11,12 @@ import structlog
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
-from service.alarms import AlarmBook, AlarmCondition
+from service.alarms import (
+    ACTIVE_STATES,
+    UNACKNOWLEDGED_STATES,
+    AlarmBook,
+    AlarmCondition,
+)
 from service.api.context import NotReadyError, ProfileStep
 from service.clock import rfc3339
 from service.live import presentation, warnings
@@ -180,9 +185,10 @@ class AssetRuntime:
         tags |= self._estimate_tags()
         tags |= self._forecast_tags()
         active = self._alarms.active(self.id)
-        unacknowledged = sum(alarm.state in ("UNACK", "RTNUN") for alarm in active)
+        unacknowledged = sum(alarm.state in UNACKNOWLEDGED_STATES for alarm in active)
+        present = sum(alarm.state in ACTIVE_STATES for alarm in active)
         good, counted = Quality.GOOD, self._alarms_changed
-        tags["alarms.active"] = presentation.tag(len(active), "", good, counted)
+        tags["alarms.active"] = presentation.tag(present, "", good, counted)
         tags["alarms.unacknowledged"] = presentation.tag(unacknowledged, "", good, counted)
         tags["model.version"] = presentation.tag(self.active.version, "", good, self._switched)
         return {"tags": tags}
