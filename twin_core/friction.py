@@ -5,11 +5,14 @@
     M_v = 1e-7 f2 (nu n)^(2/3) dm^3 for nu n >= 2000, else 160e-7 f2 dm^3;
     valid only with nu in mm2/s, n in rpm, dm in mm, F and C0 in N.
     nu = nu0 exp(-beta (T - T0)). f2 and nu0 enter only as f2 nu0^(2/3): f2 belongs to an oil.
-``SEPARABLE``
-    M = M0 exp(p L + p2 L^2 + (q + pq L) V + x Y + x2 Y^2) (1 + A exp(-rev / Nr)) with
+``TWO_PART``
+    M = M0 [(1 - s) exp(p L + p2 L^2 + (q + pq L) V + b Y) + s exp(c Y)] (1 + A exp(-rev / Nr)),
     L = ln(n / 3000 rpm), Y = ln(F / 2650 N), V = ln(nu / nu(60 degC)) of a Vogel oil,
-    989 / (T + 95) - 989 / 155; the last factor is the running-in of the grease. Speed, viscosity
-    and load are factors of their own, so data at one load cannot bend the load law.
+    989 / (T + 95) - 989 / 155; the last factor is the running-in of the grease. Both Palmgren's
+    and the SKF catalogue law are of this form: a rolling or viscous part that follows speed and
+    viscosity, and a load-dependent or sliding part of share s that does not. The form carries what
+    a single product of powers cannot: under heavy load friction grows faster with load and falls
+    less with temperature, both by the same share.
 
 Heat W = M 2 pi n / 60 in both, T the temperature of the grease-oil-air mixture.
 """
@@ -35,7 +38,7 @@ def palmgren_coefficients(bearing: Bearing, oil: BaseOil) -> tuple[Coefficient, 
 
 
 def reference_moment_nmm(bearing: Bearing) -> float:
-    """Moment at 3000 rpm, 2650 N and 60 degC that the prior of ``SEPARABLE`` centres on.
+    """Moment at 3000 rpm, 2650 N and 60 degC that the prior of ``TWO_PART`` centres on.
 
     196 N.mm (6311) and 281 N.mm (6016) are the geometric means of Palmgren's and the SKF
     catalogue law; between and beyond they scale with dm^2.28.
@@ -43,11 +46,11 @@ def reference_moment_nmm(bearing: Bearing) -> float:
     return float(196.0 * (bearing.pitch_diameter_mm / 87.5) ** 2.277)
 
 
-def separable_coefficients(bearing: Bearing) -> tuple[Coefficient, ...]:
-    """Coefficients of ``SEPARABLE``; binds M0, p, p2, q, pq, x, x2, A, Nr."""
+def two_part_coefficients(bearing: Bearing) -> tuple[Coefficient, ...]:
+    """Coefficients of ``TWO_PART``; binds M0, p, p2, q, pq, s, b, c, A, Nr."""
     return (
         Coefficient(reference_moment_nmm(bearing), "M0"),
-        *(Coefficient(1.0, name) for name in ("p", "p2", "q", "pq", "x", "x2", "A", "Nr")),
+        *(Coefficient(1.0, name) for name in ("p", "p2", "q", "pq", "s", "b", "c", "A", "Nr")),
     )
 
 

@@ -61,12 +61,12 @@ class FrictionKind(IntEnum):
     """Which law gives the heat (:mod:`twin_core.friction` explains them and their coefficients)."""
 
     PALMGREN = 0
-    SEPARABLE = 1
+    TWO_PART = 1
 
 
 FRICTION_COEFFICIENT_COUNT = {
     FrictionKind.PALMGREN: 6,
-    FrictionKind.SEPARABLE: 9,
+    FrictionKind.TWO_PART: 10,
 }
 
 

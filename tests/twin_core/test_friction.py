@@ -7,26 +7,28 @@ from twin_core.bearings import bearing
 from twin_core.friction import (
     palmgren_moment_nmm,
     reference_moment_nmm,
-    separable_coefficients,
+    two_part_coefficients,
 )
 from twin_core.materials import BaseOil
 from twin_core.network import FrictionKind
 from twin_core.simulation import kernels
 
 NO_OIL = BaseOil(1e-9, 0.0, 0.0)
-SEPARABLE = int(FrictionKind.SEPARABLE)
-CENTRE = {"M0": 1.0, "p": 0.35, "p2": -0.05, "q": 0.42, "pq": 0.1, "x": 0.46, "x2": 0.15}
+TWO_PART = int(FrictionKind.TWO_PART)
+CENTRE = {
+    "M0": 1.0, "p": 0.45, "p2": -0.09, "q": 0.38, "pq": -0.10, "s": 0.16, "b": 0.30, "c": 1.60,
+}  # fmt: skip
 
 
-def _separable_nmm(
+def _two_part_nmm(
     speed: float, load: float, temperature: float, revolutions: float = 1e12, **changes: float
 ) -> float:
     values = {**CENTRE, "A": 0.12, "Nr": 1e6, **changes}
     coefficients = np.array(
-        [c.factor * values[c.parameter] for c in separable_coefficients(bearing("6311"))]
+        [c.factor * values[c.parameter] for c in two_part_coefficients(bearing("6311"))]
     )
-    point = kernels.friction_at_point(SEPARABLE, coefficients, speed, load)
-    heat = kernels.friction_heat_w(SEPARABLE, coefficients, point, temperature, revolutions)
+    point = kernels.friction_at_point(TWO_PART, coefficients, speed, load)
+    heat = kernels.friction_heat_w(TWO_PART, coefficients, point, temperature, revolutions)
     return float(heat / (1e-3 * 2.0 * math.pi * speed / 60.0))
 
 
@@ -106,53 +108,58 @@ def test_reference_moment(designation: str, moment: float) -> None:
     assert reference_moment_nmm(bearing(designation)) == pytest.approx(moment, rel=1e-3)
 
 
-def test_separable_law_is_the_reference_moment_at_its_reference_point() -> None:
-    assert _separable_nmm(3000.0, 2650.0, 60.0) == pytest.approx(196.0, rel=1e-9)
+def test_two_part_law_is_the_reference_moment_at_its_reference_point() -> None:
+    assert _two_part_nmm(3000.0, 2650.0, 60.0) == pytest.approx(196.0, rel=1e-9)
 
 
-def test_separable_law_by_hand() -> None:
+def test_two_part_law_by_hand() -> None:
     """6000 rpm, 5300 N, 40 degC: L = Y = ln 2, V = 989/135 - 989/155 = 0.9453."""
     speed = load = math.log(2.0)
     viscosity = 989.0 / 135.0 - 989.0 / 155.0
-    exponent = (
-        0.35 * speed
-        - 0.05 * speed**2
-        + (0.42 + 0.1 * speed) * viscosity
-        + 0.46 * load
-        + 0.15 * load**2
+    viscous = math.exp(
+        0.45 * speed - 0.09 * speed**2 + (0.38 - 0.10 * speed) * viscosity + 0.30 * load
     )
-    expected = 196.0 * math.exp(exponent)
-    assert _separable_nmm(6000.0, 5300.0, 40.0) == pytest.approx(expected, rel=1e-9)
+    expected = 196.0 * (0.84 * viscous + 0.16 * math.exp(1.60 * load))
+    assert _two_part_nmm(6000.0, 5300.0, 40.0) == pytest.approx(expected, rel=1e-9)
 
 
 def test_running_in_ends_with_the_revolutions() -> None:
-    settled = _separable_nmm(3000.0, 2650.0, 60.0, revolutions=1e12)
-    fresh = _separable_nmm(3000.0, 2650.0, 60.0, revolutions=0.0)
-    later = _separable_nmm(3000.0, 2650.0, 60.0, revolutions=1e6)
+    settled = _two_part_nmm(3000.0, 2650.0, 60.0, revolutions=1e12)
+    fresh = _two_part_nmm(3000.0, 2650.0, 60.0, revolutions=0.0)
+    later = _two_part_nmm(3000.0, 2650.0, 60.0, revolutions=1e6)
     assert fresh / settled == pytest.approx(1.12)
     assert later / settled == pytest.approx(1.0 + 0.12 * math.exp(-1.0))
 
 
 def test_the_load_factor_is_separate() -> None:
-    """Another load law changes nothing at 2650 N, whatever speed and temperature."""
+    """Other load exponents change nothing at 2650 N, whatever speed and temperature."""
     for speed, temperature in ((1500.0, 30.0), (6000.0, 70.0)):
-        usual = _separable_nmm(speed, 2650.0, temperature)
-        assert _separable_nmm(speed, 2650.0, temperature, x=1.2, x2=-0.3) == usual
+        usual = _two_part_nmm(speed, 2650.0, temperature)
+        assert _two_part_nmm(speed, 2650.0, temperature, b=1.2, c=0.3) == usual
+
+
+def test_heavy_load_makes_friction_less_sensitive_to_temperature() -> None:
+    """The load-dependent part does not thin out with the oil."""
+    light, heavy = (
+        _two_part_nmm(3000.0, load, 80.0) / _two_part_nmm(3000.0, load, 40.0)
+        for load in (2650.0, 5500.0)
+    )
+    assert light < heavy < 1.0
 
 
 def test_heat_is_capped() -> None:
-    assert _separable_nmm(6000.0, 2650.0, 20.0, M0=1e6) == pytest.approx(
+    assert _two_part_nmm(6000.0, 2650.0, 20.0, M0=1e6) == pytest.approx(
         3000.0 / (1e-3 * 2.0 * math.pi * 100.0)
     )
 
 
 @pytest.mark.parametrize(("speed", "load"), [(0.0, 0.0), (0.0, 5000.0), (1e-3, 0.0), (5.0, 1.0)])
 def test_heat_vanishes_towards_standstill(speed: float, load: float) -> None:
-    values = {**CENTRE, "p2": 0.3, "x2": 0.5, "A": 0.12, "Nr": 1e6}
+    values = {**CENTRE, "p2": 0.3, "c": 0.5, "A": 0.12, "Nr": 1e6}
     coefficients = np.array(
-        [c.factor * values[c.parameter] for c in separable_coefficients(bearing("6311"))]
+        [c.factor * values[c.parameter] for c in two_part_coefficients(bearing("6311"))]
     )
-    point = kernels.friction_at_point(SEPARABLE, coefficients, speed, load)
-    heat = kernels.friction_heat_w(SEPARABLE, coefficients, point, 20.0, 0.0)
+    point = kernels.friction_at_point(TWO_PART, coefficients, speed, load)
+    heat = kernels.friction_heat_w(TWO_PART, coefficients, point, 20.0, 0.0)
     assert 0.0 <= heat < 5.0
     assert (heat == 0.0) == (speed == 0.0)

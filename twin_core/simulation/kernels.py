@@ -88,8 +88,8 @@ def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
 def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
     """Everything of a friction law that does not change while speed and load stay.
 
-    Palmgren, c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC. Separable, c:
-    moment at the reference in N.mm, p, p2, q, pq, x, x2, A, Nr. Gives the numbers for
+    Palmgren, c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC. Two-part, c:
+    moment at the reference in N.mm, p, p2, q, pq, s, b, c, A, Nr. Gives the numbers for
     :func:`friction_heat_w`, the first being W per N.mm.
     """
     point = np.zeros(5)
@@ -104,9 +104,10 @@ def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
     relative_speed = math.log(max(speed / REFERENCE_SPEED_RPM, LAW_MIN_FRACTION))
     relative_load = math.log(max(load / REFERENCE_LOAD_N, LAW_MIN_FRACTION))
     exponent = (c[1] + c[2] * relative_speed) * relative_speed
-    exponent += (c[5] + c[6] * relative_load) * relative_load
-    point[1] = c[0] * math.exp(exponent)
+    exponent += c[6] * relative_load
+    point[1] = c[0] * (1.0 - c[5]) * math.exp(exponent)
     point[2] = c[3] + c[4] * relative_speed
+    point[3] = c[0] * c[5] * math.exp(c[7] * relative_load)
     return point
 
 
@@ -122,8 +123,8 @@ def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[n
     else:
         # Vogel's ln(nu / nu(60 degC)); far below its range the grease is solid and the law moot.
         viscosity = 989.0 / max(temperature + 95.0, 35.0) - 989.0 / 155.0
-        fresh = 1.0 + c[7] * math.exp(-revolutions / c[8]) if c[7] != 0.0 else 1.0
-        moment = point[1] * math.exp(point[2] * viscosity) * fresh
+        fresh = 1.0 + c[8] * math.exp(-revolutions / c[9]) if c[8] != 0.0 else 1.0
+        moment = (point[1] * math.exp(point[2] * viscosity) + point[3]) * fresh
     return min(point[0] * moment, HEAT_LIMIT_W)
 
 
@@ -182,6 +183,15 @@ def film_edges(net, coefficient):  # type: ignore[no-untyped-def]
             law[k, 1] = coefficient[e, 1]
             k += 1
     return node, law
+
+
+@compiled
+def edge_conductances(net, coefficient, speed, load):  # type: ignore[no-untyped-def]
+    """Conductance of every edge in W/K (edges,)."""
+    result = np.empty(net.edge_kind.size)
+    for e in range(result.size):
+        result[e] = edge_conductance(net.edge_kind[e], coefficient[e], speed, load)
+    return result
 
 
 @compiled

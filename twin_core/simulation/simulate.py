@@ -283,12 +283,12 @@ def _running_in_held(
 ) -> CompiledNetwork:
     """Fold the running-in factor at *revolutions* into the friction's level."""
     net = model.compiled
-    if net.friction_kind != FrictionKind.SEPARABLE:
+    if net.friction_kind != FrictionKind.TWO_PART:
         return net
     scale = np.array([values[index] if index >= 0 else 1.0 for index in net.friction_parameter])
     coefficients = net.friction_coefficient * scale
-    coefficients[0] *= 1.0 + coefficients[7] * np.exp(-revolutions / coefficients[8])
-    coefficients[7] = 0.0
+    coefficients[0] *= 1.0 + coefficients[8] * np.exp(-revolutions / coefficients[9])
+    coefficients[8] = 0.0
     return net._replace(
         friction_coefficient=coefficients,
         friction_parameter=np.full(coefficients.size, -1, dtype=np.int64),

@@ -298,11 +298,11 @@ def test_a_run_away_candidate_is_named(default: ThermalModel) -> None:
     [
         (
             lambda m: simulate(m, [1.0], _constant(2, 1.0), COLD),
-            r"values has shape \(1,\), expected \(23,\)",
+            r"values has shape \(1,\), expected \(24,\)",
         ),
         (
             lambda m: simulate_batch(m, m.parameters.centre, _constant(2, 1.0), COLD),
-            r"values has shape \(23,\), expected \(B, 23\)",
+            r"values has shape \(24,\), expected \(B, 24\)",
         ),
         (
             lambda m: simulate(m, m.parameters.centre, _constant(2, 1.0), COLD[:4]),
