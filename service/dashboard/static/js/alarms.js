@@ -37,6 +37,7 @@ export function summary(alarms) {
  * measured one. `live` says what forecast and sensor say this moment, newer than the alarm's own.
  */
 export function detailText(alarm, live) {
+  if (alarm.predicted && alarm.state === 'RTNUN') return 'no longer predicted';
   if (!alarm.predicted) {
     if (isDistrust(alarm)) return alarm.kind;
     const value = live.value(alarm.channel) ?? alarm.value;
@@ -121,7 +122,8 @@ export class AlarmList {
     row.alarm = alarm;
     const detail = detailText(alarm, live);
     setText(row.message, joined(alarm.message));
-    setText(row.detail, alarm.predicted ? `predicted ${detail}` : detail);
+    const predicted = alarm.predicted && alarm.state !== 'RTNUN';
+    setText(row.detail, predicted ? `predicted ${detail}` : detail);
     row.button.hidden = !needsAcknowledge(alarm) || !this.mayAcknowledge();
     row.button.setAttribute('aria-label', `Acknowledge: ${alarm.message}`);
     const key = [alarm.state, alarm.priority, alarm.raised_at, alarm.acknowledged_by].join();

@@ -140,7 +140,7 @@ export function lostState(state, clock) {
       timeElement(oldest.timeMs, hourMinuteSecond(oldest.timeMs)), '. '];
     return {
       title: all ? 'No temperature data' : `No data of the ${names}`, ageS: oldest.ageS,
-      text: [sentence(lost[0].reason), ' ', shown, state.forecast ? 'Forecast by the twin alone.' : ''],
+      text: [sentence(lost[0].reason), ' ', shown, state.forecast ? goesOn(all) : ''],
     };
   }
   const silent = state.sources.find((source) => !source.up);
@@ -151,6 +151,8 @@ export function lostState(state, clock) {
   };
 }
 
+const goesOn = (all) =>
+  (all ? 'Forecast by the twin alone.' : 'The twin goes on with the other sensors.');
 const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/\.?$/, '.');
 
 /** The strip that says which data are lost; the growing age is not read out every second. */
@@ -209,7 +211,8 @@ export class Banner {
     this.alarm = alarm;
     const others = [...alarms.values()].filter((one) =>
       isShown(one) && needsAcknowledge(one) && one.id !== alarm?.id).length;
-    setText(this.more, alarm && others ? `+ ${others} more` : '');
+    const more = alarm ? `+ ${others} more` : `${others} to acknowledge`;
+    setText(this.more, others ? more : '');
     this.button.hidden = !alarm || !needsAcknowledge(alarm) || !this.mayAcknowledge();
     this.button.disabled = away;
     const look = alarm ? [alarm.id, alarm.state, alarm.priority].join() : 'quiet';

@@ -90,8 +90,19 @@ export class Live {
 
   /** First message of a connection: all that may have been missed is asked for anew. */
   greet(message) {
+    if (message.epoch !== this.epoch) this.meetAnew(message);
     this.takeSnapshot(message.data.tags);
     this.guarded(() => this.loadAll());
+  }
+
+  /** A service that was started anew may have another clock; what it said before is void. */
+  meetAnew(message) {
+    this.epoch = message.epoch;
+    this.clock.reset();
+    this.clock.tell(milliseconds(message.time), milliseconds(message.sent_at));
+    this.store.set('forecast', null);
+    this.store.set('nodes', null);
+    this.store.set('jobs', new Map());
   }
 
   async loadAll() {
@@ -101,15 +112,22 @@ export class Live {
     await this.loadAsset();
     const path = (rest) => assetPath(this.assetId, rest);
     const [state, forecast, alarms] = await Promise.all([
-      callOptional(path('/state')), callOptional(path('/forecast')), callPages('/alarms', {}),
+      call(path('/state')), this.firstForecast(), callPages('/alarms', {}),
     ]);
     const mine = alarms.filter((alarm) => alarm.asset === this.assetId && isShown(alarm));
     this.store.set('alarms', new Map(mine.map((alarm) => [alarm.id, alarm])));
     newer.forEach((alarm) => applyAlarm(this.store, alarm));
     if (this.newerAlarms === newer) this.newerAlarms = null;
-    if (state) this.takeState(state);
+    this.takeState(state);
     if (forecast) this.takeForecast(forecast);
     await this.keepHistory();
+  }
+
+  /** The latest forecast, null while the twin still waits for its first data. */
+  firstForecast() {
+    const ready = Object.entries(this.store.get('tags')).some(([name, tag]) =>
+      name.endsWith('.forecast_max') && tag.quality >= GOOD);
+    return ready ? callOptional(assetPath(this.assetId, '/forecast')) : null;
   }
 
   takeAlarm(alarm) {

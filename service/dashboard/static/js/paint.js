@@ -45,7 +45,10 @@ export const cursor = (key) => ({
   y: false, points: { show: false }, drag: { x: false, y: false }, sync: { key },
 });
 
-/** A piece of text with its look. */
+/**
+ * A piece of text. look: { size, strong, colour, align, base, ground (a box behind it), halo (a rim
+ * of this colour, where it crosses a line) }.
+ */
 export function write(context, text, x, y, look) {
   context.font = font(look.size, look.strong);
   context.textAlign = look.align ?? 'left';
@@ -59,6 +62,12 @@ export function write(context, text, x, y, look) {
     context.fillRect(left - look.size * 0.35, y - look.size * 1.2, width + look.size * 0.7,
       look.size * 1.35);
     context.restore();
+  }
+  if (look.halo) {
+    context.strokeStyle = look.halo;
+    context.lineWidth = look.size * 0.3;
+    context.lineJoin = 'round';
+    context.strokeText(text, x, y);
   }
   context.fillStyle = look.colour;
   context.fillText(text, x, y);

@@ -24,7 +24,7 @@ function channelOf(asset, name) {
 export function readChannel(state, clock, name) {
   const tag = state.tags[name];
   const nowMs = clock.now();
-  const timeMs = tag?.goodTime ?? tag?.time ?? null;
+  const timeMs = tag?.goodTime ?? null;
   const ageS = timeMs === null || nowMs === null ? null : Math.max(0, (nowMs - timeMs) / 1000);
   const reading = {
     name, value: tag?.goodValue ?? null, timeMs, ageS, quality: tag?.quality ?? 0,

@@ -182,7 +182,8 @@ export class TrendChart {
       context.setLineDash([]);
       const whose = main ? '' : `${channelName(sensor).toLowerCase()} `;
       write(context, `${whose}${level} ${value} °C`, bbox.left + 8 * ratio, y - 3 * ratio, {
-        size: fontSize() * ratio, strong: hit, colour: token(hit ? `--p${priority}-text` : '--ink-3'),
+        size: fontSize() * ratio, strong: hit, halo: token('--panel'),
+        colour: token(hit ? `--p${priority}-text` : '--ink-3'),
       });
     }
   }
@@ -205,8 +206,8 @@ export class TrendChart {
     context.strokeRect(...area);
     context.setLineDash([]);
     const size = fontSize() * ratio;
-    write(context, 'no data', left - 6 * ratio, bbox.top + bbox.height - 6 * ratio,
-      { size, strong: true, colour: token('--bad-text'), align: 'right' });
+    write(context, 'no data', left - 6 * ratio, bbox.top + 3.6 * size,
+      { size, strong: true, colour: token('--bad-text'), align: 'right', halo: token('--panel') });
   }
 
   /** A dot and a figure at the head of every measured line, its name where the line begins. */
@@ -236,7 +237,7 @@ export class TrendChart {
       const at = under ? y(Math.min(head.value, lowest(covered))) + size * 2.2
         : y(Math.max(head.value, highest(covered))) - 9 * ratio;
       write(context, fixed(head.value), right, at, {
-        size: size * 1.75, strong: true, align: 'right',
+        size: size * 1.75, strong: true, align: 'right', halo: token('--panel'),
         colour: token(head.usable ? '--ink' : '--bad-text'),
       });
     });
@@ -251,8 +252,11 @@ export class TrendChart {
     });
   }
 
-  /** `above` is the sensor of the line above, which the name must not cover. */
-  paintName(plot, sensor, above) {
+  /**
+   * The name of a line where it begins. `above` is the sensor of the line above, which the name
+   * must not cover; where a limit has its own label, the name moves along.
+   */
+  paintName(plot, sensor, above, shift = 0) {
     const { times, past } = this.model;
     const { ctx: context, bbox } = plot;
     const ratio = pixelRatio();
@@ -260,7 +264,8 @@ export class TrendChart {
     const values = past[sensor].measured;
     const first = values.findIndex(isNumber);
     if (first < 0) return;
-    const left = Math.max(bbox.left, plot.valToPos(times[first] / 1000, 'x', true)) + 8 * ratio;
+    const start = Math.max(bbox.left, plot.valToPos(times[first] / 1000, 'x', true));
+    const left = start + 8 * ratio + shift;
     context.font = font(size * 1.15, true);
     const right = left + context.measureText(channelName(sensor)).width;
     const room = plot.valToPos(this.model.nowMs / 1000, 'x', true) - 70 * ratio;
@@ -271,8 +276,16 @@ export class TrendChart {
     const line = above ? lowest(this.measuredBetween(plot, above, left, right)) : Infinity;
     const hits = Number.isFinite(line) && over - size * 1.5 < plot.valToPos(line, 'y', true) + gap;
     const at = hits ? plot.valToPos(lowest(covered), 'y', true) + gap + size * 1.3 : over;
+    const labelled = left < bbox.left + size * 9 && this.model.limitLines.some((limit) => {
+      const y = plot.valToPos(limit.value, 'y', true);
+      return (limit.main || limit.hit) && at > y - size * 1.6 && at - size * 1.3 < y;
+    });
+    if (labelled && !shift) {
+      this.paintName(plot, sensor, above, size * 9.5);
+      return;
+    }
     write(context, channelName(sensor), left, at,
-      { size: size * 1.15, strong: true, colour: token('--ink') });
+      { size: size * 1.15, strong: true, colour: token('--ink'), halo: token('--panel') });
   }
 
   /** Where a limit is most likely to be crossed first: the predicted symbol with its time. */

@@ -62,9 +62,10 @@ function timeMarks(first, span, x) {
     .find((one) => span / one <= 12) ?? 30 * 24 * hour;
   const zone = new Date(first).getTimezoneOffset() * 60000;
   for (let at = Math.ceil((first - zone) / step) * step + zone; at < first + span; at += step) {
-    marks.push(s('path', { d: `M${x(at)} 8V112`, stroke: 'var(--line)' }),
-      s('text', { x: x(at) + 5, y: 128 }, step < 24 * hour ? hourMinute(at)
-        : dayTime(at).replace(/ \d\d:\d\d$/, '')));
+    const fits = x(at) < x(first + span) - 40;
+    marks.push(s('path', { d: `M${x(at)} 8V112`, stroke: 'var(--line)' }), fits && s('text',
+      { x: x(at) + 5, y: 128 },
+      step < 24 * hour ? hourMinute(at) : dayTime(at).replace(/ \d\d:\d\d$/, '')));
   }
   return marks;
 }

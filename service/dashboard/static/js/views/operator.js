@@ -130,8 +130,8 @@ export class OperatorView {
 
   updateHeads(now) {
     const { asset, forecast } = this.page.store.state;
-    const stale = now.lostMs !== null || !now.live;
-    this.trendPanel.classList.toggle('isstale', stale);
+    const stale = now.alone || !now.live;
+    this.trendPanel.classList.toggle('isstale', stale || now.lostMs !== null);
     this.sectionPanel.classList.toggle('isstale', stale);
     this.sectionChip.hidden = !stale;
     setText(this.sectionTitle, `Bearing ${asset.bearing} in section, °C`);
@@ -150,9 +150,8 @@ export class OperatorView {
     if (model.trusted === false) return `${name}, not trusted: no forecast`;
     if (now.alone) return `${name} runs without data`;
     const parts = [name];
-    if (model.identified === false) parts.push('not identified yet');
     const residual = this.residual(now.nowMs);
-    if (isNumber(residual)) parts.push(`rms residual of the last hour ${fixed(residual)} K`);
+    if (isNumber(residual)) parts.push(`rms residual of the last hour ${fixed(residual, 2)} K`);
     return parts.join(', ');
   }
 
@@ -188,7 +187,7 @@ export class OperatorView {
       const priority = this.alertOf(now, reading);
       if (priority) alerts[node] = priority;
     }
-    this.section.update({ nodes, measured, alerts, stale: now.lostMs !== null || !now.live });
+    this.section.update({ nodes, measured, alerts, stale: now.alone || !now.live });
   }
 
   /** A ring over its limit, or on its way there. */

@@ -22,7 +22,7 @@ const FIELDS = {
   minutes: { name: 'Duration', unit: 'min', low: 5, high: 240, step: 5, most: 1440 },
 };
 
-const rounded = (value, step) => Math.max(step, Math.round(value / step) * step);
+const rounded = (value, step) => Math.round(value / step) * step;
 
 export class WhatIfView {
   constructor(box, page) {
@@ -33,7 +33,7 @@ export class WhatIfView {
     this.answers = h('div', { class: 'answers' });
     this.stepList = h('div', { class: 'steps' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
-    this.latency = h('span', { class: 'chip' });
+    this.latency = h('span', { class: 'chip', hidden: true });
     this.boxes = {
       temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Forecast' }),
       speed: h('div', { class: 'plot sp1' }),
@@ -62,8 +62,12 @@ export class WhatIfView {
     const preset = (text, steps) => h('button', {
       type: 'button', onclick: () => this.use(steps()),
     }, text);
-    this.add = h('button', { class: 'btn', type: 'button', onclick: () => this.addStep() },
-      'Add step');
+    this.add = h('button', {
+      class: 'btn', type: 'button', disabled: true, onclick: () => this.addStep(),
+    }, 'Add step');
+    this.saveButton = h('button', {
+      class: 'btn', type: 'button', disabled: true, onclick: () => this.save(),
+    }, 'Save as CSV');
     return h('section', { class: 'panel' },
       h('header', {}, h('h2', {}, 'Profile to try'), h('span', { class: 'sp' }),
         h('span', { class: 'seg' },
@@ -72,7 +76,7 @@ export class WhatIfView {
           preset('cool down', () => [{ ...this.presentStep(120), speed_rpm: 1500 }]))),
       this.stepList, this.problem,
       h('div', { class: 'row foot' }, this.add, h('span', { class: 'sp' }),
-        h('button', { class: 'btn', type: 'button', onclick: () => this.save() }, 'Save as CSV')));
+        this.saveButton));
   }
 
   createResult() {
@@ -126,6 +130,7 @@ export class WhatIfView {
         }, 'Remove')),
       Object.entries(FIELDS).map(([name, field]) => this.slider(step, i, name, field)))));
     this.add.disabled = this.steps.length >= MOST_STEPS;
+    this.saveButton.disabled = false;
   }
 
   presentRow() {
@@ -185,7 +190,8 @@ export class WhatIfView {
 
   /** The latest question wins; the answer to an older one is dropped. */
   async ask() {
-    if (!this.steps || this.page.store.get('link').status !== 'live') return;
+    const { link, forecast } = this.page.store.state;
+    if (!this.steps || !forecast || link.status !== 'live') return;
     this.asking?.abort();
     const asking = new AbortController();
     this.asking = asking;
@@ -199,6 +205,7 @@ export class WhatIfView {
       const made_at = answer.made_at ?? new Date(madeMs).toISOString();
       this.answer = { ...answer, made_at, profile };
       setText(this.problem, '');
+      this.latency.hidden = false;
       setText(this.latency, `answered in ${Math.round(performance.now() - askedAt)} ms`);
       this.show();
     } catch (error) {
@@ -211,25 +218,29 @@ export class WhatIfView {
   follow() {
     const now = situation(this.page.store.state, this.page.clock);
     if (!now) return;
-    if (!this.steps) this.use(this.plannedSteps());
+    if (!this.steps && this.page.store.get('forecast')) this.use(this.plannedSteps());
     this.show();
   }
 
   show() {
     const { store, clock } = this.page;
     const now = situation(store.state, clock);
-    if (!now || !this.steps) return;
-    const present = this.presentStep(0);
-    setText(this.present, `Running: ${present.speed_rpm} rpm, ${present.load_n} N`);
+    if (!now) return;
+    if (this.steps) this.showSteps(now);
+    const fan = now.noForecast === 'the model is not trusted' || !now.live ? null
+      : fanFrom(this.answer, now.nowMs, SENSORS);
+    this.showAnswers(now, fan);
+    this.draw(now, fan);
+  }
+
+  showSteps(now) {
+    setText(this.present,
+      `Running: ${fixed(now.speed.value, 0)} rpm, ${fixed(now.load.value, 0)} N`);
     let at = this.fromEnd ? this.coming()[0]?.to ?? now.nowMs : now.nowMs;
     this.steps.forEach((step, i) => {
       setText(this.starts[i], `from ${hourMinute(wholeMinute(at))}`);
       at += step.minutes * 60000;
     });
-    const fan = now.noForecast === 'the model is not trusted' || !now.live ? null
-      : fanFrom(this.answer, now.nowMs, SENSORS);
-    this.showAnswers(now, fan);
-    this.draw(now, fan);
   }
 
   showAnswers(now, fan) {

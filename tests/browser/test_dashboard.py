@@ -1,0 +1,202 @@
+"""The dashboard against the real service, fed by the virtual bench over real wires."""
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import BrowserContext, ConsoleMessage, Page, expect
+
+from service.security.keys import create_key
+from tests.processes import Site, wait_until
+
+pytestmark = [pytest.mark.browser, pytest.mark.wires]
+
+RATE = 60.0
+WAIT_MS = 30_000
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    site = Site(tmp_path_factory.mktemp("site"), "staircase", RATE)
+    try:
+        site.start_bench()
+        site.start_service()
+        wait_until(
+            lambda: site.client.get("/api/v1/assets/bench-1/forecast").is_success,
+            60,
+            "a live forecast",
+        )
+        yield site
+    finally:
+        site.close()
+
+
+@pytest.fixture
+def problems() -> list[str]:
+    """What the browser complains about; empty at the end of a good test."""
+    return []
+
+
+@pytest.fixture
+def page(context: BrowserContext, site: Site, problems: list[str]) -> Page:
+    """The operator view, logged in with the key in the address."""
+    page = context.new_page()
+    page.set_default_timeout(WAIT_MS)
+
+    def note(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            problems.append(message.text)
+
+    page.on("console", note)
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.goto(f"http://127.0.0.1:{site.port}/#key={site.key}")
+    expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe|At rest"))
+    return page
+
+
+def tile(page: Page, label: str) -> str:
+    return page.locator(f'.ans[aria-label="{label}"] .word').inner_text()
+
+
+def figure(page: Page, node: int) -> str:
+    """Temperature that the section shows at a node."""
+    text = page.locator(f'[data-figure="{node}"]').text_content()
+    assert text is not None
+    return text
+
+
+def fan_pixels(page: Page) -> int:
+    """Bluish pixels of the temperature chart: twin and forecast, and nothing else, are blue."""
+    count: int = page.evaluate(
+        """() => {
+          const canvas = document.querySelector('.plot.t canvas');
+          const half = Math.floor(canvas.width * 0.55);
+          const { data } = canvas.getContext('2d')
+            .getImageData(half, 0, canvas.width - half, canvas.height);
+          let count = 0;
+          for (let i = 0; i < data.length; i += 4) {
+            if (data[i + 2] > data[i] + 35 && data[i + 3] > 200) count += 1;
+          }
+          return count;
+        }"""
+    )
+    return count
+
+
+def test_the_key_leaves_the_address_and_a_session_stays(page: Page, problems: list[str]) -> None:
+    assert "key" not in page.url
+    page.reload()
+    expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe|At rest"))
+    assert page.evaluate("document.cookie") == "", "the session must be closed to scripts"
+    assert problems == []
+
+
+def test_live_values_move(page: Page, problems: list[str]) -> None:
+    measured, estimated, times = set(), set(), set()
+
+    def moved() -> bool:
+        measured.add(figure(page, 4))
+        estimated.add(figure(page, 3))
+        times.add(page.locator(".clock").inner_text())
+        return min(len(measured), len(estimated), len(times)) > 2
+
+    wait_until(moved, 30, f"values that change: {measured}, {estimated}, {times}")
+    assert f"×{RATE:g}" in page.locator(".clock").inner_text()
+    assert problems == []
+
+
+def test_forecast_is_drawn_and_answers_are_given(page: Page, problems: list[str]) -> None:
+    for label in ("Is the next step safe", "Time to limit"):
+        assert tile(page, label) not in ("", "Unknown", "No forecast")
+    expect(page.locator(".ans h2").nth(1)).to_have_text(re.compile("Next step in"))
+    expect(page.locator(".plot.t canvas")).to_be_visible()
+    wait_until(lambda: fan_pixels(page) > 2000, 15, "a forecast fan on the canvas")
+    assert problems == []
+
+
+def test_what_if_answers_and_follows_the_sliders(page: Page, problems: list[str]) -> None:
+    page.goto(page.url.split("#")[0] + "#whatif")
+    peak = page.locator('.ans[aria-label="Peak"] .word')
+    expect(peak).to_have_text(re.compile(r"\d"))
+    page.get_by_role("button", name="hold").click()
+    duration = page.get_by_role("spinbutton", name="Duration, step 1, min")
+    duration.fill("240")
+
+    def peak_at(speed_rpm: int) -> float:
+        before = peak.inner_text()
+        page.get_by_role("spinbutton", name="Speed, step 1, rpm").fill(str(speed_rpm))
+        expect(peak).not_to_have_text(before)
+        page.wait_for_timeout(500)
+        return float(peak.inner_text().split("°")[0].replace("\u2212", "-"))
+
+    slow, fast = peak_at(500), peak_at(6200)
+    assert fast > slow + 10
+    assert problems == []
+
+
+def test_engineer_sees_windows_jobs_and_versions(page: Page, problems: list[str]) -> None:
+    page.goto(page.url.split("#")[0] + "#engineer")
+    expect(page.locator(".e-ver .chip.on").first).to_have_text("active")
+    expect(page.locator(".vt tbody tr").first).to_be_visible()
+    assert page.locator(".vt tbody tr").count() >= 15
+    assert problems == []
+
+
+def test_a_viewer_sees_everything_and_changes_nothing(
+    context: BrowserContext, site: Site, problems: list[str]
+) -> None:
+    with site.open_store() as store:
+        key = create_key(store, "viewer").text
+    page = context.new_page()
+    page.goto(f"http://127.0.0.1:{site.port}/#key={key}")
+    expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe|At rest"))
+    assert page.locator("nav.tabs a").all_inner_texts() == ["Operator"]
+
+
+def test_lost_bench_shows_as_unknown_and_its_alarm_is_acknowledged(
+    page: Page, site: Site, problems: list[str]
+) -> None:
+    assert site.bench is not None
+    site.bench.kill()
+    expect(page.locator("#lost")).to_contain_text("No temperature data")
+    expect(page.locator('.ans[aria-label="Is it safe now"] .word')).to_have_text("Unknown")
+    expect(page.locator('[data-figure="4"]')).to_have_class(re.compile(r"\bst\b"))
+    row = page.locator(".al[data-state=UNACK]", has_text="Inner ring")
+    expect(row).to_be_visible()
+    alarm_id = row.get_attribute("data-alarm")
+    row.get_by_role("button", name=re.compile("Acknowledge")).click()
+    acknowledged = page.locator(f'.al[data-alarm="{alarm_id}"]')
+    expect(acknowledged).to_contain_text("ACKNOWLEDGED")
+    expect(acknowledged).to_have_attribute("data-state", "ACKED")
+    states = {alarm["id"]: alarm["state"] for alarm in site.get("/api/v1/alarms")["items"]}
+    assert states[alarm_id] == "ACKED"
+    assert problems == []
+
+    site.start_bench()
+    expect(page.locator("#lost")).to_be_empty()
+    expect(page.locator('.ans[aria-label="Is it safe now"] .word')).to_have_text(
+        re.compile("Safe|At rest")
+    )
+
+
+def test_service_away_is_said_and_the_page_comes_back(
+    page: Page, site: Site, problems: list[str]
+) -> None:
+    assert site.service is not None
+    assert problems == []
+    site.service.kill()
+    expect(page.locator("#lost")).to_contain_text("The service does not answer")
+    words = page.locator(".ans .word")
+    expect(words).to_have_text(["Unknown", "Unknown", "Unknown"])
+    expect(page.locator(".clock")).to_have_text(re.compile("old"))
+    expect(page.locator('[data-figure="4"]')).to_have_class(re.compile(r"\bst\b"))
+    assert page.locator(".al button:enabled:visible").count() == 0
+    wait_until(lambda: fan_pixels(page) == 0, 10, "no forecast is drawn any more")
+
+    site.start_service()
+    expect(page.locator("#lost")).to_be_empty()
+    expect(words.first).to_have_text(re.compile("Safe|At rest"))
+    before = page.locator(".clock").inner_text()
+    wait_until(lambda: page.locator(".clock").inner_text() != before, 10, "a clock that runs")
+    # Only the broken connection itself may have been complained about.
+    assert [text for text in problems if not re.search("WebSocket|ERR_CONNECTION", text)] == []
