@@ -3,10 +3,12 @@
 A Kalman filter. The mean goes through the same kernel as every simulation; the covariance
 through the exact transition matrix of the operating point. Two kinds of model error:
 
-- *heat disturbances*: at every node an unknown heat that drifts as a stationary first-order
-  process over :data:`DISTURBANCE_TIME_S`; its size goes with the friction heat and most of it
-  sits where friction does. They are states of the filter: it learns a lasting model error and
-  stays on the sensors without an offset, the spread of unmeasured nodes tells how far wrong
+- *heat disturbances*: unknown heats at the nodes that drift as stationary first-order processes
+  over :data:`DISTURBANCE_TIME_S`. Their covariance is what errors of the friction heat, of its
+  split and of every resistance (heat that flows from one end of an edge to the other) would
+  cause in the steady state of a usual operating point; it goes with the friction heat, and fades
+  slowly once that is gone. They are states of the filter: it learns a lasting model error and
+  stays on the sensors without an offset, the spread of unmeasured nodes tells how far wrong the
   resistances may have led them, and when sensors are lost it grows everywhere.
 - *heat noise*: short-lived, white, the same at every node; in temperature it counts least where
   the heat capacity is large.
@@ -22,19 +24,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.models import ThermalModel
-from twin_core.simulation import OperatingProfile, SimulationError, kernels, simulate
+from twin_core.process_noise import LONG_RUN_IN, disturbance_structure, transition_and_noise
+from twin_core.simulation import (
+    OperatingProfile,
+    SimulationError,
+    kernels,
+    simulate,
+)
 
 DISTURBANCE_TIME_S = 5400.0
-DISTURBANCE_HEAT_W = 0.5
-DISTURBANCE_HEAT_FRACTION = 0.03
-DISTURBANCE_SHARE_FRACTION = 0.25
-"""Standard deviation of a node's heat disturbance: 0.5 W, plus 3 % of the friction heat, plus
-25 % of the friction heat that enters at the node."""
+DISTURBANCE_FADE_S = 3600.0
+DISTURBANCE_AT_REST_W = 1.0
+DISTURBANCE_LIMIT_K = 2.0
+DISTURBANCE_LIMIT_K_W = 0.05
+"""After a stop the heat that scales the disturbances fades over an hour to 1 W, as the heat flows
+in the machine do. No disturbance is larger than what moves its node by 2 K, and 0.05 K per watt
+of that heat, against its neighbours: at standstill the cage hangs on so little that one watt
+would be 50 K."""
 HEAT_NOISE_W_SQRT_S = 4.0
 """White heat noise per node, in W s^(1/2): 0.17 K per square root of a minute on a ring."""
-WEAK_NODE_K = 0.3
-"""Constant disturbance and noise each move a node by no more than this against its neighbours:
-at standstill the cage hangs on so little that 0.5 W would be many kelvins."""
+NOISE_LIMIT_K = 0.3
+"""In the long run the heat noise alone moves no node by more than this."""
 
 SENSOR_NOISE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -85,6 +95,8 @@ class Observer:
     ------
     ValueError
         If a shape is wrong or a value not finite.
+    SimulationError
+        If the model has no steady state at a usual operating point.
     """
 
     def __init__(
@@ -119,6 +131,9 @@ class Observer:
         self._point: tuple[float, float] | None = None
         self._modes: tuple[NDArray[np.float64], ...] = ()
         self._tie_w_k = np.zeros(nodes)
+        self._structure = disturbance_structure(model, self._values)
+        self._structure_size = np.sqrt((self._structure**2).sum(axis=1))
+        self._heat_w = 0.0
 
     @property
     def model(self) -> ThermalModel:
@@ -189,10 +204,11 @@ class Observer:
             # The diagonal of C^1/2 V lam V' C^1/2: what ties each node to all others.
             self._tie_w_k = capacity**2 * (modes**2 @ rate)
             self._point = (speed, load)
-        scale_w = self._disturbance_scale_w(speed, load)
+        heat_w = max(self._friction_w(speed, load), self._heat_w)
+        disturbance_w = self._disturbance_w(heat_w)
         fading = 1.0 / DISTURBANCE_TIME_S
         mean_fading = -np.expm1(-fading * dt_s) / (fading * dt_s)
-        heat = scale_w * mean_fading * self._state[nodes:]
+        heat = disturbance_w @ self._state[nodes:] * mean_fading
         path = np.empty((2, nodes))
         failed = kernels.simulate_kernel(
             compiled,
@@ -211,10 +227,18 @@ class Observer:
                 f"the observer's model {self._model.name!r} ran away at {speed:g} rpm and "
                 f"{load:g} N"
             )
-        transition, noise = self._transition(dt_s, scale_w)
+        # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
+        density = np.minimum(
+            HEAT_NOISE_W_SQRT_S**2, 2.0 * NOISE_LIMIT_K**2 * self._tie_w_k * self._bound[0]
+        )
+        rate, modes, inverse, _ = self._modes
+        transition, noise = transition_and_noise(
+            dt_s, rate, modes, inverse, disturbance_w, DISTURBANCE_TIME_S, density
+        )
         self._covariance = transition @ self._covariance @ transition.T + noise
         self._state[:nodes] = path[1]
         self._state[nodes:] *= np.exp(-fading * dt_s)
+        self._heat_w = heat_w * float(np.exp(-dt_s / DISTURBANCE_FADE_S))
         self._revolutions += speed * dt_s / 60.0
         for name in self._elapsed_s:
             self._elapsed_s[name] += dt_s
@@ -276,6 +300,7 @@ class Observer:
             )
         swapped = Observer(model, values, self.temperatures_c, self.covariance, self._revolutions)
         swapped._elapsed_s = dict(self._elapsed_s)
+        swapped._heat_w = self._heat_w
         return swapped
 
     def to_dict(self) -> dict[str, object]:
@@ -284,6 +309,7 @@ class Observer:
             "state": self._state.tolist(),
             "covariance": self._covariance.tolist(),
             "revolutions": self._revolutions,
+            "heat_w": self._heat_w,
         }
 
     @classmethod
@@ -304,33 +330,37 @@ class Observer:
                 f"observer state has shapes {state.shape} and {covariance.shape}, expected "
                 f"({size},) and ({size}, {size})"
             )
-        revolutions = data.get("revolutions")
-        if not isinstance(revolutions, int | float):
-            raise ValueError(f"observer state: revolutions is {revolutions!r}, expected a number")
-        observer = cls(model, values, state[:nodes], covariance[:nodes, :nodes], float(revolutions))
+        revolutions, heat_w = (_number(data, name) for name in ("revolutions", "heat_w"))
+        observer = cls(model, values, state[:nodes], covariance[:nodes, :nodes], revolutions)
         if not (np.isfinite(state).all() and np.isfinite(covariance).all()):
             raise ValueError("observer state is not finite")
         observer._state = state
         observer._covariance = covariance
+        observer._heat_w = heat_w
         return observer
 
-    def _disturbance_scale_w(self, speed: float, load: float) -> NDArray[np.float64]:
-        """Standard deviation of every node's heat disturbance in W, shape (nodes,)."""
+    def _friction_w(self, speed: float, load: float) -> float:
+        """Friction heat at the present state."""
         compiled = self._model.compiled
-        _, _, friction, share = self._bound
-        kind = compiled.friction_kind
-        heat = kernels.friction_heat_w(
-            kind,
-            friction,
-            kernels.friction_at_point(kind, friction, speed, load),
-            self._state[compiled.temperature_node],
-            self._revolutions,
+        friction = self._bound[2]
+        point = kernels.friction_at_point(compiled.friction_kind, friction, speed, load)
+        return float(
+            kernels.friction_heat_w(
+                compiled.friction_kind,
+                friction,
+                point,
+                self._state[compiled.temperature_node],
+                self._revolutions,
+            )
         )
-        constant = np.minimum(DISTURBANCE_HEAT_W, WEAK_NODE_K * self._tie_w_k)
-        scale: NDArray[np.float64] = constant + heat * (
-            DISTURBANCE_HEAT_FRACTION + DISTURBANCE_SHARE_FRACTION * share
-        )
-        return scale
+
+    def _disturbance_w(self, heat_w: float) -> NDArray[np.float64]:
+        """Heats in W that independent disturbances of one bring to the nodes, (nodes, nodes)."""
+        scale = DISTURBANCE_AT_REST_W + heat_w
+        limit_k = DISTURBANCE_LIMIT_K + DISTURBANCE_LIMIT_K_W * heat_w
+        limit = limit_k * self._tie_w_k / self._structure_size
+        result: NDArray[np.float64] = self._structure * np.minimum(scale, limit)[:, None]
+        return result
 
     def _sensor_variance(self, name: str) -> float:
         """Variance of a reading; a quickly repeated one repeats most of the slow error."""
@@ -338,51 +368,12 @@ class Observer:
         repeats = max(SENSOR_DRIFT_TIME_S / max(elapsed, 1e-3), 1.0)
         return SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0 + SENSOR_DRIFT_K**2 * repeats
 
-    def _transition(
-        self, dt_s: float, scale_w: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Exact transition matrix and process noise over a step, heat feedback left out.
 
-        In the modal coordinates y of the operating point dy/dt = -lam y + D d + B w and
-        dd/dt = -a d + sqrt(2 a) v with white w, v: every integral is a sum of exponentials.
-        """
-        rate, modes, inverse, _ = self._modes
-        nodes, size = self._nodes, self._state.size
-        a = 1.0 / DISTURBANCE_TIME_S
-        # A mode exactly as fast as the disturbance would divide by zero; a part in 1e4 is moot.
-        rate = np.where(np.abs(rate - a) < 1e-4 * a, a * 1.0002, rate)
-        response = modes.T * scale_w / (rate - a)[:, None]
-
-        def decayed(total: NDArray[np.float64]) -> NDArray[np.float64]:
-            """Integral of exp(-total s) over the step."""
-            exponent = total * dt_s
-            small = exponent < 1e-12
-            safe = np.where(small, 1.0, exponent)
-            result: NDArray[np.float64] = dt_s * np.where(small, 1.0, -np.expm1(-safe) / safe)
-            return result
-
-        decay, fade = np.exp(-rate * dt_s), np.exp(-a * dt_s)
-        transition = np.zeros((size, size))
-        transition[:nodes, :nodes] = (modes * decay) @ inverse
-        transition[:nodes, nodes:] = modes @ (response * (fade - decay)[:, None])
-        transition[nodes:, nodes:] = fade * np.eye(size - nodes)
-
-        pair = decayed(rate[:, None] + rate[None, :])
-        mixed = decayed(a + rate)
-        own = float(decayed(np.array(2.0 * a)))
-        driven = 2.0 * a * (response @ response.T) * (own - mixed[:, None] - mixed[None, :] + pair)
-        # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
-        density = np.minimum(
-            HEAT_NOISE_W_SQRT_S**2, 2.0 * WEAK_NODE_K**2 * self._tie_w_k * self._bound[0]
-        )
-        white = (modes.T * density) @ modes * pair
-        cross = modes @ (2.0 * a * response * (own - mixed)[:, None])
-        noise = np.zeros((size, size))
-        noise[:nodes, :nodes] = modes @ (driven + white) @ modes.T
-        noise[:nodes, nodes:] = cross
-        noise[nodes:, :nodes] = cross.T
-        noise[nodes:, nodes:] = 2.0 * a * own * np.eye(size - nodes)
-        return transition, (noise + noise.T) / 2.0
+def _number(data: Mapping[str, object], name: str) -> float:
+    value = data.get(name)
+    if not isinstance(value, int | float):
+        raise ValueError(f"observer state: {name} is {value!r}, expected a number")
+    return float(value)
 
 
 def initial_state(
@@ -460,12 +451,10 @@ def _possible_states(
         np.full(3, hot_load),
         np.full(3, float(ambient_c)),
     )
-    # The run-in state is unknown here; long since run in is the usual case.
-    run_in = 1e9
-    up = simulate(model, values, warming, cold, run_in).temperatures_c
+    up = simulate(model, values, warming, cold, LONG_RUN_IN).temperatures_c
     states = [up]
-    for hot in simulate(model, values, heated, cold, run_in).temperatures_c[1:]:
-        states.append(simulate(model, values, warming, hot, run_in).temperatures_c)
+    for hot in simulate(model, values, heated, cold, LONG_RUN_IN).temperatures_c[1:]:
+        states.append(simulate(model, values, warming, hot, LONG_RUN_IN).temperatures_c)
     rise = np.concatenate(states) - ambient_c
     result: NDArray[np.float64] = ambient_c + np.concatenate(
         [level * rise for level in _ENSEMBLE_LEVELS]

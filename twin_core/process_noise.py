@@ -1,0 +1,138 @@
+"""What an observer's model may be wrong about, and how that spreads over a step."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.models import ThermalModel
+from twin_core.network import EdgeKind
+from twin_core.simulation import heat_balance_w, kernels, steady_state
+
+FRICTION_ERROR = 0.12
+SPLIT_ERROR = 0.10
+RESISTANCE_ERROR = {
+    EdgeKind.CONSTANT: 0.5,
+    EdgeKind.CONTACT: 0.8,
+    EdgeKind.CONVECTIVE: 0.8,
+    EdgeKind.CONVECTIVE_REFERENCE: 0.8,
+    EdgeKind.FILM: 0.25,
+    EdgeKind.SHAFT_SINK: 1.0,
+}
+NODE_ERROR = 0.01
+REFERENCE_POINT = (4000.0, 2650.0)
+"""Standard deviations of the heat disturbances: of the friction heat as a whole; of each node's
+share of it; of the heat through an edge, by its kind; of any node's heat, as a part of the
+friction heat. They are those of a model that has met its bench, somewhat less than the priors.
+Heat flows are taken in the steady state of the reference point (rpm, N)."""
+
+LONG_RUN_IN = 1e9
+"""Revolutions of a bearing whose running-in is over, assumed where they are not known."""
+
+
+def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heats that independent unit disturbances bring to the nodes, per watt of friction heat.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters, shape (p,).
+
+    Returns
+    -------
+    ndarray
+        Shape (nodes, nodes), a factor L of the covariance L L'.
+
+    Raises
+    ------
+    SimulationError
+        If the model has no steady state at the reference point.
+    """
+    compiled = model.compiled
+    nodes, edges = len(model.node_names), compiled.edge_kind.size
+    speed, load = REFERENCE_POINT
+    rise = steady_state(model, values, speed, load, 0.0, LONG_RUN_IN)
+    _, friction = heat_balance_w(model, values, rise, speed, load, 0.0, LONG_RUN_IN)
+    _, coefficient, _, share = kernels.bind_network(compiled, values)
+    conductance = kernels.edge_conductances(compiled, coefficient, speed, load)
+    # Heat through an edge leaves its first node and enters its second; the ambient is row N.
+    incidence = np.zeros((nodes + 1, edges))
+    incidence[compiled.edge_nodes[:, 0], np.arange(edges)] = 1.0
+    incidence[compiled.edge_nodes[:, 1], np.arange(edges)] = -1.0
+    error = np.array([RESISTANCE_ERROR[EdgeKind(kind)] for kind in compiled.edge_kind.tolist()])
+    flow = conductance * (np.append(rise, 0.0) @ incidence) / friction
+    through = incidence[:nodes] * (error * flow)
+    covariance = (
+        np.diag(NODE_ERROR**2 + (SPLIT_ERROR * share) ** 2)
+        + FRICTION_ERROR**2 * np.outer(share, share)
+        + through @ through.T
+    )
+    factor: NDArray[np.float64] = np.linalg.cholesky(covariance)
+    return factor
+
+
+def transition_and_noise(
+    dt_s: float,
+    rate: NDArray[np.float64],
+    modes: NDArray[np.float64],
+    inverse: NDArray[np.float64],
+    disturbance_w: NDArray[np.float64],
+    disturbance_time_s: float,
+    noise_density: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Transition matrix and process noise of temperatures and heat disturbances.
+
+    The state is [T, d], both (nodes,). In the modal coordinates y of the operating point
+    dy/dt = -lam y + D d + B w and dd/dt = -a d + sqrt(2 a) v with white w and v, so that every d
+    has variance one in the long run; every integral is a sum of exponentials. The feedback of
+    temperature on the friction heat is left out.
+
+    Parameters
+    ----------
+    dt_s
+        Length of the step, > 0.
+    rate, modes, inverse
+        lam in 1/s (nodes,), T = modes @ y, y = inverse @ T.
+    disturbance_w
+        Column j is the heat in W that disturbance j brings to the nodes when it is one,
+        shape (nodes, nodes).
+    disturbance_time_s
+        1 / a.
+    noise_density
+        Density of the white heat at each node in W2 s, shape (nodes,).
+
+    Returns
+    -------
+    transition, noise : ndarray
+        Shape (2 nodes, 2 nodes) each.
+    """
+    nodes = rate.size
+    a = 1.0 / disturbance_time_s
+    # A mode exactly as fast as the disturbance would divide by zero; a part in 1e4 is moot.
+    rate = np.where(np.abs(rate - a) < 1e-4 * a, a * 1.0002, rate)
+    response = modes.T @ disturbance_w / (rate - a)[:, None]
+    decay, fade = np.exp(-rate * dt_s), float(np.exp(-a * dt_s))
+    transition = np.zeros((2 * nodes, 2 * nodes))
+    transition[:nodes, :nodes] = (modes * decay) @ inverse
+    transition[:nodes, nodes:] = modes @ (response * (fade - decay)[:, None])
+    transition[nodes:, nodes:] = fade * np.eye(nodes)
+
+    pair = _integral(rate[:, None] + rate[None, :], dt_s)
+    mixed = _integral(a + rate, dt_s)
+    own = float(_integral(np.array(2.0 * a), dt_s))
+    driven = 2.0 * a * (response @ response.T) * (own - mixed[:, None] - mixed[None, :] + pair)
+    white = (modes.T * noise_density) @ modes * pair
+    cross = modes @ (2.0 * a * response * (own - mixed)[:, None])
+    noise = np.zeros((2 * nodes, 2 * nodes))
+    noise[:nodes, :nodes] = modes @ (driven + white) @ modes.T
+    noise[:nodes, nodes:] = cross
+    noise[nodes:, :nodes] = cross.T
+    noise[nodes:, nodes:] = 2.0 * a * own * np.eye(nodes)
+    return transition, (noise + noise.T) / 2.0
+
+
+def _integral(total: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
+    """Integral of exp(-total s) over the step."""
+    exponent = total * dt_s
+    small = exponent < 1e-12
+    safe = np.where(small, 1.0, exponent)
+    result: NDArray[np.float64] = dt_s * np.where(small, 1.0, -np.expm1(-safe) / safe)
+    return result
