@@ -9,6 +9,8 @@ import typer
 from service.cli.bench import virtual_bench
 from service.cli.database import db
 from service.cli.demo import demo
+from service.cli.forecast import forecast
+from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.serve import serve
 from service.cli.warm_up import warm_up
@@ -25,6 +27,8 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(serve)
 app.command("virtual-bench")(virtual_bench)
+app.command()(identify)
+app.command()(forecast)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(keys, name="keys")
 app.add_typer(db, name="db")

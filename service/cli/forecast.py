@@ -1,0 +1,100 @@
+"""``bearing-twin forecast``: temperatures over a profile, from a model file."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.errors import BadInputError
+from service.offline.interruption import exit_on_signals
+
+
+def forecast(
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL.json", help="What 'bearing-twin identify' wrote.")
+    ],
+    profile: Annotated[
+        Path,
+        typer.Option(
+            metavar="PROFILE.csv",
+            help="time_s,speed_rpm,load_n,ambient_c; seconds from the end of the history.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FORECAST.csv", help="Where the forecast goes.")],
+    history: Annotated[
+        Path | None,
+        typer.Option(metavar="DATA.csv", help="Recorded data up to now; its last row is time 0."),
+    ] = None,
+    initial_temperature_c: Annotated[
+        float | None,
+        typer.Option(help="Instead of a history: a machine at rest, this warm everywhere."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Forecast all sensors and nodes with intervals; one row per row of the profile.
+
+    Sensor quantiles are for what the sensor will read, node quantiles for the true temperature.
+    """
+    if (history is None) == (initial_temperature_c is None):
+        raise BadInputError("expected either --history or --initial-temperature-c")
+    if initial_temperature_c is not None and not -60.0 <= initial_temperature_c <= 400.0:
+        raise BadInputError(
+            f"--initial-temperature-c {initial_temperature_c:g}: expected -60 to 400"
+        )
+    with exit_on_signals():
+        # Imported here: the compiled twin takes a second to load, which --help should not pay.
+        from service.offline.forecasting import FollowError, cold, follow, forecast_profile
+        from service.offline.model_file import IdentifiedModel
+        from service.offline.tables import (
+            check_writable,
+            read_profile,
+            read_recording,
+            write_forecast,
+        )
+
+        identified = IdentifiedModel.load(model)
+        rows = read_profile(profile)
+        check_writable(out)
+        began = time.monotonic()
+        try:
+            if history is not None:
+                present = follow(identified, read_recording(history))
+            else:
+                present = cold(identified, initial_temperature_c or 0.0)
+        except FollowError as error:
+            sys.stderr.write(f"bearing-twin: {error}; {out} is not written\n")
+            raise typer.Exit(1) from error
+        result = forecast_profile(identified, present, rows)
+        write_forecast(out, result.time_s, result.names, result.quantiles)
+        seconds = time.monotonic() - began
+    document = {
+        "out": str(out),
+        "seconds": seconds,
+        "model": identified.model.name,
+        "bearing": identified.model.bearing.designation,
+        "sensors": result.highest(),
+        "labels": list(result.labels),
+        "runaway_probability": result.runaway_probability,
+    }
+    if as_json:
+        typer.echo(json.dumps(document, allow_nan=False))
+    else:
+        _print(document)
+
+
+def _print(document: dict[str, Any]) -> None:
+    console = Console(highlight=False)
+    table = Table("highest of", "median, °C", "97.5 %, °C")
+    for name, row in document["sensors"].items():
+        table.add_row(name, f"{row['max_q50_c']:.1f}", f"{row['max_q975_c']:.1f}")
+    console.print(table)
+    for label in document["labels"]:
+        console.print(f"Note: {label}")
+    console.print(f"Forecast: {document['out']}", soft_wrap=True)

@@ -1,0 +1,1 @@
+"""Identification and forecasts from files, without a running service."""

@@ -1,0 +1,228 @@
+"""A forecast from a model file: follow the history, then run the ensemble over the profile."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.offline.model_file import IdentifiedModel
+from service.offline.rows import MINUTE_S, longest_step_s, mean_from, minute_rows
+from service.offline.tables import FloatArray, PlannedRows, Recording
+from twin_core.forecasting import forecast
+from twin_core.models import ThermalModel
+from twin_core.observer import Observer, initial_state
+from twin_core.simulation import OperatingProfile, SimulationError, hold_operating_point
+from twin_core.windows import MinuteData, is_at_rest
+
+MEMBERS = 200
+# A longer time without rows starts the estimate anew: the machine may have done anything.
+_LONGEST_GAP_S = 1800.0
+# Every row of the ensemble takes 30 kB and more; with more rows than this, quantiles are
+# interpolated between the minutes.
+_MOST_ROWS = 1500
+_COLD_OFFSET_K, _COLD_SCATTER_K = 0.3, 0.1
+
+
+class UnusableHistoryError(ValueError):
+    """A history that no state can be estimated from; one line for the user."""
+
+
+class FollowError(Exception):
+    """The model cannot follow the history; one line for the user."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Present:
+    """What is known of the machine at the beginning of the profile.
+
+    Attributes
+    ----------
+    temperatures_c, covariance
+        (nodes,) and (nodes, nodes) of all nodes.
+    revolutions
+        Run-in of the grease.
+    speed_rpm, load_n, ambient_c
+        Operating point that holds until the profile's first row.
+    """
+
+    temperatures_c: FloatArray
+    covariance: FloatArray
+    revolutions: float
+    speed_rpm: float
+    load_n: float
+    ambient_c: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileForecast:
+    """Quantiles (5, n, names) at the profile's rows, and what must be said with them."""
+
+    time_s: FloatArray
+    names: tuple[str, ...]
+    sensors: tuple[str, ...]
+    quantiles: FloatArray
+    labels: tuple[str, ...]
+    runaway_probability: float
+
+    def highest(self) -> dict[str, dict[str, float]]:
+        """Return the highest median and 97.5 % quantile of every sensor over the rows."""
+        return {
+            name: {
+                "max_q50_c": float(np.max(self.quantiles[2, :, self.names.index(name)])),
+                "max_q975_c": float(np.max(self.quantiles[4, :, self.names.index(name)])),
+            }
+            for name in self.sensors
+        }
+
+
+def cold(identified: IdentifiedModel, initial_temperature_c: float) -> Present:
+    """A machine that stands at one temperature, its grease as at the start of the data."""
+    nodes = len(identified.model.node_names)
+    return Present(
+        temperatures_c=np.full(nodes, initial_temperature_c),
+        covariance=_COLD_OFFSET_K**2 * np.ones((nodes, nodes)) + _COLD_SCATTER_K**2 * np.eye(nodes),
+        revolutions=float(identified.run_in.revolutions[0]),
+        speed_rpm=0.0,
+        load_n=0.0,
+        ambient_c=initial_temperature_c,
+    )
+
+
+def follow(identified: IdentifiedModel, history: Recording) -> Present:
+    """Follow a history to its last row with the observer.
+
+    Parameters
+    ----------
+    identified
+        The model; it also tells the run-in state at the history's first row.
+    history
+        Recorded rows. Where they leave a gap of more than half an hour the estimate starts anew.
+
+    Raises
+    ------
+    UnusableHistoryError
+        If there is no row with an operating point and a temperature.
+    FollowError
+        If the model runs away on the way.
+    """
+    minutes = minute_rows(history)
+    model = identified.model
+    good = minutes.take(minutes.good)
+    run_in = identified.run_in
+    try:
+        observer = None
+        if good.size:
+            cold_start = run_in.at_rest and run_in.begins_with(history, minutes)
+            turned = run_in.at_start_of(history, minutes)
+            observer = _follow(model, identified.values, good, turned, cold_start)
+        if observer is None:
+            raise UnusableHistoryError(
+                f"{history.name}: no row with speed_rpm, load_n, ambient_c and a temperature in "
+                "the last contiguous span; expected at least one"
+            )
+        last = (float(good.speed_rpm[-1]), float(good.load_n[-1]), float(good.ambient_c[-1]))
+        # Rows at the end without an operating point: the last known one holds.
+        observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last)
+        if minutes.time_s[-1] > good.time_s[-1]:
+            observer.update(_readings(minutes, minutes.size - 1))
+    except SimulationError as error:
+        raise FollowError(f"{history.name}: {error}") from error
+    return Present(observer.temperatures_c, observer.covariance, observer.revolutions, *last)
+
+
+def _follow(
+    model: ThermalModel,
+    values: FloatArray,
+    good: MinuteData,
+    revolutions: float,
+    cold_start: bool,
+) -> Observer | None:
+    """Observer at the last row; None where no temperature came since the last long gap."""
+    profile = hold_operating_point(
+        OperatingProfile(good.time_s, good.speed_rpm, good.load_n, good.ambient_c)
+    )
+    counted_s = longest_step_s(good)
+    longest_s = max(_LONGEST_GAP_S, counted_s)
+    observer: Observer | None = None
+    for row in range(good.size):
+        readings = _readings(good, row)
+        point = (
+            float(profile.speed_rpm[max(row - 1, 0)]),
+            float(profile.load_n[max(row - 1, 0)]),
+            float(profile.ambient_c[max(row - 1, 0)]),
+        )
+        step_s = float(good.time_s[row] - good.time_s[row - 1]) if row else 0.0
+        if observer is not None and step_s <= longest_s:
+            observer.predict(step_s, *point)
+            observer.update(readings)
+            revolutions = observer.revolutions
+            continue
+        revolutions += abs(point[0]) * min(step_s, counted_s) / 60.0
+        observer = None
+        if readings:
+            at_rest = (cold_start and row == 0) or is_at_rest(good.take(slice(row, row + 1)))
+            mean, covariance = initial_state(
+                model,
+                values,
+                readings,
+                float(profile.ambient_c[row]),
+                float(profile.speed_rpm[row]),
+                float(profile.load_n[row]),
+                at_rest,
+            )
+            observer = Observer(model, values, mean, covariance, revolutions)
+    return observer
+
+
+def _readings(minutes: MinuteData, row: int) -> dict[str, float]:
+    readings = {name: float(values[row]) for name, values in minutes.temperatures_c.items()}
+    return {name: value for name, value in readings.items() if np.isfinite(value)}
+
+
+def forecast_profile(
+    identified: IdentifiedModel, present: Present, rows: PlannedRows
+) -> ProfileForecast:
+    """Forecast all sensors and nodes at the rows of a profile."""
+    profile = _profile(present, rows)
+    result = forecast(
+        identified.model,
+        identified.posterior,
+        present.temperatures_c,
+        present.covariance,
+        present.revolutions,
+        profile,
+        members=MEMBERS,
+    )
+    quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))
+    for level, table in enumerate(result.quantiles):
+        for name, values in enumerate(table.T):
+            quantiles[level, :, name] = np.interp(rows.time_s, profile.time_s, values)
+    return ProfileForecast(
+        rows.time_s,
+        result.names,
+        result.sensors,
+        quantiles,
+        result.labels,
+        result.runaway_probability,
+    )
+
+
+def _profile(present: Present, rows: PlannedRows) -> OperatingProfile:
+    """Rows from now on at most a minute apart, so that no peak between two planned ones is missed.
+
+    Minute means stand for the rows where there are too many for the ensemble.
+    """
+    time_s = rows.time_s
+    columns = [rows.speed_rpm, rows.load_n, rows.ambient_c]
+    if time_s[0] > 0.0:
+        before = (present.speed_rpm, present.load_n, present.ambient_c)
+        time_s = np.append(0.0, time_s)
+        columns = [np.append(now, values) for now, values in zip(before, columns, strict=True)]
+    grid_s = np.arange(0.0, time_s[-1], max(MINUTE_S, float(time_s[-1]) / _MOST_ROWS))
+    if time_s.size <= _MOST_ROWS:
+        grid_s = np.union1d(grid_s, time_s)
+        index = np.searchsorted(time_s, grid_s, side="right") - 1
+        columns = [values[index] for values in columns]
+    else:
+        grid_s = np.append(grid_s, time_s[-1])
+        columns = [mean_from(time_s, values, grid_s, np.inf) for values in columns]
+    return OperatingProfile(grid_s, *columns)

@@ -1,0 +1,250 @@
+"""Identification from a file of recorded data."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+
+from service.offline.model_file import IdentifiedModel, RunIn
+from service.offline.rows import contiguous, minute_rows, revolutions_at
+from service.offline.tables import Recording
+from twin_core.bearings import bearing
+from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
+from twin_core.identification import (
+    DEFAULT_BUDGET,
+    IdentificationData,
+    IdentificationResult,
+    IdentificationWindow,
+    Progress,
+    identify,
+)
+from twin_core.identification.identify import Method
+from twin_core.identification.problem import IdentificationProblem
+from twin_core.models import build_model
+from twin_core.simulation import OperatingProfile
+from twin_core.windows import MinuteData, is_at_rest
+
+_FEWEST_ROWS = 3
+_LEAST_BUDGET = 25
+_COLD_K = 3.0
+
+
+class UnusableDataError(ValueError):
+    """Data or options that nothing can be identified with; one line for the user."""
+
+
+class FailedFitError(Exception):
+    """The model does not follow the data, so it must not forecast; one line for the user."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """What was identified and how well it meets the data.
+
+    Attributes
+    ----------
+    model
+        For MODEL.json.
+    parameters
+        Value, unit, 95 % interval and verdict by name.
+    rms_k, rms_by_sensor_k
+        Error in the data, over all sensors and of each.
+    naive_k
+        Error of the naive forecasts over the same rows, each made at the beginning of a window,
+        by kind and sensor; None where a sensor has no reading.
+    evaluations
+        Simulations of the data set.
+    windows, rows
+        How many contiguous spans and rows were used.
+    """
+
+    model: IdentifiedModel
+    parameters: dict[str, dict[str, Any]]
+    rms_k: float
+    rms_by_sensor_k: dict[str, float]
+    naive_k: dict[str, dict[str, float | None]]
+    evaluations: int
+    windows: int
+    rows: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types as the command line prints them."""
+        posterior = self.model.posterior
+        return {
+            "model": self.model.model.name,
+            "bearing": self.model.model.bearing.designation,
+            "parameters": self.parameters,
+            "rms_error_k": self.rms_k,
+            "rms_error_by_sensor_k": self.rms_by_sensor_k,
+            "evaluations": self.evaluations,
+            "rank": posterior.rank,
+            "condition": posterior.condition,
+            "informed_combinations": posterior.informed_combinations,
+            "naive": self.naive_k,
+            "windows": self.windows,
+            "rows": self.rows,
+        }
+
+
+def check_options(method: str, budget: int | None, seed: int) -> tuple[Method, int]:
+    """Return method and budget, or complain.
+
+    Raises
+    ------
+    UnusableDataError
+        For an unknown method, too small a budget or a negative seed.
+    """
+    if seed < 0:
+        raise UnusableDataError(f"--seed {seed}: expected 0 or more")
+    known: tuple[Method, ...] = get_args(Method)
+    for name in known:
+        if name == method:
+            if budget is not None and budget < _LEAST_BUDGET:
+                raise UnusableDataError(f"--budget {budget}: expected at least {_LEAST_BUDGET}")
+            return name, DEFAULT_BUDGET if budget is None else budget
+    raise UnusableDataError(f"--method {method!r}: expected one of {', '.join(known)}")
+
+
+def identify_recording(
+    recording: Recording,
+    *,
+    designation: str,
+    model_name: str = "default",
+    method: Method = "noa+refine",
+    budget: int = DEFAULT_BUDGET,
+    seed: int = 0,
+    at_rest: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> Identified:
+    """Identify a model from all rows of a recording.
+
+    Parameters
+    ----------
+    recording
+        Low-risk data.
+    designation, model_name
+        Bearing and model.
+    method, budget, seed
+        See `twin_core.identification.identify`.
+    at_rest
+        The machine stood at ambient at the first row. Then a window after a gap that shows a
+        standing machine at ambient counts as such a start as well; otherwise every initial state
+        is estimated.
+    progress
+        Called at every sweep and iteration.
+
+    Raises
+    ------
+    UnusableDataError
+        If the data hold too little, or contradict ``at_rest``.
+    FailedFitError
+        If the model does not follow the data.
+    UnknownBearingError
+        If the bearing is not known.
+    """
+    model = build_model(model_name, bearing=bearing(designation))
+    minutes = minute_rows(recording)
+    data = _data_set(recording, minutes, at_rest)
+    try:
+        result = identify(model, data, method=method, budget=budget, seed=seed, progress=progress)
+    except ValueError as error:
+        # All input has been checked: what is left is that no simulation holds on these data.
+        raise FailedFitError(f"{recording.name}: {error}") from error
+    if result.status != "converged":
+        raise FailedFitError(f"{recording.name}: failed fit: {result.reason}")
+    rms_by_sensor = dict(result.posterior.train_rms_k)
+    return Identified(
+        model=IdentifiedModel(model, result.posterior, RunIn.of(recording, minutes, at_rest)),
+        parameters=result.posterior.parameters(model),
+        rms_k=_total_rms(IdentificationProblem(model, data), result),
+        rms_by_sensor_k=rms_by_sensor,
+        naive_k=_naive_rms([window.minutes for window in data.windows]),
+        evaluations=result.evaluations,
+        windows=len(data.windows),
+        rows=sum(window.minutes.size for window in data.windows),
+    )
+
+
+def _data_set(recording: Recording, minutes: MinuteData, at_rest: bool) -> IdentificationData:
+    """Windows of at least three rows with a temperature; the others can teach nothing."""
+    sensors = [name for name, values in minutes.temperatures_c.items() if np.isfinite(values).any()]
+    if not minutes.good.any() or not sensors:
+        what = "temperature" if minutes.good.any() else "speed_rpm, load_n and ambient_c"
+        raise UnusableDataError(f"{recording.name}: no row with {what}; expected at least 3")
+    if at_rest:
+        _check_rest(recording, minutes)
+    spans = contiguous(minutes)
+    good = minutes.take(minutes.good)
+    revolutions = revolutions_at(minutes)
+    windows = []
+    for number, span in enumerate(spans):
+        span = _with_sensors(span, sensors)
+        known = np.any([np.isfinite(values) for values in span.temperatures_c.values()], axis=0)
+        if int(np.count_nonzero(known)) < _FEWEST_ROWS:
+            continue
+        first = int(np.searchsorted(good.time_s, span.time_s[0]))
+        windows.append(
+            IdentificationWindow(
+                span,
+                at_rest=at_rest and (number == 0 or is_at_rest(span)),
+                revolutions=float(revolutions[first]),
+            )
+        )
+    if not windows:
+        raise UnusableDataError(
+            f"{recording.name}: {good.size} rows with an operating point, but no 3 of them with a "
+            "temperature within one contiguous span; expected at least 3"
+        )
+    return IdentificationData(tuple(windows))
+
+
+def _with_sensors(span: MinuteData, sensors: list[str]) -> MinuteData:
+    return MinuteData(
+        span.time_s,
+        span.speed_rpm,
+        span.load_n,
+        span.ambient_c,
+        {name: span.temperatures_c[name] for name in sensors},
+        span.good,
+    )
+
+
+def _check_rest(recording: Recording, minutes: MinuteData) -> None:
+    good = minutes.take(minutes.good)
+    for name, values in good.temperatures_c.items():
+        excess_k = float(values[0] - good.ambient_c[0])
+        if abs(excess_k) > _COLD_K:
+            raise UnusableDataError(
+                f"{recording.name}: {name} = {values[0]:.1f} at the first row, with ambient_c = "
+                f"{good.ambient_c[0]:.1f}: expected a machine at ambient temperature with --at-rest"
+            )
+
+
+def _total_rms(problem: IdentificationProblem, result: IdentificationResult) -> float:
+    errors = [values for window in problem.errors_c(result.unknowns) for values in window.values()]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def _naive_rms(windows: list[MinuteData]) -> dict[str, dict[str, float | None]]:
+    models = fit_naive(windows)
+    squares: dict[str, dict[str, list[float]]] = {
+        kind: {name: [] for name in windows[0].sensors} for kind in NAIVE_KINDS
+    }
+    for rows in windows:
+        profile = OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
+        first = {
+            name: float(next(iter(values[np.isfinite(values)]), np.nan))
+            for name, values in rows.temperatures_c.items()
+        }
+        for kind, by_sensor in models.forecast(profile, first).items():
+            for name, forecast_c in by_sensor.items():
+                error = forecast_c - rows.temperatures_c[name]
+                squares[kind][name].extend((error[np.isfinite(error)] ** 2).tolist())
+    return {
+        kind: {
+            name: float(np.sqrt(np.mean(found))) if found else None
+            for name, found in by_sensor.items()
+        }
+        for kind, by_sensor in squares.items()
+    }

@@ -1,0 +1,301 @@
+"""The CSV files of the command line: recorded data and planned profiles in, forecasts out.
+
+Every complaint names the file, the line, the column, the value and what was expected.
+"""
+
+import csv
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.clock import from_rfc3339
+
+FloatArray = NDArray[np.float64]
+
+OPERATING_COLUMNS = ("speed_rpm", "load_n", "ambient_c")
+RING_COLUMNS = ("t_inner_ring_c", "t_outer_ring_c")
+_NODE_COLUMN = re.compile(r"t_node_([1-9]|1[0-3])_c")
+_DATA_HEADER = f"{', '.join(OPERATING_COLUMNS + RING_COLUMNS)} and t_node_1_c to t_node_13_c"
+
+# What no machine shows: sentinels and shifted columns must not pass as measurements.
+_TEMPERATURE_RANGE = (-60.0, 400.0)
+_RANGES = {"speed_rpm": (-1e5, 1e5), "load_n": (-1e3, 1e6)}
+
+
+class TableError(ValueError):
+    """A CSV file that cannot be used; its text is one line for the user."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Measured rows of a file.
+
+    Attributes
+    ----------
+    name
+        The file, for messages.
+    start_us
+        UTC microseconds that ``time_s`` counts from; None where the file has only ``time_s``.
+    time_s
+        (n,) ascending.
+    speed_rpm, load_n, ambient_c
+        (n,) the operating point from each row's time on; NaN where the cell is empty.
+    temperatures_c
+        (n,) at each row's time, per sensor; NaN where the cell is empty.
+    """
+
+    name: str
+    start_us: int | None
+    time_s: FloatArray
+    speed_rpm: FloatArray
+    load_n: FloatArray
+    ambient_c: FloatArray
+    temperatures_c: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRows:
+    """Rows of a profile file, (n,) each, all finite; ``time_s`` counts from now, ascending."""
+
+    time_s: FloatArray
+    speed_rpm: FloatArray
+    load_n: FloatArray
+    ambient_c: FloatArray
+
+
+def read_recording(path: Path) -> Recording:
+    """Read recorded data: ``time`` (RFC 3339) or ``time_s``, operating point, temperatures.
+
+    Raises
+    ------
+    TableError
+        If the file cannot be read or used.
+    """
+    with _opened(path) as file:
+        table = _Table(path.name, file)
+        clocks = [name for name in ("time", "time_s") if name in table.names]
+        if len(clocks) != 1:
+            found = "both time and time_s" if clocks else "missing column time or time_s"
+            raise table.error(1, f"{found}; expected one of the two, then {_DATA_HEADER}")
+        for name in table.names:
+            if name not in (clocks[0], *OPERATING_COLUMNS, *RING_COLUMNS) and not (
+                _NODE_COLUMN.fullmatch(name)
+            ):
+                raise table.error(
+                    1, f"unknown column {name!r}; expected {clocks[0]}, {_DATA_HEADER}"
+                )
+        table.require((*OPERATING_COLUMNS, *RING_COLUMNS), f"{clocks[0]}, {_DATA_HEADER}")
+        columns = table.read(clocks[0], may_be_empty=True)
+    start_us = None
+    time_s = columns.pop(clocks[0])
+    if clocks[0] == "time":
+        start_us, time_s = table.start_us, time_s - time_s[0]
+    speed_rpm, load_n, ambient_c = (columns.pop(name) for name in OPERATING_COLUMNS)
+    return Recording(path.name, start_us, time_s, speed_rpm, load_n, ambient_c, columns)
+
+
+def read_profile(path: Path) -> PlannedRows:
+    """Read a profile: ``time_s,speed_rpm,load_n,ambient_c``, no cell empty.
+
+    Raises
+    ------
+    TableError
+        If the file cannot be read or used.
+    """
+    expected = ("time_s", *OPERATING_COLUMNS)
+    with _opened(path) as file:
+        table = _Table(path.name, file)
+        table.require(expected, ", ".join(expected))
+        for name in table.names:
+            if name not in expected:
+                raise table.error(1, f"unknown column {name!r}; expected {', '.join(expected)}")
+        columns = table.read("time_s", may_be_empty=False)
+    if columns["time_s"][0] < 0.0:
+        raise table.error(
+            table.lines[0],
+            f"time_s = {columns['time_s'][0]:g}: expected 0 or more, seconds from the end of the "
+            "history",
+        )
+    return PlannedRows(*(columns[name] for name in expected))
+
+
+def write_forecast(
+    path: Path, time_s: FloatArray, names: Sequence[str], quantiles: FloatArray
+) -> None:
+    """Write the quantiles (5, n, names) of a forecast, one row per time.
+
+    Raises
+    ------
+    TableError
+        If the file cannot be written.
+    """
+    levels = ("q025", "q25", "q50", "q75", "q975")
+    header = ["time_s", *(f"{name}_{level}" for name in names for level in levels)]
+    # (n, names, 5): the five columns of a name stand side by side
+    cells = quantiles.transpose(1, 2, 0).reshape(time_s.size, -1)
+    with replacing(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for time, row in zip(time_s, cells, strict=True):
+            writer.writerow([f"{time:.10g}", *(f"{value:.4f}" for value in row)])
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[TextIO]:
+    """Write a file beside its place and move it there when it is complete.
+
+    Raises
+    ------
+    TableError
+        If the file cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8", newline="") as file:
+            yield file
+        part.replace(path)
+    except OSError as error:
+        raise TableError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def check_writable(path: Path) -> None:
+    """Complain before a long computation, not after it, about a place that takes no file.
+
+    Raises
+    ------
+    TableError
+        If no file can be written there.
+    """
+    folder = path.parent
+    if path.is_dir() or not folder.is_dir():
+        raise TableError(f"{path}: cannot be written; expected a file in an existing folder")
+    if not os.access(folder, os.W_OK):
+        raise TableError(f"{path}: cannot be written; expected a folder that may be written to")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            yield file
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise TableError(f"{path}: not UTF-8 text; expected a CSV file") from error
+
+
+class _Table:
+    """A CSV file with a header, read column by column with the line of every row."""
+
+    def __init__(self, name: str, file: TextIO) -> None:
+        self.name = name
+        self.lines: list[int] = []
+        self.start_us = 0
+        self._reader = csv.reader(file)
+        header = self._next()
+        while header is not None and not any(cell.strip() for cell in header):
+            header = self._next()
+        if header is None:
+            raise self.error(1, "empty file; expected a header line with the names of the columns")
+        self.names = [cell.strip() for cell in header]
+        for name_ in self.names:
+            if self.names.count(name_) > 1:
+                raise self.error(1, f"column {name_!r} stands there twice; expected once")
+
+    def error(self, line: int, text: str) -> TableError:
+        return TableError(f"{self.name}: line {line}: {text}")
+
+    def require(self, names: Sequence[str], header: str) -> None:
+        """Complain about the first of the columns that is not there."""
+        for name in names:
+            if name not in self.names:
+                raise self.error(1, f"missing column {name!r}; expected {header}")
+
+    def read(self, clock: str, may_be_empty: bool) -> dict[str, FloatArray]:
+        """Read all rows; the clock's column in seconds, since the epoch if it is ``time``."""
+        rows: list[list[float]] = []
+        at = self.names.index(clock)
+        while (cells := self._next()) is not None:
+            if not any(cell.strip() for cell in cells):
+                continue
+            line = self._reader.line_num
+            if len(cells) != len(self.names):
+                raise self.error(line, f"{len(cells)} cells; expected {len(self.names)}")
+            moment = cells[at]
+            if clock == "time":
+                cells[at] = self._since_start(line, moment, first=not rows)
+            row = self._numbers(line, cells, clock, may_be_empty)
+            if rows and row[at] <= rows[-1][at]:
+                raise self.error(
+                    line,
+                    f"{clock} = {moment.strip()}: expected a time after that of line "
+                    f"{self.lines[-1]}",
+                )
+            rows.append(row)
+            self.lines.append(line)
+        if not rows:
+            raise self.error(self._reader.line_num + 1, "no rows; expected at least one")
+        table = np.array(rows)
+        columns = {name: table[:, k].copy() for k, name in enumerate(self.names)}
+        for name, values in columns.items():
+            if name != clock:
+                self._check_range(name, values)
+        return columns
+
+    def _since_start(self, line: int, text: str, first: bool) -> str:
+        """Seconds since the first row; `start_us` keeps what they count from."""
+        try:
+            time_us = from_rfc3339(text.strip())
+        except ValueError as error:
+            raise self.error(line, str(error)) from None
+        if first:
+            self.start_us = time_us
+        return repr((time_us - self.start_us) / 1e6)
+
+    def _numbers(
+        self, line: int, cells: Sequence[str], clock: str, may_be_empty: bool
+    ) -> list[float]:
+        numbers = []
+        for name, cell in zip(self.names, cells, strict=True):
+            text = cell.strip()
+            if not text and may_be_empty and name != clock:
+                numbers.append(math.nan)
+                continue
+            try:
+                value = float(text)
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                optional = may_be_empty and name != clock
+                expected = "a number or an empty cell" if optional else "a number"
+                raise self.error(line, f"{name} = {text!r}: expected {expected}")
+            numbers.append(value)
+        return numbers
+
+    def _check_range(self, name: str, values: FloatArray) -> None:
+        low, high = _RANGES.get(name, _TEMPERATURE_RANGE)
+        with np.errstate(invalid="ignore"):
+            outside = np.flatnonzero((values < low) | (values > high))
+        if outside.size:
+            row = int(outside[0])
+            raise self.error(
+                self.lines[row],
+                f"{name} = {values[row]:g}: expected {low:g} to {high:g}, or an empty cell where "
+                "there is no measurement",
+            )
+
+    def _next(self) -> list[str] | None:
+        try:
+            return next(self._reader, None)
+        except csv.Error as error:
+            raise self.error(self._reader.line_num, f"not CSV ({error})") from error
