@@ -149,26 +149,28 @@ async def _first_of(*waits: Any) -> None:
 
 
 def _print_table(document: dict[str, Any], console: Console) -> None:
-    table = Table(title="High-risk stages: forecast before the stage against measurement, °C")
-    for heading in ("stage", "sensor", "forecast", "95 % band", "measured", "error",
-                    "inside", "coverage", "forecast made"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading in ("stage", "sensor") else "right")
+    table = Table(title="Forecast before each high-risk stage and what was measured at its end, °C")
+    for heading in ("stage", "ring", "forecast (95 % band)", "measured", "error", "in band"):
+        table.add_column(heading, justify="left" if heading in ("stage", "ring") else "right")
     for stage in document["stages"]:
         for sensor, row in stage["sensors"].items():
             if row["forecast_c"] is None:
-                cells = ["no forecast", "", _figure(row["measured_c"]), "", "", "", ""]
+                cells = ["no forecast", _figure(row["measured_c"]), "", ""]
             else:
                 cells = [
-                    _figure(row["forecast_c"]),
-                    f"{row['q025']:.1f} … {row['q975']:.1f}",
+                    f"{row['forecast_c']:.1f} ({row['q025']:.1f} … {row['q975']:.1f})",
                     _figure(row["measured_c"]),
                     f"{row['error_c']:+.1f}",
-                    "yes" if row["inside_95"] else "NO",
-                    f"{row['coverage_95']:.0%}",
-                    f"{stage['forecast_made_at'][11:19]} (model {stage['forecast_model_version']})",
+                    f"{row['coverage_95']:.0%} of the time",
                 ]
-            table.add_row(f"{stage['name']} {stage['start'][11:19]}", sensor, *cells)
+            table.add_row(stage["name"], sensor.split("_")[1], *cells)
     console.print(table)
+    for stage in document["stages"]:
+        if stage["forecast_made_at"]:
+            console.print(
+                f"{stage['name']}: began at {stage['start'][11:19]}, forecast made at "
+                f"{stage['forecast_made_at'][11:19]} by model {stage['forecast_model_version']}."
+            )
     for stage in document["stages"]:
         warning = stage["warning"]
         if warning["forecast_limit_at"]:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from twin_core.identification.gates import judge
 
 from service.jobs.workspace import JobFolder, Progress
 from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.gates import judge
 from twin_core.identification.identify import DEFAULT_BUDGET, Method, identify
 from twin_core.identification.identify import Progress as FitProgress
 from twin_core.identification.posterior import Posterior, prior_posterior

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from twin_core.identification.posterior import Posterior
-from twin_core.observer import Observer, initial_state
 
 from service.live.ahead import OperatingPoint
+from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
+from twin_core.observer import Observer, initial_state
 
 _STANDING_RPM = 5.0
 _AT_REST_K = 1.5
@@ -144,9 +144,7 @@ class LiveEstimate:
             return None
         return {
             "time_us": self.time_us,
-            "temperatures_c": self._observer.temperatures_c.tolist(),
-            "covariance": self._observer.covariance.tolist(),
-            "revolutions": float(self._observer.revolutions),
+            "observer": self._observer.to_dict(),
             "speed_rpm": self.point.speed_rpm,
             "load_n": self.point.load_n,
             "ambient_c": self.point.ambient_c,
@@ -154,12 +152,6 @@ class LiveEstimate:
 
     def restore(self, kept: Mapping[str, Any]) -> None:
         """Take up an estimate that was kept by `to_dict`."""
-        self._observer = Observer(
-            self.active.model,
-            self.active.values,
-            np.array(kept["temperatures_c"]),
-            np.array(kept["covariance"]),
-            float(kept["revolutions"]),
-        )
+        self._observer = Observer.from_dict(self.active.model, self.active.values, kept["observer"])
         self.time_us = int(kept["time_us"])
         self.point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])

@@ -1,5 +1,8 @@
 """The bench, then the service, are killed and started again in the middle of a run."""
 
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -59,8 +62,16 @@ def test_everything_comes_back_by_itself(site: Site) -> None:
     )
     twin_alone = site.tag("t_node_7_c.twin")
     assert twin_alone is not None
+    time.sleep(2.0)  # long enough to be told from a hiccup
     site.start_bench()
     wait_until(lambda: good_now(site), 30, "both wires good again")
+    down_us = samples(site, CAN_CHANNEL)[-1].time_us
+    for channel in (MODBUS_CHANNEL, CAN_CHANNEL):
+        wait_until(
+            lambda channel=channel: samples(site, channel)[-1].time_us > down_us + 60_000_000,
+            20,
+            "samples stored after the bench came back",
+        )
 
     # --- the service loses power
     before_us = samples(site, CAN_CHANNEL)[-1].time_us
@@ -103,14 +114,13 @@ def test_sigterm_in_the_middle_loses_nothing(site: Site) -> None:
     assert site.service.terminate() == 0, site.service.log.read_text()[-2000:]
     # What a client had been shown before the stop is in the store after it.
     for channel in (MODBUS_CHANNEL, CAN_CHANNEL):
-        values = {round(sample.value, 6) for sample in samples(site, channel) if sample.value is not None}
+        values = {
+            round(sample.value, 6) for sample in samples(site, channel) if sample.value is not None
+        }
         assert round(shown[channel]["value"], 6) in values
 
 
 def test_a_second_service_on_the_same_data_is_refused(site: Site) -> None:
-    import subprocess
-    import sys
-
     site.start_service()
     second = subprocess.run(
         [sys.executable, "-m", "service", "serve", "-c", str(site.configuration)],

@@ -49,7 +49,7 @@ export class OperatorView {
     this.endings = [
       store.on(['tags', 'forecast', 'nodes', 'asset', 'link', 'alarms', 'sources'],
         () => this.update(), 250),
-      store.on(['tags', 'forecast', 'history', 'asset', 'link'], () => this.draw(), 1000),
+      store.on(['history'], () => this.drawnMs === undefined && this.draw(), 0),
     ];
     this.timer = setInterval(() => {
       this.update();
@@ -202,12 +202,13 @@ export class OperatorView {
     return { priority: told.alarm.probability >= THRESHOLDS.alarm ? 1 : 2, predicted: true };
   }
 
-  /** The charts, at most once a second. */
+  /** The charts, once a second. */
   draw() {
     const { store, clock } = this.page;
     const now = situation(store.state, clock);
     const { history } = store.state;
-    if (!now || !history) return;
+    if (!now || !history || document.hidden) return;
+    this.drawnMs = now.nowMs;
     const past = window.innerWidth < PHONE ? Math.min(this.span, PHONE_PAST_MS) : this.span;
     const fromMs = now.nowMs - past;
     const { times, columns } = history.columns(fromMs, now.nowMs, BRIDGE_WALL_MS * clock.rate);

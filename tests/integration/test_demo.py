@@ -1,0 +1,29 @@
+"""The demo as a script runs it, cut short; the full story is for people and takes five minutes."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
+
+
+def test_a_demo_cut_short_ends_cleanly_with_its_document() -> None:
+    demo = subprocess.run(
+        [
+            sys.executable, "-m", "service", "demo", "--headless", "--json", "--port", "0",
+            "--duration-s", "45", "--rate", "240",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )  # fmt: skip
+    assert demo.returncode == 0, demo.stderr[-3000:]
+    document = json.loads(demo.stdout)
+    assert document["complete"] is False
+    assert document["samples"]["modbus"] > 100
+    assert document["samples"]["can"] > 100
+    assert set(document) >= {"model_versions", "stages", "samples", "complete"}
+    assert "Stage 2 of" in demo.stderr
