@@ -12,14 +12,20 @@ const calm = () => icon('ok', 'filled', '.8em');
 const nothing = () => icon('none', 'filled', '.8em');
 const lower = (sensor) => channelName(sensor).toLowerCase();
 
+/** Figures and their units stay on one line, however deep the parts are nested. */
+function keep(part) {
+  if (typeof part === 'string') return joined(part);
+  return Array.isArray(part) ? part.map(keep) : part;
+}
+
 /** parts: { look, label, title, symbol, word, figure, note, why: [lines], small, extra }. */
 function tile({ look = '', label, title, symbol = null, word, figure, note, why = [], small, extra }) {
   return h('section', { class: `ans ${look}`, 'aria-label': label },
     h('h2', {}, title),
     h('p', { class: 'big' }, symbol, h('span', { class: 'word' }, word),
       figure && h('span', { class: 'fig' }, figure, note && h('small', {}, note))),
-    why.map((line) => h('p', { class: 'why' }, line)),
-    small && h('p', { class: 'why2' }, small), extra);
+    why.map((line) => h('p', { class: 'why' }, keep(line))),
+    small && h('p', { class: 'why2' }, keep(small)), extra);
 }
 
 const unknown = (label, title, why) => tile({
