@@ -8,12 +8,8 @@ const LOST_KINDS = ['stale data', 'sensor fault'];
 export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'ACKED';
 export const isDistrust = (alarm) => LOST_KINDS.includes(alarm.kind);
 
-/** Configuration of a channel as the service tells it, {} when it tells nothing. */
-function channelOf(asset, name) {
-  const channels = asset?.channels ?? [];
-  if (!Array.isArray(channels)) return channels[name] ?? {};
-  return channels.find((channel) => (channel.name ?? channel) === name) ?? {};
-}
+/** What the service tells of a channel; undefined when the asset has no such channel. */
+const channelOf = (asset, name) => asset?.channels.find((channel) => channel.name === name);
 
 /**
  * The latest word on a channel: { value, timeMs, quality, ageS, usable, reason }.
@@ -36,7 +32,7 @@ export function readChannel(state, clock, name) {
 function whyUnusable(state, clock, name, tag, ageS) {
   if (state.link.status !== 'live') return 'the service is away';
   if (!tag || !isNumber(tag.goodValue)) return 'no value yet';
-  const { source, max_age_s: maxAgeS } = channelOf(state.asset, name);
+  const { source, max_age_s: maxAgeS } = channelOf(state.asset, name) ?? {};
   const health = state.sources.find((one) => one.name === source);
   if (health && !health.up) return `source ${source} does not answer`;
   const alarm = [...state.alarms.values()].find((one) =>
@@ -59,7 +55,7 @@ function qualityText(quality) {
   return words[quality & 0xfc] ?? (quality >= GOOD ? 'good' : quality >= 64 ? 'uncertain' : 'bad');
 }
 
-/** Readings of all sensors with limits, in the order of the configuration. */
-export const limitedReadings = (state, clock) =>
-  Object.entries(state.asset?.limits ?? {}).map(([sensor, limits]) =>
-    ({ sensor, limits, ...readChannel(state, clock, sensor) }));
+/** Readings of all sensors that the asset has and that have limits, in its order. */
+export const limitedReadings = (state, clock) => Object.entries(state.asset?.limits ?? {})
+  .filter(([sensor]) => channelOf(state.asset, sensor))
+  .map(([sensor, limits]) => ({ sensor, limits, ...readChannel(state, clock, sensor) }));

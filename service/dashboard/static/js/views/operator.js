@@ -173,16 +173,17 @@ export class OperatorView {
     const { clock } = this.page;
     const nodes = {};
     const measured = {};
+    const measure = (node, channel) => {
+      if (state.tags[channel]) measured[node] = readChannel(state, clock, channel);
+    };
     NODE_NAMES.forEach((_, i) => {
       nodes[i + 1] = state.nodes?.nodes?.[`t_node_${i + 1}_c`]?.mean_c ?? null;
-      if (state.tags[`t_node_${i + 1}_c`]) {
-        measured[i + 1] = readChannel(state, clock, `t_node_${i + 1}_c`);
-      }
+      measure(i + 1, `t_node_${i + 1}_c`);
     });
-    measured[14] = readChannel(state, clock, 'ambient_c');
+    measure(14, 'ambient_c');
     const alerts = {};
     for (const [sensor, node] of Object.entries(NODE_OF_SENSOR)) {
-      measured[node] = readChannel(state, clock, sensor);
+      measure(node, sensor);
       const reading = now.readings.find((one) => one.sensor === sensor);
       const priority = this.alertOf(now, reading);
       if (priority) alerts[node] = priority;
