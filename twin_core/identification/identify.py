@@ -149,7 +149,7 @@ def identify(
     for number in range(2 if method == "refine" else 1):
         starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
     if method == "noa":
-        best = run.problem.best_initial_states(starts["search"])
+        best = run.problem.with_nuisance(starts["search"])
         costs = {"search": run.best}
     else:
         best, costs = _refine_all(run, starts)
@@ -245,7 +245,7 @@ def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, d
 
         refined = refine(
             problem,
-            problem.best_initial_states(z),
+            problem.with_nuisance(z),
             on_iteration=on_iteration,
             cancelled=run.cancelled,
         )

@@ -1,10 +1,10 @@
 """The identification of one model from one data set as a least-squares problem.
 
-Unknowns are the model's standard coordinates z (prior N(0, 1) each, see `priors`) and, for every
-window, standard coordinates w of its initial temperatures: around what its first measurements
-suggest, or one common deviation from ambient if the machine stood at rest. Residuals are those of
-all sensors, whitened, and the unknowns themselves (their priors, whitened too); half the sum of
-their squares is the negative log posterior.
+Unknowns are the model's standard coordinates z (prior N(0, 1) each, see `priors`), the lag of the
+temperature sensors, and for every window standard coordinates of its initial temperatures: around
+what its first measurements suggest, or one common deviation from ambient if the machine stood at
+rest. Residuals are those of all sensors, whitened, and the unknowns themselves (their priors,
+whitened too); half the sum of their squares is the negative log posterior.
 """
 
 from collections.abc import Mapping
@@ -27,17 +27,28 @@ _INITIAL_STATE_LIMIT = 6.0
 # A machine that stood still is at the temperature of its hall, give or take a day's swing.
 _REST_SPREAD_K = 0.3
 _DIFFERENCE_Z = 1e-3
+# A PT100 in its bore follows within some 5 to 30 s. Unaccounted for, that looks like a weaker
+# dependence of the friction on temperature wherever a temperature climbs.
+_LAG_S, _LAG_SPREAD_S, _LONGEST_LAG_S = 15.0, 10.0, 45.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Channel:
-    """A sensor's good values in one window."""
+    """A sensor's good values in one window: where, what, and how long after the row before."""
 
     name: str
     row: FloatArray
     index: NDArray[np.intp]
     measured_c: FloatArray
     whitening: Whitening
+    since_before_s: FloatArray
+
+    def errors_c(self, temperatures_c: FloatArray, lag_s: FloatArray) -> FloatArray:
+        """Twin minus measurement (B, n) for node temperatures (B, rows, nodes), lags (B, 1)."""
+        now = temperatures_c[:, self.index] @ self.row
+        before = temperatures_c[:, np.maximum(self.index - 1, 0)] @ self.row
+        share = np.minimum(lag_s / self.since_before_s, 1.0)
+        return np.asarray(now + share * (before - now) - self.measured_c)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +84,7 @@ class IdentificationProblem:
     Attributes
     ----------
     parameter_count, unknown_count
-        p, and p plus the coordinates of unknown initial states.
+        p, and p plus one for the sensor lag plus the coordinates of unknown initial states.
     evaluations
         Simulations of the whole data set so far, finite differences included.
     """
@@ -91,7 +102,7 @@ class IdentificationProblem:
         guess = np.zeros(self.parameter_count) if guess_z is None else guess_z
         values = model.parameters.values_from_z(guess)
         spans: list[_Span] = []
-        unknown, residual = self.parameter_count, 0
+        unknown, residual = self.parameter_count + 1, 0
         for window in data.windows:
             span = _prepare(model, window, values, unknown, residual)
             spans.append(span)
@@ -99,11 +110,12 @@ class IdentificationProblem:
         self._spans = tuple(spans)
         self.unknown_count = unknown
         self.measurement_count = residual
-        limit = np.full(unknown - self.parameter_count, _INITIAL_STATE_LIMIT)
-        self.lower: FloatArray = np.concatenate((model.parameters.z_lower, -limit))
-        self.upper: FloatArray = np.concatenate((model.parameters.z_upper, limit))
-        self._initial_sensitivity: FloatArray | None = None
-        # Whitens the unknowns' priors; the initial states' are independent of all others.
+        limit = np.full(unknown - self.parameter_count - 1, _INITIAL_STATE_LIMIT)
+        lag = np.array([-_LAG_S, _LONGEST_LAG_S - _LAG_S]) / _LAG_SPREAD_S
+        self.lower: FloatArray = np.concatenate((model.parameters.z_lower, lag[:1], -limit))
+        self.upper: FloatArray = np.concatenate((model.parameters.z_upper, lag[1:], limit))
+        self._nuisance_sensitivity: FloatArray | None = None
+        # Whitens the unknowns' priors; lag and initial states are independent of all others.
         self._prior: FloatArray = np.eye(unknown)
         p = self.parameter_count
         self._prior[:p, :p] = np.linalg.inv(np.linalg.cholesky(prior_correlation(model)))
@@ -137,11 +149,16 @@ class IdentificationProblem:
 
     def _whitened(self, span: _Span, batch: FloatArray) -> FloatArray:
         temperatures = self._temperatures(span, batch)
-        parts = []
-        for channel in span.channels:
-            errors = temperatures[:, channel.index] @ channel.row - channel.measured_c
-            parts.append(channel.whitening.apply(errors))
+        lag_s = self._lag_s(batch)
+        parts = [
+            channel.whitening.apply(channel.errors_c(temperatures, lag_s))
+            for channel in span.channels
+        ]
         return np.concatenate(parts, axis=1)
+
+    def _lag_s(self, batch: FloatArray) -> FloatArray:
+        lag_s = _LAG_S + _LAG_SPREAD_S * batch[:, self.parameter_count : self.parameter_count + 1]
+        return np.asarray(np.clip(lag_s, 0.0, _LONGEST_LAG_S))
 
     def jacobian(
         self, unknowns: FloatArray, at: FloatArray | None = None, central: bool = False
@@ -174,7 +191,10 @@ class IdentificationProblem:
         used = 0
         for span in self._spans:
             own = np.concatenate(
-                (np.arange(self.parameter_count), np.arange(span.unknown.start, span.unknown.stop))
+                (
+                    np.arange(self.parameter_count + 1),
+                    np.arange(span.unknown.start, span.unknown.stop),
+                )
             )
             high, low = forward[own], backward[own]
             columns = self._differences(span, unknowns, own, high, low, centre[span.residuals])
@@ -215,9 +235,9 @@ class IdentificationProblem:
 
     # ------------------------------------------------------------------ for a global search
     def costs(self, z: FloatArray) -> FloatArray:
-        """Sum of squared residuals of many parameter vectors, unknown initial states eliminated.
+        """Sum of squared residuals of many parameter vectors, all other unknowns eliminated.
 
-        The initial states are eliminated by linear regression with their sensitivities at the
+        Lag and initial states are eliminated by linear regression with their sensitivities at the
         prior's centre, priors included, so that a candidate is not blamed for them.
 
         Parameters
@@ -233,34 +253,31 @@ class IdentificationProblem:
         batch = np.zeros((len(z), self.unknown_count))
         batch[:, : self.parameter_count] = z
         residuals = self.residuals(batch)
-        measured = residuals[:, : self.measurement_count]
-        total = np.sum(residuals**2, axis=1)
-        if self.unknown_count > self.parameter_count:
-            sensitivity = self._initial_states()
-            projected = measured @ sensitivity
-            count = sensitivity.shape[1]
-            information = np.eye(count) + sensitivity.T @ sensitivity
-            total -= np.sum(projected * np.linalg.solve(information, projected.T).T, axis=1)
+        sensitivity = self._nuisance()
+        projected = residuals[:, : self.measurement_count] @ sensitivity
+        information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
+        explained = np.sum(projected * np.linalg.solve(information, projected.T).T, axis=1)
+        total = np.sum(residuals**2, axis=1) - explained
         return np.where(np.isfinite(total), total, np.inf)
 
-    def best_initial_states(self, z: FloatArray) -> FloatArray:
-        """Unknowns (d,) with the given parameters and linearly regressed initial states."""
+    def with_nuisance(self, z: FloatArray) -> FloatArray:
+        """Unknowns (d,) with the given parameters, lag and initial states linearly regressed."""
         unknowns = np.zeros(self.unknown_count)
         unknowns[: self.parameter_count] = z
-        if self.unknown_count > self.parameter_count:
-            measured = self.residuals(unknowns)[0, : self.measurement_count]
-            sensitivity = self._initial_states()
-            information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
-            step = -np.linalg.solve(information, sensitivity.T @ measured)
-            if np.all(np.isfinite(step)):
-                unknowns[self.parameter_count :] = step
+        measured = self.residuals(unknowns)[0, : self.measurement_count]
+        sensitivity = self._nuisance()
+        information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
+        step = -np.linalg.solve(information, sensitivity.T @ measured)
+        if np.all(np.isfinite(step)):
+            unknowns[self.parameter_count :] = step
         return np.clip(unknowns, self.lower, self.upper)
 
-    def _initial_states(self) -> FloatArray:
-        if self._initial_sensitivity is None:
+    def _nuisance(self) -> FloatArray:
+        """Sensitivities (m, d - p) of the measurements to lag and initial states."""
+        if self._nuisance_sensitivity is None:
             jacobian = self.jacobian(np.clip(np.zeros(self.unknown_count), self.lower, self.upper))
-            self._initial_sensitivity = jacobian[: self.measurement_count, self.parameter_count :]
-        return self._initial_sensitivity
+            self._nuisance_sensitivity = jacobian[: self.measurement_count, self.parameter_count :]
+        return self._nuisance_sensitivity
 
     # ------------------------------------------------------------------ reports
     def errors_c(self, unknowns: FloatArray) -> list[dict[str, FloatArray]]:
@@ -268,10 +285,10 @@ class IdentificationProblem:
         batch = np.atleast_2d(unknowns)
         errors = []
         for span in self._spans:
-            temperatures = self._temperatures(span, batch)[0]
+            temperatures, lag_s = self._temperatures(span, batch), self._lag_s(batch)
             errors.append(
                 {
-                    channel.name: temperatures[channel.index] @ channel.row - channel.measured_c
+                    channel.name: channel.errors_c(temperatures, lag_s)[0]
                     for channel in span.channels
                 }
             )
@@ -338,6 +355,7 @@ def _prepare(
                     index,
                     measured[index],
                     whitening(rows.time_s[index]),
+                    np.diff(rows.time_s, prepend=rows.time_s[0] - 60.0)[index],
                 )
             )
             residual += index.size
