@@ -1,4 +1,4 @@
-"""The two friction laws: their coefficients for a network's heat source, and the heat itself.
+"""The friction laws: their coefficients for a network's heat source, and the heat itself.
 
 ``PALMGREN`` (Wang et al., Appl. Sci. 2025, 15(12), 6671, equations (1) to (4), restored)
     M = M_f + M_v in N.mm with M_f = f1 F dm, f1 = 0.0009 (F / C0)^0.55 and
@@ -15,6 +15,9 @@
     less with temperature, both by the same share.
 
 Heat W = M 2 pi n / 60 in both, T the temperature of the grease-oil-air mixture.
+
+``LINEAR``
+    W = c0 n + c1 F + c2 in W, whatever the temperature: the source of the paper's simple network.
 """
 
 import numpy as np

@@ -8,19 +8,16 @@
     The 15 parameters of Wang et al., Appl. Sci. 2025, 15(12), 6671, equations (1) to (16).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin_core.bearings import Bearing
 from twin_core.friction import palmgren_coefficients, two_part_coefficients
 from twin_core.materials import MINERAL_OIL_100
 from twin_core.network import (
     Coefficient,
-    CompiledNetwork,
     EdgeKind,
     FrictionKind,
     HeatShare,
@@ -28,6 +25,7 @@ from twin_core.network import (
     Network,
     compile_network,
 )
+from twin_core.network_model import NetworkModel
 from twin_core.networks.bearing_14 import (
     Bearing14,
     assemble,
@@ -41,76 +39,16 @@ ModelName = Literal["default", "paper"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThermalModel:
-    """A thermal model ready to simulate.
+class ThermalModel(NetworkModel):
+    """The model of a bearing in its test drum.
 
     Parameters
     ----------
-    name
-        ``"default"`` or ``"paper"``.
     bearing
         The bearing it was built for.
-    network
-        Nodes, edges, heat source and sensors as data.
-    parameters
-        What is identified, with priors.
-    compiled
-        The network as flat arrays.
     """
 
-    name: str
     bearing: Bearing
-    network: Network
-    parameters: ParameterSet
-    compiled: CompiledNetwork
-
-    @property
-    def node_names(self) -> tuple[str, ...]:
-        """Names of the state nodes in order."""
-        return self.network.node_names
-
-    @property
-    def sensor_names(self) -> tuple[str, ...]:
-        """Names of the standard sensors."""
-        return tuple(sensor.name for sensor in self.network.sensors)
-
-    def sensor_row(self, name: str) -> NDArray[np.float64]:
-        """Weights of the nodes in a sensor's reading.
-
-        Parameters
-        ----------
-        name
-            A sensor or a node (a node's own sensor reads that node).
-
-        Returns
-        -------
-        ndarray
-            Shape (nodes,).
-
-        Raises
-        ------
-        ValueError
-            If there is no such sensor or node.
-        """
-        row = np.zeros(len(self.node_names))
-        if name in self.node_names:
-            row[self.node_names.index(name)] = 1.0
-            return row
-        for sensor in self.network.sensors:
-            if sensor.name == name:
-                for node, weight in sensor.weights:
-                    row[self.node_names.index(node)] += weight
-                return row
-        raise ValueError(
-            f"unknown sensor {name!r}, expected one of "
-            f"{', '.join((*self.sensor_names, *self.node_names))}"
-        )
-
-    def sensor_matrix(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Rows of several sensors, shape (len(names), nodes)."""
-        return np.array([self.sensor_row(name) for name in names]).reshape(
-            len(names), len(self.node_names)
-        )
 
 
 def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
@@ -138,7 +76,7 @@ def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
     else:
         raise ValueError(f"unknown model {name!r}, expected one of default, paper")
     return ThermalModel(
-        name, bearing, network, parameters, compile_network(network, parameters.names)
+        name, network, parameters, compile_network(network, parameters.names), bearing
     )
 
 
@@ -290,10 +228,19 @@ DEFAULT_PARAMETERS = (
     Parameter("p", "-", "viscous friction: exponent of speed", "linear", 0.45, 0.18),
     Parameter("p2", "-", "viscous friction: curvature of the speed law", "linear", -0.09, 0.10),
     Parameter("q", "-", "viscous friction: exponent of viscosity", "linear", 0.38, 0.18),
-    Parameter("pq", "-", "viscous friction: interaction of speed and viscosity",
-              "linear", -0.10, 0.10),
-    Parameter("s", "-", "load-dependent friction: share at the reference point",
-              "log", 0.16, 0.5, 0.0, 0.8),
+    Parameter(
+        "pq", "-", "viscous friction: interaction of speed and viscosity", "linear", -0.10, 0.10
+    ),
+    Parameter(
+        "s",
+        "-",
+        "load-dependent friction: share at the reference point",
+        "log",
+        0.16,
+        0.5,
+        0.0,
+        0.8,
+    ),
     Parameter("b", "-", "viscous friction: exponent of load", "linear", 0.30, 0.25),
     Parameter("c", "-", "load-dependent friction: exponent of load", "linear", 1.60, 0.08),
     Parameter("A", "-", "running-in: excess friction of fresh grease", "log", 0.12, 0.8),

@@ -37,6 +37,8 @@ class EdgeKind(IntEnum):
         Conductance c0 (|Ta - Tb| / 12 K)^c1: natural convection and radiation; c0 at 12 K.
     ``SHAFT_SINK``
         Conductance c0 + c1 (n / 6000)^(2/3): a shaft end to air, rotating.
+    ``SPEED_POWER``
+        R = c0 (n / c1)^c2: the speed-dependent resistance of the paper's simple network.
     """
 
     CONSTANT = 0
@@ -45,6 +47,7 @@ class EdgeKind(IntEnum):
     CONVECTIVE_REFERENCE = 3
     FILM = 4
     SHAFT_SINK = 5
+    SPEED_POWER = 6
 
 
 COEFFICIENT_COUNT = {
@@ -54,6 +57,7 @@ COEFFICIENT_COUNT = {
     EdgeKind.CONVECTIVE_REFERENCE: 4,
     EdgeKind.FILM: 2,
     EdgeKind.SHAFT_SINK: 2,
+    EdgeKind.SPEED_POWER: 3,
 }
 
 
@@ -62,11 +66,13 @@ class FrictionKind(IntEnum):
 
     PALMGREN = 0
     TWO_PART = 1
+    LINEAR = 2
 
 
 FRICTION_COEFFICIENT_COUNT = {
     FrictionKind.PALMGREN: 6,
     FrictionKind.TWO_PART: 10,
+    FrictionKind.LINEAR: 3,
 }
 
 

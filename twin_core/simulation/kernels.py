@@ -30,21 +30,25 @@ FRESH_LOAD_FRACTION = 0.05
 HEAT_LIMIT_W = 3000.0
 """No bearing of this size survives more friction heat; keeps a run-away model computable."""
 TEMPERATURE_LIMIT_C = 2000.0
-"""Beyond this a simulation counts as run away."""
+"""Beyond this a simulation counts as run away. Only heat that depends on temperature can run away;
+a LINEAR source is bound by neither limit."""
 
 # Limits at and near standstill. Below some 10 rpm the heat source no longer moves relative to
 # the contact (Peclet number about one) and the contact conducts like a resting one; 50 N is about
-# the weight of a shaft. The friction law was regressed above 1500 rpm and 2650 N: its quadratic
-# terms are frozen at a tenth of the reference point, so that the moment stays finite.
+# the weight of a shaft. A power of speed stays finite. The friction law was regressed above
+# 1500 rpm and 2650 N: its quadratic terms are frozen at a tenth of the reference point, so that
+# the moment stays finite.
 CONTACT_MIN_SPEED_RPM = 10.0
 CONTACT_MIN_LOAD_N = 50.0
+POWER_MIN_SPEED_RPM = 10.0
 REFERENCE_SPEED_RPM = 3000.0
 REFERENCE_LOAD_N = 2650.0
 LAW_MIN_FRACTION = 0.1
 
 # Kinds, equal to those of twin_core.network (plain integers: numba freezes them into the code).
-PALMGREN = 0
+PALMGREN, LINEAR = 0, 2
 CONSTANT, CONTACT, CONVECTIVE, CONVECTIVE_REFERENCE, FILM, SHAFT_SINK = 0, 1, 2, 3, 4, 5
+SPEED_POWER = 6
 FILM_REFERENCE_K = 12.0
 PALMGREN_BRANCH = math.log(2000.0)
 """Equation (3) changes its form at nu n = 2000."""
@@ -81,6 +85,8 @@ def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
         return c[0]
     if kind == SHAFT_SINK:
         return c[0] + c[1] * (speed / 6000.0) ** (2.0 / 3.0)
+    if kind == SPEED_POWER:
+        return 1.0 / (c[0] * (max(speed, POWER_MIN_SPEED_RPM) / c[1]) ** c[2])
     return 1.0 / c[0]
 
 
@@ -89,10 +95,13 @@ def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
     """Everything of a friction law that does not change while speed and load stay.
 
     Palmgren, c: f2, dm in mm, C0 in N, nu0 in mm2/s, beta in 1/K, T0 in degC. Two-part, c:
-    moment at the reference in N.mm, p, p2, q, pq, s, b, c, A, Nr. Gives the numbers for
-    :func:`friction_heat_w`, the first being W per N.mm.
+    moment at the reference in N.mm, p, p2, q, pq, s, b, c, A, Nr. Linear, c: W per rpm, W per N,
+    W. Gives the numbers for :func:`friction_heat_w`, the first being W per N.mm.
     """
     point = np.zeros(5)
+    if kind == LINEAR:
+        point[1] = c[0] * speed + c[1] * load + c[2]
+        return point
     point[0] = 1e-3 * 2.0 * math.pi / 60.0 * speed
     if kind == PALMGREN:
         point[1] = 0.0009 * (load / c[2]) ** 0.55 * load * c[1]
@@ -113,7 +122,9 @@ def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
 
 @compiled
 def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[no-untyped-def]
-    """Heat in W at the temperature of the lubricant, never above HEAT_LIMIT_W."""
+    """Heat in W at the temperature of the lubricant; limited unless it is independent of it."""
+    if kind == LINEAR:
+        return point[1]
     if kind == PALMGREN:
         logarithm = point[2] - point[3] * temperature
         viscous = 160.0
@@ -285,6 +296,7 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
     slope = np.empty(films)
     point = np.empty(5)
     kind = net.friction_kind
+    limit = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
     rate = np.empty(count)
     modes = np.empty((count, count))
     inverse = np.empty((count, count))
@@ -368,7 +380,7 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
         for i in range(count):
             out[row + 1, i] = temperature[i]
         for i in range(count):
-            if not abs(temperature[i]) <= TEMPERATURE_LIMIT_C:
+            if not abs(temperature[i]) < limit:
                 out[row + 1 :] = math.nan
                 return row + 1
     return -1

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import config as numba_config
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.network import CompiledNetwork, FrictionKind
+from twin_core.network_model import NetworkModel
 from twin_core.simulation import kernels
 from twin_core.simulation.profile import (
     OperatingProfile,
@@ -17,9 +17,6 @@ from twin_core.simulation.profile import (
     total_revolutions,
 )
 
-if TYPE_CHECKING:
-    from twin_core.models import ThermalModel
-
 _CHUNKS_PER_THREAD = 4
 _SETTLING_S = 48 * 3600.0
 _NEWTON_ITERATIONS = 20
@@ -27,7 +24,7 @@ _BALANCE_W = 1e-6
 
 
 def simulate(
-    model: "ThermalModel",
+    model: NetworkModel,
     values: ArrayLike,
     profile: OperatingProfile,
     initial_temperatures_c: ArrayLike,
@@ -89,7 +86,7 @@ def simulate(
 
 
 def simulate_batch(
-    model: "ThermalModel",
+    model: NetworkModel,
     values: ArrayLike,
     profile: OperatingProfile,
     initial_temperatures_c: ArrayLike,
@@ -170,7 +167,7 @@ def simulate_batch(
 
 
 def steady_state(
-    model: "ThermalModel",
+    model: NetworkModel,
     values: ArrayLike,
     speed_rpm: float,
     load_n: float,
@@ -240,7 +237,7 @@ def steady_state(
 
 
 def heat_balance_w(
-    model: "ThermalModel",
+    model: NetworkModel,
     values: ArrayLike,
     temperatures_c: ArrayLike,
     speed_rpm: float,
@@ -279,7 +276,7 @@ def heat_balance_w(
 
 
 def _running_in_held(
-    model: "ThermalModel", values: NDArray[np.float64], revolutions: float
+    model: NetworkModel, values: NDArray[np.float64], revolutions: float
 ) -> CompiledNetwork:
     """Fold the running-in factor at *revolutions* into the friction's level."""
     net = model.compiled
@@ -295,7 +292,7 @@ def _running_in_held(
     )
 
 
-def _values(model: "ThermalModel", values: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+def _values(model: NetworkModel, values: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     array = np.ascontiguousarray(values, dtype=np.float64)
     size = model.parameters.size
     if array.ndim != dimensions or array.shape[-1] != size:
