@@ -89,7 +89,11 @@ class AssetRuntime:
     ) -> None:
         self.settings = settings
         self.facts = channels
-        self.readings = Readings(settings.id)
+        ages_s = {
+            name: warnings.allowed_age_s(facts.max_age_s, clock.rate)
+            for name, facts in channels.items()
+        }
+        self.readings = Readings(settings.id, ages_s, clock.now_us())
         self.estimate = LiveEstimate(active)
         self.plan: PlannedProfile | None = None
         self.running = False
@@ -128,7 +132,7 @@ class AssetRuntime:
     def summary(self) -> Mapping[str, Any]:
         """Configuration, health and active model."""
         now_us = self._clock.now_us()
-        qualities = {channel: self._quality(channel, now_us) for channel in self.facts}
+        qualities = {channel: self.readings.quality(channel, now_us) for channel in self.facts}
         bad = sorted(channel for channel, quality in qualities.items() if quality < 192)
         identified_at_us = self.active.identified_at_us
         return {
@@ -179,7 +183,7 @@ class AssetRuntime:
             tags[channel] = presentation.tag(
                 self._value(channel, now_us),
                 presentation.unit_of(channel),
-                self._quality(channel, now_us),
+                self.readings.quality(channel, now_us),
                 rfc3339(sample.time_us) if sample else self._began,
             )
         tags |= self._estimate_tags()
@@ -352,12 +356,8 @@ class AssetRuntime:
 
     def _evaluate(self, now_us: int) -> None:
         conditions: list[AlarmCondition] = [
-            *warnings.measured_limits(
-                self.id, self.readings, self.settings.limits, now_us, self._max_temperature_age_s()
-            ),
-            *warnings.sensor_conditions(
-                self.id, self.readings, self.facts, now_us, self._clock.rate
-            ),
+            *warnings.measured_limits(self.id, self.readings, self.settings.limits, now_us),
+            *warnings.sensor_conditions(self.id, self.readings, self.facts, now_us),
         ]
         for condition in conditions:
             self._alarms.evaluate(condition)
@@ -392,7 +392,7 @@ class AssetRuntime:
         self._bus.publish("forecast", self.id, body)
         now_us = self._clock.now_us()
         for condition in warnings.forecast_limits(
-            self.id, crossings, limits, self.readings, now_us, self._max_temperature_age_s()
+            self.id, crossings, limits, self.readings, now_us
         ):
             self._alarms.evaluate(condition)
 
@@ -458,18 +458,8 @@ class AssetRuntime:
             ]
         )
 
-    def _max_age_s(self, channel: str) -> float:
-        return warnings.allowed_age_s(self.facts[channel].max_age_s, self._clock.rate)
-
-    def _max_temperature_age_s(self) -> float:
-        ages = [self._max_age_s(name) for name in self.settings.limits if name in self.facts]
-        return min(ages, default=warnings.allowed_age_s(10.0, self._clock.rate))
-
-    def _quality(self, channel: str, now_us: int) -> int:
-        return self.readings.quality(channel, now_us, self._max_age_s(channel))
-
     def _value(self, channel: str, now_us: int) -> float | None:
-        if channel not in self.facts or self._quality(channel, now_us) < Quality.UNCERTAIN:
+        if channel not in self.facts or self.readings.quality(channel, now_us) < Quality.UNCERTAIN:
             return None
         return self.readings.latest[channel].value
 

@@ -1,10 +1,13 @@
 """What the channels of one asset say now, and their means over a step of the twin."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from adapters.samples import Quality, Sample, is_good
+from adapters.samples import Quality, Sample, is_bad, is_good
+
+# Samples received so much before the latest one were received before the clock was set back.
+_CLOCK_SET_BACK_US = 1_000_000
 
 
 @dataclass(slots=True)
@@ -19,11 +22,23 @@ class Readings:
 
     Bad and uncertain samples are kept as the latest word on a channel, so that a screen shows
     them for what they are, but never enter a mean.
+
+    Attributes
+    ----------
+    asset : str
+        Whose samples these are.
+    max_age_s : mapping of str to float
+        Process seconds after which a channel is stale, for every channel of the asset.
+    began_us : int
+        Process time from which a channel without any sample is waited for.
+    latest : dict of str to Sample
+        Newest sample of each channel that had any.
     """
 
     asset: str
+    max_age_s: Mapping[str, float]
+    began_us: int
     latest: dict[str, Sample] = field(default_factory=dict)
-    last_good: dict[str, Sample] = field(default_factory=dict)
     _means: dict[str, _Mean] = field(default_factory=dict)
 
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
@@ -31,45 +46,60 @@ class Readings:
         mine = [sample for sample in samples if sample.asset == self.asset]
         for sample in mine:
             known = self.latest.get(sample.channel)
-            if known is not None and sample.time_us < known.time_us:
+            if known is not None and _is_late(sample, known):
                 continue  # late data belong in the store, not on the screen
             self.latest[sample.channel] = sample
-            if is_good(sample.quality) and math.isfinite(sample.value):
-                self.last_good[sample.channel] = sample
-                mean = self._means.setdefault(sample.channel, _Mean())
-                mean.total += sample.value
-                mean.count += 1
+            if not (is_good(sample.quality) and math.isfinite(sample.value)):
+                continue
+            if self._age_s(sample, sample.received_us) > self.max_age_s[sample.channel]:
+                continue  # a gateway sends what it kept while it was away: not the present
+            mean = self._means.setdefault(sample.channel, _Mean())
+            mean.total += sample.value
+            mean.count += 1
         return mine
 
     def take_means(self) -> dict[str, float]:
         """Means of the good samples since the last call, by channel."""
-        means = {
-            channel: mean.total / mean.count for channel, mean in self._means.items() if mean.count
-        }
+        means = {channel: mean.total / mean.count for channel, mean in self._means.items()}
         self._means.clear()
         return means
 
-    def age_s(self, channel: str, now_us: int) -> float:
-        """Process seconds since the channel last had any sample; infinite when it never had."""
+    def is_stale(self, channel: str, now_us: int) -> bool:
+        """Tell whether the channel has had no sample, of whatever quality, for too long."""
         sample = self.latest.get(channel)
-        return math.inf if sample is None else (now_us - sample.time_us) / 1e6
+        age_s = (now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
+        return age_s > self.max_age_s[channel]
 
-    def good_value(self, channel: str, now_us: int, max_age_s: float) -> float | None:
+    def good_value(self, channel: str, now_us: int) -> float | None:
         """Value of the channel if its latest sample is good and fresh, else None."""
         sample = self.latest.get(channel)
-        if sample is None or not is_good(sample.quality):
+        if sample is None or not is_good(sample.quality) or self.is_stale(channel, now_us):
             return None
-        return sample.value if self.age_s(channel, now_us) <= max_age_s else None
+        return sample.value
 
-    def quality(self, channel: str, now_us: int, max_age_s: float) -> int:
+    def quality(self, channel: str, now_us: int) -> int:
         """OPC quality byte of the channel as a reader should see it now.
 
-        A stale good value is no longer good: it turns into "last known", as nothing says that it
-        still holds.
+        A stale value is no longer good, nor uncertain: it turns into "last known", as nothing
+        says that it still holds.
         """
         sample = self.latest.get(channel)
         if sample is None:
             return Quality.WAITING_FOR_INITIAL_DATA
-        if is_good(sample.quality) and self.age_s(channel, now_us) > max_age_s:
+        if not is_bad(sample.quality) and self.is_stale(channel, now_us):
             return Quality.LAST_KNOWN
         return sample.quality
+
+    @staticmethod
+    def _age_s(sample: Sample, now_us: int) -> float:
+        """Process seconds between a sample and now, whichever way the clock was set meanwhile.
+
+        A gateway's clock may be ahead of ours: such a sample is as old as its receipt.
+        """
+        return abs(now_us - min(sample.time_us, sample.received_us)) / 1e6
+
+
+def _is_late(sample: Sample, known: Sample) -> bool:
+    """Whether a newer sample is known; one from before the clock was set back is not newer."""
+    set_back = known.received_us - sample.received_us > _CLOCK_SET_BACK_US
+    return sample.time_us < known.time_us and not set_back

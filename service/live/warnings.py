@@ -5,7 +5,6 @@ alarm book's. A condition is True, False, or None where it cannot be told (no go
 the deadband): an alarm then stays as it is.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 
 from adapters.samples import is_good
@@ -44,11 +43,11 @@ def label(channel: str) -> str:
 
 
 def measured_limits(
-    asset: str, readings: Readings, limits: Mapping[str, Limits], now_us: int, max_age_s: float
+    asset: str, readings: Readings, limits: Mapping[str, Limits], now_us: int
 ) -> Iterator[AlarmCondition]:
     """Measured temperature at or above its warning or alarm limit."""
     for channel, pair in limits.items():
-        value = readings.good_value(channel, now_us, max_age_s)
+        value = readings.good_value(channel, now_us)
         for level, limit_c in (("warning", pair.warning), ("alarm", pair.alarm)):
             yield AlarmCondition(
                 asset=asset,
@@ -73,14 +72,13 @@ def forecast_limits(
     limits: Mapping[str, Limits],
     readings: Readings,
     now_us: int,
-    max_age_s: float,
 ) -> Iterator[AlarmCondition]:
     """Forecast that passes a limit ahead with a probability worth an operator's attention.
 
     A limit that is passed already is the matter of the measured alarm; its prediction is withdrawn.
     """
     for channel, levels in crossings.items():
-        value = readings.good_value(channel, now_us, max_age_s)
+        value = readings.good_value(channel, now_us)
         for level, crossing in levels.items():
             limit_c = getattr(limits[channel], level)
             active: bool | None = None
@@ -90,10 +88,8 @@ def forecast_limits(
                 active = True
             elif crossing.probability < FORECAST_CLEAR_PROBABILITY:
                 active = False
-            lead_time_s = crossing.median_s if crossing.median_s is not None else None
-            if lead_time_s is None:
-                lead_time_s = crossing.earliest_s
-            will = "will" if crossing.median_s is not None else "may"
+            likely = crossing.median_s is not None
+            will = "will" if likely else "may"
             yield AlarmCondition(
                 asset=asset,
                 kind="forecast limit",
@@ -106,24 +102,19 @@ def forecast_limits(
                 message=f"{label(channel)} {will} pass {level} {limit_c:g} °C",
                 priority=LEVEL_PRIORITY[level],
                 predicted=True,
-                lead_time_s=lead_time_s,
+                lead_time_s=crossing.median_s if likely else crossing.earliest_s,
                 probability=crossing.probability,
                 off_delay_s=FORECAST_OFF_DELAY_S,
             )
 
 
 def sensor_conditions(
-    asset: str,
-    readings: Readings,
-    channels: Mapping[str, ChannelFacts],
-    now_us: int,
-    rate: float,
+    asset: str, readings: Readings, channels: Mapping[str, ChannelFacts], now_us: int
 ) -> Iterator[AlarmCondition]:
-    """Sensor fault (the latest sample is bad) and stale data (no sample for too long)."""
+    """Sensor fault (the latest sample is not good) and stale data (no sample for too long)."""
     for channel, facts in channels.items():
         sample = readings.latest.get(channel)
-        age_s = readings.age_s(channel, now_us)
-        stale = age_s > allowed_age_s(facts.max_age_s, rate)
+        stale = readings.is_stale(channel, now_us)
         faulty = sample is not None and not stale and not is_good(sample.quality)
         yield AlarmCondition(
             asset=asset,
@@ -146,7 +137,7 @@ def sensor_conditions(
             active=stale,
             value=None,
             message=f"{label(channel)}: no data from {facts.source}"
-            + (" yet" if math.isinf(age_s) else ""),
+            + (" yet" if sample is None else ""),
             priority=2,
             on_delay_s=SENSOR_ON_DELAY_S,
             off_delay_s=SENSOR_OFF_DELAY_S,

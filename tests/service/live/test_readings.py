@@ -1,0 +1,133 @@
+"""What the channels say now."""
+
+import math
+
+import pytest
+
+from adapters.samples import Quality, Sample
+from service.live.readings import Readings
+
+NOW_US = 1_763_700_000_000_000
+SECOND_US = 1_000_000
+
+
+@pytest.fixture
+def readings() -> Readings:
+    ages_s = dict.fromkeys(("speed_rpm", "t_inner_ring_c", "t_outer_ring_c"), 10.0)
+    return Readings("bench-1", ages_s, NOW_US)
+
+
+def sample(
+    value: float,
+    after_s: float = 0.0,
+    quality: int = Quality.GOOD,
+    channel: str = "t_inner_ring_c",
+    asset: str = "bench-1",
+    received_after_s: float | None = None,
+) -> Sample:
+    received_s = after_s if received_after_s is None else received_after_s
+    return Sample(
+        asset,
+        channel,
+        NOW_US + round(after_s * SECOND_US),
+        value,
+        quality,
+        NOW_US + round(received_s * SECOND_US),
+    )
+
+
+def at(after_s: float) -> int:
+    return NOW_US + round(after_s * SECOND_US)
+
+
+def test_only_samples_of_this_asset_are_taken(readings: Readings) -> None:
+    mine, other = sample(40.0), sample(80.0, asset="bench-2")
+    assert readings.add([other, mine]) == [mine]
+    assert readings.latest == {"t_inner_ring_c": mine}
+
+
+def test_means_count_good_samples_since_the_last_call(readings: Readings) -> None:
+    readings.add([sample(40.0, 0), sample(42.0, 1), sample(1500.0, 1, channel="speed_rpm")])
+    assert readings.take_means() == {"t_inner_ring_c": 41.0, "speed_rpm": 1500.0}
+    assert readings.take_means() == {}
+    readings.add([sample(50.0, 2)])
+    assert readings.take_means() == {"t_inner_ring_c": 50.0}
+
+
+@pytest.mark.parametrize(
+    "doubtful",
+    [
+        sample(math.nan, 1, Quality.SENSOR_FAILURE),
+        sample(300.0, 1, Quality.EU_EXCEEDED),
+        sample(41.0, 1, Quality.UNCERTAIN),
+        sample(math.inf, 1, Quality.GOOD),
+    ],
+)
+def test_doubtful_samples_never_enter_a_mean(readings: Readings, doubtful: Sample) -> None:
+    readings.add([sample(40.0), doubtful])
+    assert readings.take_means() == {"t_inner_ring_c": 40.0}
+    assert readings.latest["t_inner_ring_c"] == doubtful, "but they are the latest word"
+
+
+@pytest.mark.parametrize("quality", [Quality.SENSOR_FAILURE, Quality.UNCERTAIN])
+def test_no_good_value_while_the_latest_sample_is_not_good(
+    readings: Readings, quality: Quality
+) -> None:
+    readings.add([sample(40.0)])
+    assert readings.good_value("t_inner_ring_c", at(1)) == 40.0
+    readings.add([sample(41.0, 1, quality)])
+    assert readings.good_value("t_inner_ring_c", at(1)) is None
+    assert readings.quality("t_inner_ring_c", at(1)) == quality
+    readings.add([sample(42.0, 2)])
+    assert readings.good_value("t_inner_ring_c", at(2)) == 42.0
+
+
+def test_late_samples_change_nothing(readings: Readings) -> None:
+    readings.add([sample(40.0, 5)])
+    readings.take_means()
+    late = sample(20.0, 3, received_after_s=6)
+    assert readings.add([late]) == [late]
+    assert readings.take_means() == {}
+    assert readings.good_value("t_inner_ring_c", at(6)) == 40.0
+
+
+@pytest.mark.parametrize("quality", [Quality.GOOD, Quality.UNCERTAIN])
+def test_a_stale_value_is_neither_good_nor_uncertain(readings: Readings, quality: Quality) -> None:
+    readings.add([sample(40.0, quality=quality)])
+    assert readings.quality("t_inner_ring_c", at(10)) == quality
+    assert readings.quality("t_inner_ring_c", at(10.1)) == Quality.LAST_KNOWN
+    assert readings.good_value("t_inner_ring_c", at(10.1)) is None
+
+
+def test_a_stale_fault_keeps_its_reason(readings: Readings) -> None:
+    readings.add([sample(math.nan, quality=Quality.SENSOR_FAILURE)])
+    assert readings.quality("t_inner_ring_c", at(60)) == Quality.SENSOR_FAILURE
+
+
+def test_a_channel_without_any_sample_is_waited_for(readings: Readings) -> None:
+    assert readings.quality("t_inner_ring_c", at(0)) == Quality.WAITING_FOR_INITIAL_DATA
+    assert readings.good_value("t_inner_ring_c", at(0)) is None
+    assert not readings.is_stale("t_inner_ring_c", at(9))
+    assert readings.is_stale("t_inner_ring_c", at(11))
+
+
+def test_a_backlog_is_not_the_present(readings: Readings) -> None:
+    """A gateway that was away for an hour sends what it kept."""
+    backlog = [sample(30.0 + minute, 60.0 * minute, received_after_s=3600) for minute in range(61)]
+    readings.add(backlog)
+    assert readings.take_means() == {"t_inner_ring_c": 90.0}, "only what is fresh"
+    assert readings.good_value("t_inner_ring_c", at(3601)) == 90.0
+
+
+def test_a_gateway_clock_ahead_of_ours_does_not_keep_a_value_fresh(readings: Readings) -> None:
+    readings.add([sample(40.0, 200.0, received_after_s=0.0)])
+    assert readings.take_means() == {"t_inner_ring_c": 40.0}
+    assert readings.good_value("t_inner_ring_c", at(9)) == 40.0
+    assert readings.good_value("t_inner_ring_c", at(11)) is None
+
+
+def test_a_clock_set_back_is_followed(readings: Readings) -> None:
+    readings.add([sample(40.0, 3600)])
+    assert readings.good_value("t_inner_ring_c", at(0)) is None, "nothing new has come yet"
+    readings.add([sample(45.0, 0)])
+    assert readings.good_value("t_inner_ring_c", at(1)) == 45.0
