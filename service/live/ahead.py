@@ -39,20 +39,21 @@ def held(present: OperatingPoint, horizon_s: float) -> list[Step]:
 def planned(
     plan: PlannedProfile, now_us: int, present: OperatingPoint, horizon_s: float
 ) -> list[Step]:
-    """What is left of a controller's plan, cut at the horizon.
+    """What is left of a controller's plan, cut at the horizon; empty when it is over.
 
     The step under way follows the measured speed and load where these are near their set-points,
-    the later ones follow the plan. Ambient stays as it is.
+    the later ones follow the plan. Ambient stays as it is. A plan that was read a little after
+    ``now_us`` (the estimate lags by up to a step) is stretched back to it.
     """
-    skip_s = max((now_us - plan.time_us) / 1e6, 0.0)
+    elapsed_s = (now_us - plan.time_us) / 1e6
     steps: list[Step] = []
     left_s = horizon_s
-    for index, planned_step in enumerate(plan.steps):
-        duration_s = planned_step.duration_s - skip_s
-        skip_s = max(-duration_s, 0.0)
+    for planned_step in plan.steps:
+        duration_s = planned_step.duration_s - elapsed_s
+        elapsed_s = max(-duration_s, 0.0)
         if duration_s <= 0:
             continue
-        under_way = index == 0
+        under_way = not steps
         steps.append(_step(planned_step, min(duration_s, left_s), present, under_way))
         left_s -= steps[-1].duration_s
         if left_s <= 0:
