@@ -26,6 +26,7 @@ from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import active_model, first_model
+from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.settings import AssetSection, Settings, SettingsError
@@ -313,6 +314,7 @@ async def serve(
                 f"service.host = {host!r}: reachable from other machines, so at least one API key "
                 "is needed; make one with 'bearing-twin keys create --role admin'"
             )
+        await anyio.to_thread.run_sync(compile_kernels)
         clock = ProcessClock.resume(settings.clock.rate, data_dir)
         service = Service(settings, wiring, store, clock)
         port = listener.getsockname()[1]

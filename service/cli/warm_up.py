@@ -5,7 +5,7 @@ import typer
 
 def warm_up() -> None:
     """Compile the numerical kernels into their cache; useful when an image is built."""
-    from service.jobs.worker import warm_up as compile_kernels
+    from service.kernels import compile_kernels
 
     compile_kernels()
     typer.echo("The kernels are compiled.")

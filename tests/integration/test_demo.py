@@ -9,6 +9,12 @@ import pytest
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_kernels() -> None:
+    """Have the kernels compiled, so that the demo's time is spent on its story."""
+    subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=280)
+
+
 def test_a_demo_cut_short_ends_cleanly_with_its_document() -> None:
     demo = subprocess.run(
         [

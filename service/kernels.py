@@ -1,0 +1,45 @@
+"""The twin's compiled kernels, made ready before process time counts."""
+
+import numpy as np
+
+from twin_core.bearings import bearing
+from twin_core.forecasting import forecast
+from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.identify import identify
+from twin_core.identification.posterior import prior_posterior
+from twin_core.models import build_model
+from twin_core.observer import Observer, initial_state
+from twin_core.simulation import OperatingProfile, simulate
+from twin_core.windows import MinuteData
+
+
+def compile_kernels() -> None:
+    """Run every kernel once; takes about a minute on the first run, half a second afterwards.
+
+    Compiling must not happen later, in the middle of polling.
+    """
+    model = build_model("default", bearing=bearing("6311"))
+    posterior = prior_posterior(model)
+    values = model.parameters.values_from_z(posterior.z)
+    time_s = np.arange(0.0, 2400.0, 60.0)
+    speed_rpm, load_n = np.where(time_s < 300.0, 0.0, 1500.0), np.full(time_s.size, 2650.0)
+    ambient_c = np.full(time_s.size, 22.0)
+    profile = OperatingProfile(time_s, speed_rpm, load_n, ambient_c)
+    measured = {
+        name: simulate(model, values, profile, np.full(13, 22.0)).temperatures_c
+        @ model.sensor_row(name)
+        for name in model.sensor_names
+    }
+    observer = Observer(
+        model, values, *initial_state(model, values, {"t_inner_ring_c": 22.0}, 22.0, 0.0, 0.0, True)
+    )
+    observer.predict(5.0, 1500.0, 2650.0, 22.0)
+    observer.update({"t_inner_ring_c": 22.1})
+    forecast(
+        model, posterior, observer.temperatures_c, observer.covariance, 0.0, profile, members=4
+    )
+    minutes = MinuteData(
+        time_s, speed_rpm, load_n, ambient_c, measured, np.ones(time_s.size, dtype=np.bool_)
+    )
+    data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
+    identify(model, data, budget=50)
