@@ -272,7 +272,7 @@ class AssetRuntime:
     ) -> Mapping[str, Any]:
         """Forecast a profile from the present state."""
         point = self.estimate.point
-        if point is None:
+        if point is None or not self.estimate.started:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         steps = [
             Step(

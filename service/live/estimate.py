@@ -15,8 +15,10 @@ from twin_core.observer import Observer, initial_state
 
 _STANDING_RPM = 5.0
 _AT_REST_K = 1.5
-# A gap without any knowledge of the operating point longer than this starts the estimate anew.
+# A gap without any knowledge of the operating point longer than this starts the estimate anew,
+# and so does a clock that was set back by more than it ever jitters.
 _LONGEST_GAP_S = 1800.0
+_CLOCK_JITTER_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,8 @@ class LiveEstimate:
         self.time_us: int | None = None
         self.point: OperatingPoint | None = None
         self._observer: Observer | None = None
+        self._revolutions = 0.0
+        self._ambient_measured = False
 
     @property
     def started(self) -> bool:
@@ -82,24 +86,29 @@ class LiveEstimate:
             Speed, load and ambient then stay what they were, temperatures are not corrected.
         """
         temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
+        self._ambient_measured |= "ambient_c" in means
         point = self._operating_point(means, temperatures)
         if point is None:
             return
+        duration_s = (now_us - (self.time_us or now_us)) / 1e6
+        if not -_CLOCK_JITTER_S < duration_s < _LONGEST_GAP_S:
+            self.stop()
         if self._observer is None:
             if temperatures:
-                self._start(now_us, point, temperatures, revolutions=0.0)
+                self._start(now_us, point, temperatures)
             return
-        duration_s = (now_us - (self.time_us or now_us)) / 1e6
         if duration_s <= 0:
-            return
-        if duration_s > _LONGEST_GAP_S:
-            if temperatures:
-                self._start(now_us, point, temperatures, self._observer.revolutions)
             return
         self._observer.predict(duration_s, point.speed_rpm, point.load_n, point.ambient_c)
         if temperatures:
             self._observer.update(temperatures)
         self.time_us, self.point = now_us, point
+
+    def stop(self) -> None:
+        """Give the estimate up; the next good temperatures start it anew."""
+        if self._observer is not None:
+            self._revolutions = self._observer.revolutions
+        self._observer = None
 
     def _operating_point(
         self, means: Mapping[str, float], temperatures: Mapping[str, float]
@@ -108,22 +117,18 @@ class LiveEstimate:
         speed_rpm = means.get("speed_rpm", last.speed_rpm if last else math.nan)
         load_n = means.get("load_n", last.load_n if last else math.nan)
         ambient_c = means.get("ambient_c", last.ambient_c if last else math.nan)
-        if math.isnan(ambient_c) and temperatures:
-            # No ambient sensor: nothing on the machine is colder than the hall at its start.
-            ambient_c = min(temperatures.values())
+        if not self._ambient_measured and temperatures:
+            # No ambient sensor: nothing on the machine is colder than the hall.
+            ambient_c = min([*temperatures.values(), *([last.ambient_c] if last else [])])
         if math.isnan(speed_rpm + load_n + ambient_c):
             return None
         return OperatingPoint(max(speed_rpm, 0.0), max(load_n, 0.0), ambient_c)
 
-    def _start(
-        self,
-        now_us: int,
-        point: OperatingPoint,
-        temperatures: Mapping[str, float],
-        revolutions: float,
-    ) -> None:
-        at_rest = point.speed_rpm < _STANDING_RPM and all(
-            abs(value - point.ambient_c) < _AT_REST_K for value in temperatures.values()
+    def _start(self, now_us: int, point: OperatingPoint, temperatures: Mapping[str, float]) -> None:
+        at_rest = (
+            self._ambient_measured
+            and point.speed_rpm < _STANDING_RPM
+            and all(abs(value - point.ambient_c) < _AT_REST_K for value in temperatures.values())
         )
         model, values = self.active.model, self.active.values
         mean, covariance = initial_state(
@@ -135,7 +140,7 @@ class LiveEstimate:
             point.load_n,
             at_rest,
         )
-        self._observer = Observer(model, values, mean, covariance, revolutions)
+        self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
 
     def to_dict(self) -> dict[str, Any] | None:
@@ -148,10 +153,22 @@ class LiveEstimate:
             "speed_rpm": self.point.speed_rpm,
             "load_n": self.point.load_n,
             "ambient_c": self.point.ambient_c,
+            "ambient_measured": self._ambient_measured,
         }
 
     def restore(self, kept: Mapping[str, Any]) -> None:
-        """Take up an estimate that was kept by `to_dict`."""
-        self._observer = Observer.from_dict(self.active.model, self.active.values, kept["observer"])
-        self.time_us = int(kept["time_us"])
-        self.point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])
+        """Take up an estimate that was kept by `to_dict`.
+
+        Raises
+        ------
+        ValueError
+            If it is not one of this kind of model; the estimate then starts anew.
+        """
+        try:
+            observer = Observer.from_dict(self.active.model, self.active.values, kept["observer"])
+            point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])
+            time_us, ambient_measured = int(kept["time_us"]), bool(kept["ambient_measured"])
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"kept estimate: {error!r}") from error
+        self._observer, self.point, self.time_us = observer, point, time_us
+        self._ambient_measured = ambient_measured
