@@ -76,7 +76,7 @@ class IdentificationResult:
     starts
         Cost that each refinement reached, by name of its start.
     unknowns
-        (d,) parameters and initial states, for further use with the same data.
+        (d,) parameters, lag and initial states, for further use with the same data.
     """
 
     posterior: Posterior

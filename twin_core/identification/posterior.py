@@ -7,7 +7,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.identification.priors import prior_correlation
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
@@ -88,8 +87,8 @@ class Posterior:
     cost_per_residual
         Mean squared whitened residual; about 1 or less for a good fit.
     rank, condition
-        Numerical rank and condition number of the whitened sensitivities, initial states
-        eliminated. 0 and 1 before any identification.
+        Numerical rank and condition number of the whitened sensitivities, lag and
+        initial states eliminated. 0 and 1 before any identification.
     informed_combinations
         Parameter combinations that the data determine better than the prior does.
     trained
@@ -222,7 +221,7 @@ def prior_posterior(model: ThermalModel) -> Posterior:
         model.name,
         model.bearing.designation,
         np.zeros(p),
-        prior_correlation(model),
+        np.eye(p),
         np.empty((0, p)),
         {},
         0.0,
@@ -252,17 +251,14 @@ def posterior_at(
     residuals = problem.residuals(unknowns)[0]
     jacobian = problem.jacobian(unknowns, residuals, central=True)
     of_z, of_w = jacobian[:m, :p], jacobian[:m, p:]
-    # Sensitivities to the parameters with the initial states regressed out, priors included.
+    # Sensitivities to the parameters with lag and initial states regressed out, priors included.
     stacked = np.concatenate((of_w, np.eye(of_w.shape[1])))
     basis, _ = np.linalg.qr(stacked)
     free = np.concatenate((of_z, np.zeros((of_w.shape[1], p))))
     free -= basis @ (basis.T @ free)
-    # In coordinates whose prior is independent. Padded: with few data, directions without any.
-    root = np.linalg.cholesky(prior_correlation(problem.model))
-    padded = np.concatenate((free @ root, np.zeros((p, p))))
+    padded = np.concatenate((free, np.zeros((p, p))))  # with few data, directions without any
     _, singular, directions = np.linalg.svd(padded, full_matrices=False)
-    spread = root @ directions.T
-    covariance = (spread / (1.0 + singular**2)) @ spread.T
+    covariance = (directions.T / (1.0 + singular**2)) @ directions
     windows = problem.data.windows
     largest = float(singular[0])
     smallest = max(float(singular[-1]), largest * 1e-16, 1e-300)

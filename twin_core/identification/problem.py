@@ -1,10 +1,10 @@
 """The identification of one model from one data set as a least-squares problem.
 
-Unknowns are the model's standard coordinates z (prior N(0, 1) each, see `priors`), the lag of the
-temperature sensors, and for every window standard coordinates of its initial temperatures: around
-what its first measurements suggest, or one common deviation from ambient if the machine stood at
-rest. Residuals are those of all sensors, whitened, and the unknowns themselves (their priors,
-whitened too); half the sum of their squares is the negative log posterior.
+Unknowns are the model's standard coordinates z (prior N(0, 1) each), the lag of the temperature
+sensors, and for every window standard coordinates of its initial temperatures: around what its
+first measurements suggest, or one common deviation from ambient if the machine stood at rest.
+Residuals are those of all sensors, whitened, and the unknowns themselves (their priors); half the
+sum of their squares is the negative log posterior.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.priors import prior_correlation
 from twin_core.identification.whitening import Whitening, whitening
 from twin_core.models import ThermalModel
 from twin_core.observer import initial_state
@@ -115,10 +114,6 @@ class IdentificationProblem:
         self.lower: FloatArray = np.concatenate((model.parameters.z_lower, lag[:1], -limit))
         self.upper: FloatArray = np.concatenate((model.parameters.z_upper, lag[1:], limit))
         self._nuisance_sensitivity: FloatArray | None = None
-        # Whitens the unknowns' priors; lag and initial states are independent of all others.
-        self._prior: FloatArray = np.eye(unknown)
-        p = self.parameter_count
-        self._prior[:p, :p] = np.linalg.inv(np.linalg.cholesky(prior_correlation(model)))
 
     # ------------------------------------------------------------------ residuals
     def residuals(self, unknowns: FloatArray) -> FloatArray:
@@ -140,7 +135,7 @@ class IdentificationProblem:
         for span in self._spans:
             measured[:, span.residuals] = self._whitened(span, batch)
         measured[~np.all(np.isfinite(measured), axis=1)] = np.nan
-        return np.concatenate((measured, batch @ self._prior.T), axis=1)
+        return np.concatenate((measured, batch), axis=1)
 
     def _temperatures(self, span: _Span, batch: FloatArray) -> FloatArray:
         values = self.model.parameters.values_from_z(batch[:, : self.parameter_count])
@@ -187,7 +182,7 @@ class IdentificationProblem:
             backward = np.where(forward > 0.0, 0.0, backward)
         centre = self.residuals(unknowns)[0] if at is None else at
         jacobian = np.zeros((self.measurement_count + d, d))
-        jacobian[self.measurement_count :] = self._prior
+        jacobian[self.measurement_count :] = np.eye(d)
         used = 0
         for span in self._spans:
             own = np.concatenate(
