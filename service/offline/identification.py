@@ -145,7 +145,7 @@ def identify_recording(
     """
     model = build_model(model_name, bearing=bearing(designation))
     minutes = minute_rows(recording)
-    data = _data_set(recording, minutes, at_rest)
+    data = data_set(recording, minutes, at_rest)
     try:
         result = identify(model, data, method=method, budget=budget, seed=seed, progress=progress)
     except ValueError as error:
@@ -166,8 +166,14 @@ def identify_recording(
     )
 
 
-def _data_set(recording: Recording, minutes: MinuteData, at_rest: bool) -> IdentificationData:
-    """Windows of at least three rows with a temperature; the others can teach nothing."""
+def data_set(recording: Recording, minutes: MinuteData, at_rest: bool) -> IdentificationData:
+    """Windows of at least three rows with a temperature; shorter ones can teach nothing.
+
+    Raises
+    ------
+    UnusableDataError
+        If there is none, or the first row contradicts ``at_rest``.
+    """
     sensors = [name for name, values in minutes.temperatures_c.items() if np.isfinite(values).any()]
     if not minutes.good.any() or not sensors:
         what = "temperature" if minutes.good.any() else "speed_rpm, load_n and ambient_c"

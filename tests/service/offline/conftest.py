@@ -1,0 +1,71 @@
+"""A bench run, a model that needs no fit, and how to call the command line on files."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
+from service.cli.main import app
+from service.offline.model_file import IdentifiedModel, RunIn
+from twin_core.bearings import bearing
+from twin_core.identification import prior_posterior
+from twin_core.models import build_model
+
+from .files import HEADER, STEPS, Run
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    bench = BenchParameters.for_bearing("6311")
+    profile = scenario_profile(Scenario("test", "test", "6311", STEPS), bench, seed=5)
+    truth = simulate(profile, bench)
+    shown = measure(profile, truth, seed=5)
+    return Run(
+        np.stack([getattr(shown, name) for name in HEADER], axis=1),
+        truth.t_inner_ring_c,
+        truth.t_outer_ring_c,
+    )
+
+
+@pytest.fixture
+def prior_model(tmp_path: Path) -> Path:
+    """A model file with prior parameters, as if identified from six hours at rest."""
+    model = build_model("default", bearing=bearing("6311"))
+    time_s = np.array([0.0, 21600.0])
+    run_in = RunIn(None, True, time_s, np.array([0.0, 540_000.0]), {})
+    path = tmp_path / "prior.json"
+    IdentifiedModel(model, prior_posterior(model), run_in).save(path)
+    return path
+
+
+@pytest.fixture
+def command() -> Callable[..., Any]:
+    """Run a command that must succeed; gives its JSON document, or its text without --json."""
+
+    def call(*arguments: object) -> Any:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        assert result.exit_code == 0, result.output + repr(result.exception)
+        return json.loads(result.stdout) if "--json" in arguments else result.stdout
+
+    return call
+
+
+@pytest.fixture
+def complaint() -> Callable[..., str]:
+    """Run a command that must refuse its input; gives the one line that the user gets."""
+
+    def call(*arguments: object) -> str:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        error = result.exception
+        # What `main` turns into one line and exit status 2.
+        assert isinstance(error, ValueError), result.output + repr(error)
+        assert type(error).__module__.startswith(("service.", "twin_core.", "adapters."))
+        assert "\n" not in str(error)
+        return str(error)
+
+    return call
