@@ -23,6 +23,7 @@ from service.live import presentation, warnings
 from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
 from service.live.bus import Bus
 from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.guard import Guard
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.settings import AssetSection
@@ -108,6 +109,9 @@ class AssetRuntime:
         self._crossings: dict[str, dict[str, LimitCrossing]] = {}
         self._forecast_wanted = asyncio.Event()
         self._unsent: dict[str, Sample] = {}
+        self._estimating = Guard("estimate", settings.id)
+        self._forecasting = Guard("forecast", settings.id)
+        self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
         self._step_s = max(STEP_S, 0.1 * clock.rate)
@@ -186,8 +190,10 @@ class AssetRuntime:
                 self.readings.quality(channel, now_us),
                 rfc3339(sample.time_us) if sample else self._began,
             )
-        tags |= self._estimate_tags()
-        tags |= self._forecast_tags()
+        tags |= presentation.estimate_tags(self.estimate, self._began)
+        tags |= presentation.forecast_tags(
+            self.settings.limits, self._forecast, self._crossings, self._began
+        )
         active = self._alarms.active(self.id)
         unacknowledged = sum(alarm.state in UNACKNOWLEDGED_STATES for alarm in active)
         present = sum(alarm.state in ACTIVE_STATES for alarm in active)
@@ -197,68 +203,9 @@ class AssetRuntime:
         tags["model.version"] = presentation.tag(self.active.version, "", good, self._switched)
         return {"tags": tags}
 
-    def _estimate_tags(self) -> dict[str, dict[str, Any]]:
-        model, quality = self.active.model, Quality.GOOD
-        names = [*model.sensor_names, *model.node_names]
-        if not self.estimate.started:
-            waiting = Quality.WAITING_FOR_INITIAL_DATA
-            return {
-                f"{name}.twin": presentation.tag(None, "°C", waiting, self._began) for name in names
-            }
-        temperatures = self.estimate.observer.temperatures_c
-        made = rfc3339(self.estimate.time_us or 0)
-        return {
-            f"{name}.twin": presentation.tag(
-                round(float(model.sensor_row(name) @ temperatures), 3), "°C", quality, made
-            )
-            for name in names
-        }
-
-    def _forecast_tags(self) -> dict[str, dict[str, Any]]:
-        tags: dict[str, dict[str, Any]] = {}
-        for sensor in self.settings.limits:
-            ready = self._forecast is not None and sensor in self._crossings
-            quality = Quality.GOOD if ready else Quality.WAITING_FOR_INITIAL_DATA
-            made, maximum, crossings = self._began, None, {}
-            if self._forecast is not None and ready:
-                made = self._forecast["made_at"]
-                maximum = max(
-                    (v for v in self._forecast["nodes"][sensor]["q50"] if v is not None),
-                    default=None,
-                )
-                crossings = self._crossings[sensor]
-            tags[f"{sensor}.forecast_max"] = presentation.tag(maximum, "°C", quality, made)
-            for level in ("warning", "alarm"):
-                crossing = crossings.get(level)
-                tags[f"{sensor}.time_to_{level}_s"] = presentation.tag(
-                    crossing.median_s if crossing else None, "s", quality, made
-                )
-        return tags
-
     def state(self) -> Mapping[str, Any]:
         """Mean and standard deviation of the 13 node temperatures."""
-        if not self.estimate.started:
-            return {
-                "time": rfc3339(self._clock.now_us()),
-                "model_version": self.active.version,
-                "nodes": {
-                    name: {"mean_c": None, "std_c": None} for name in self.active.model.node_names
-                },
-            }
-        observer = self.estimate.observer
-        return {
-            "time": rfc3339(self.estimate.time_us or 0),
-            "model_version": self.active.version,
-            "nodes": {
-                name: {"mean_c": round(float(mean), 3), "std_c": round(float(std), 3)}
-                for name, mean, std in zip(
-                    self.active.model.node_names,
-                    observer.temperatures_c,
-                    observer.std_c,
-                    strict=True,
-                )
-            },
-        }
+        return presentation.state_json(self.estimate, self._clock.now_us())
 
     def forecast(self) -> Mapping[str, Any] | None:
         """Return the latest live forecast; None before the first."""
@@ -321,27 +268,31 @@ class AssetRuntime:
     async def run(self, kept_state: Mapping[str, Any] | None) -> None:
         """Follow the machine until cancelled."""
         if kept_state is not None:
-            self.estimate.restore(kept_state)
+            self._restore(kept_state)
         self.running = True
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._follow())
                 tasks.create_task(self._forecast_live())
                 tasks.create_task(self._tell_measurements())
+                tasks.create_task(self._keep())
         finally:
             self.running = False
             await self._save()
 
+    def _restore(self, kept_state: Mapping[str, Any]) -> None:
+        try:
+            self.estimate.restore(kept_state)
+        except ValueError as error:
+            _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
+
     async def _follow(self) -> None:
-        told_wall_s = saved_wall_s = time.monotonic()
+        told_wall_s = time.monotonic()
         stored_us = 0
         while True:
             await self._clock.sleep(self._step_s)
             now_us = self._clock.now_us()
-            had_started = self.estimate.started
-            self.estimate.step(now_us, self.readings.take_means())
-            if self.estimate.started and not had_started:
-                self._forecast_wanted.set()
+            self._step(now_us)
             self._evaluate(now_us)
             wall_s = time.monotonic()
             if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
@@ -350,9 +301,21 @@ class AssetRuntime:
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
                 self._store_estimate(now_us)
                 stored_us = now_us
-            if wall_s - saved_wall_s >= SAVE_EVERY_WALL_S:
-                await self._save()
-                saved_wall_s = wall_s
+
+    def _step(self, now_us: int) -> None:
+        had_started = self.estimate.started
+        with self._estimating():
+            self.estimate.step(now_us, self.readings.take_means())
+        if self._estimating.failing:
+            self.estimate.stop()
+        if self.estimate.started and not had_started:
+            self._forecast_wanted.set()
+
+    async def _keep(self) -> None:
+        """Keep the estimate from time to time, however long the store takes for it."""
+        while True:
+            await asyncio.sleep(SAVE_EVERY_WALL_S)
+            await self._save()
 
     def _evaluate(self, now_us: int) -> None:
         conditions: list[AlarmCondition] = [
@@ -369,7 +332,8 @@ class AssetRuntime:
                 await asyncio.wait_for(self._forecast_wanted.wait(), period_wall_s)
             self._forecast_wanted.clear()
             if self.estimate.started:
-                await self._make_forecast()
+                with self._forecasting():
+                    await self._make_forecast()
             await asyncio.sleep(FORECAST_LEAST_WALL_S)
 
     async def _make_forecast(self) -> None:
@@ -466,7 +430,8 @@ class AssetRuntime:
     async def _save(self) -> None:
         kept = self.estimate.to_dict()
         if kept is not None:
-            await self._save_state(kept)
+            with self._saving():
+                await self._save_state(kept)
 
 
 def _forecast(*arguments: Any) -> Forecast:

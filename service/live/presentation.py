@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.samples import Quality
+from service.clock import rfc3339
 from service.live.ahead import Step
+from service.live.estimate import LiveEstimate
 from service.settings import Limits
 from twin_core.forecasting import Forecast
 
@@ -37,14 +40,17 @@ class LimitCrossing:
 def limit_crossings(
     forecast: Forecast, limits: Mapping[str, Limits]
 ) -> dict[str, dict[str, LimitCrossing]]:
-    """Crossings of every warning and alarm limit, by channel and level."""
+    """Crossings of every warning and alarm limit of a sensor, by channel and level.
+
+    A node has none: a forecast keeps the members' paths of the sensors alone.
+    """
     return {
         channel: {
             level: _crossing(forecast, channel, getattr(pair, level))
             for level in ("warning", "alarm")
         }
         for channel, pair in limits.items()
-        if channel in forecast.names
+        if channel in forecast.sensors
     }
 
 
@@ -81,6 +87,68 @@ def forecast_json(
         "labels": list(forecast.labels),
         "runaway_probability": float(forecast.runaway_probability),
     }
+
+
+def estimate_tags(estimate: LiveEstimate, began: str) -> dict[str, dict[str, Any]]:
+    """Tags ``<name>.twin`` of all sensors and nodes; ``began`` dates them before the first."""
+    model = estimate.active.model
+    names = [*model.sensor_names, *model.node_names]
+    if not estimate.started:
+        waiting = Quality.WAITING_FOR_INITIAL_DATA
+        return {f"{name}.twin": tag(None, "°C", waiting, began) for name in names}
+    temperatures = estimate.observer.temperatures_c
+    made = rfc3339(estimate.time_us or 0)
+    return {
+        f"{name}.twin": tag(
+            round(float(model.sensor_row(name) @ temperatures), 3), "°C", Quality.GOOD, made
+        )
+        for name in names
+    }
+
+
+def forecast_tags(
+    limits: Mapping[str, Limits],
+    forecast: Mapping[str, Any] | None,
+    crossings: Mapping[str, Mapping[str, LimitCrossing]],
+    began: str,
+) -> dict[str, dict[str, Any]]:
+    """Tags of the forecast's maximum and the times to the limits, for every limited channel."""
+    tags: dict[str, dict[str, Any]] = {}
+    for channel in limits:
+        maximum, made = None, began
+        if forecast is not None and channel in forecast["nodes"]:
+            made = forecast["made_at"]
+            medians = forecast["nodes"][channel]["q50"]
+            maximum = max((value for value in medians if value is not None), default=None)
+        waiting = Quality.WAITING_FOR_INITIAL_DATA
+        tags[f"{channel}.forecast_max"] = tag(
+            maximum, "°C", waiting if maximum is None else Quality.GOOD, made
+        )
+        levels = crossings.get(channel, {})
+        for level in ("warning", "alarm"):
+            # No time and a good quality: the limit is not passed within the horizon.
+            known = level in levels
+            tags[f"{channel}.time_to_{level}_s"] = tag(
+                levels[level].median_s if known else None,
+                "s",
+                Quality.GOOD if known else waiting,
+                made,
+            )
+    return tags
+
+
+def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
+    """Mean and standard deviation of the node temperatures, null before the first data."""
+    active = estimate.active
+    nodes: dict[str, dict[str, float | None]] = {
+        name: {"mean_c": None, "std_c": None} for name in active.model.node_names
+    }
+    time_us = now_us
+    if estimate.started:
+        observer, time_us = estimate.observer, estimate.time_us or now_us
+        for name, mean, std in zip(nodes, observer.temperatures_c, observer.std_c, strict=True):
+            nodes[name] = {"mean_c": round(float(mean), 3), "std_c": round(float(std), 3)}
+    return {"time": rfc3339(time_us), "model_version": active.version, "nodes": nodes}
 
 
 def steps_json(steps: Sequence[Step]) -> list[dict[str, float]]:

@@ -42,13 +42,16 @@ class Readings:
     _means: dict[str, _Mean] = field(default_factory=dict)
 
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
-        """Take in samples; returns those of this asset."""
-        mine = [sample for sample in samples if sample.asset == self.asset]
-        for sample in mine:
+        """Take in samples; returns those of this asset that are news, not late."""
+        news: list[Sample] = []
+        for sample in samples:
+            if sample.asset != self.asset:
+                continue
             known = self.latest.get(sample.channel)
             if known is not None and _is_late(sample, known):
                 continue  # late data belong in the store, not on the screen
             self.latest[sample.channel] = sample
+            news.append(sample)
             if not (is_good(sample.quality) and math.isfinite(sample.value)):
                 continue
             if self._age_s(sample, sample.received_us) > self.max_age_s[sample.channel]:
@@ -56,7 +59,7 @@ class Readings:
             mean = self._means.setdefault(sample.channel, _Mean())
             mean.total += sample.value
             mean.count += 1
-        return mine
+        return news
 
     def take_means(self) -> dict[str, float]:
         """Means of the good samples since the last call, by channel."""

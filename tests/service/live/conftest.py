@@ -1,0 +1,183 @@
+"""A live asset on a real store, alarm book and bus; the test plays the drivers."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
+from service.alarms import AlarmBook, alarm_document
+from service.clock import ProcessClock
+from service.live.asset import AssetRuntime
+from service.live.bus import Bus, Subscription
+from service.live.estimate import ActiveModel
+from service.settings import AssetSection
+from service.store import Store
+from service.wiring import ChannelFacts
+from twin_core.bearings import bearing
+from twin_core.identification.posterior import prior_posterior
+from twin_core.models import build_model
+
+RATE = 600.0
+CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
+REST = {
+    "speed_rpm": 0.0,
+    "load_n": 2650.0,
+    "ambient_c": 23.0,
+    "t_inner_ring_c": 23.1,
+    "t_outer_ring_c": 22.9,
+}
+
+
+def version(number: int = 1, designation: str = "6311", z: float = 0.0) -> ActiveModel:
+    """A version of the model of 6311, its parameters z standard deviations off the priors."""
+    prior = prior_posterior(build_model("default", bearing=bearing(designation)))
+    document = prior.to_dict() | {"z": (prior.z + z).tolist()}
+    model = build_model("default", bearing=bearing("6311"))
+    return ActiveModel(number, model, type(prior).from_dict(document), None)
+
+
+def asset_section(channels: Sequence[str] = CHANNELS, **changes: Any) -> AssetSection:
+    document = {
+        "id": "bench-1",
+        "bearing": "6311",
+        "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3400},
+        "limits": {"t_inner_ring_c": {"warning": 70, "alarm": 95}},
+        "channels": {name: {"source": "push"} for name in channels},
+    }
+    return AssetSection.model_validate(document | changes)
+
+
+@dataclass
+class Live:
+    """A runtime, and what it handed on."""
+
+    runtime: AssetRuntime
+    clock: ProcessClock
+    store: Store
+    bus: Bus
+    alarms: AlarmBook
+    saved: list[Mapping[str, Any]] = field(default_factory=list)
+    stored: list[Sample] = field(default_factory=list)
+    store_is_away: bool = False
+    task: asyncio.Task[None] | None = None
+
+    def start(self, kept: Mapping[str, Any] | None = None) -> None:
+        self.task = asyncio.create_task(self.runtime.run(kept))
+
+    async def stop(self) -> None:
+        assert self.task is not None
+        self.task.cancel()
+        await asyncio.gather(self.task, return_exceptions=True)
+
+    def feed(self, values: Mapping[str, float], quality: int = Quality.GOOD) -> None:
+        now_us = self.clock.now_us()
+        self.runtime.take(
+            [Sample("bench-1", name, now_us, value, quality, now_us) for name, value in
+             values.items()], [],
+        )  # fmt: skip
+
+    def plan(self, *steps: tuple[float, float, float], before_s: float = 0.0) -> None:
+        time_us = self.clock.now_us() - round(before_s * 1e6)
+        plan = PlannedProfile("bench-1", time_us, tuple(PlanStep(*step) for step in steps))
+        self.runtime.take([], [plan])
+
+    async def until(
+        self,
+        look: Callable[[], Any],
+        what: str,
+        feeding: Mapping[str, float] | None = None,
+        timeout_s: float = 10.0,
+    ) -> Any:
+        """Wait until something is there; the machine goes on sending meanwhile."""
+        async with asyncio.timeout(timeout_s):
+            while not (found := look()):
+                assert self.task is None or not self.task.done(), f"the twin ended before {what}"
+                if feeding is not None:
+                    self.feed(feeding)
+                await asyncio.sleep(0.02)
+        return found
+
+    def tag(self, name: str) -> dict[str, Any]:
+        tag: dict[str, Any] = self.runtime.snapshot()["tags"][name]
+        return tag
+
+    def subscribe(self) -> Subscription:
+        return self.bus.subscribe()
+
+
+@pytest.fixture
+def machine_at_rest() -> dict[str, float]:
+    return dict(REST)
+
+
+@pytest.fixture
+def make_version() -> Callable[..., ActiveModel]:
+    return version
+
+
+@pytest.fixture
+def make_section() -> Callable[..., AssetSection]:
+    return asset_section
+
+
+@pytest.fixture
+def executor() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+@pytest.fixture
+async def make_live(
+    tmp_path: Path, executor: ThreadPoolExecutor
+) -> AsyncIterator[Callable[..., Live]]:
+    """Make a live asset of given settings and model; all are stopped at the end."""
+    made: list[Live] = []
+    clock = ProcessClock(RATE)
+    store = Store.open("", tmp_path)
+    bus = Bus(clock)
+
+    def make(
+        settings: AssetSection | None = None,
+        active: ActiveModel | None = None,
+        max_age_s: float = 10.0,
+    ) -> Live:
+        section = settings or asset_section()
+        book = AlarmBook(
+            store, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
+        )
+
+        async def save_state(document: Mapping[str, Any]) -> None:
+            if live.store_is_away:
+                raise OSError("no space left on device")
+            live.saved.append(document)
+
+        async def windows() -> Sequence[Mapping[str, Any]]:
+            return []
+
+        runtime = AssetRuntime(
+            section,
+            {name: ChannelFacts("push", max_age_s) for name in section.channels},
+            active or version(),
+            clock=clock,
+            bus=bus,
+            alarms=book,
+            executor=executor,
+            store_samples=lambda samples: live.stored.extend(samples),
+            save_state=save_state,
+            windows=windows,
+        )
+        live = Live(runtime, clock, store, bus, book)
+        made.append(live)
+        return live
+
+    yield make
+    for live in made:
+        if live.task is not None:
+            await live.stop()
+        live.alarms.close()
+    store.close()

@@ -1,0 +1,261 @@
+"""One live asset: it follows the machine whatever happens to its parts."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from adapters.samples import Quality, Sample
+from service.api.context import NODES, NotReadyError, ProfileStep
+
+WARM = {
+    "speed_rpm": 2400.0,
+    "load_n": 2650.0,
+    "ambient_c": 23.0,
+    "t_inner_ring_c": 55.0,
+    "t_outer_ring_c": 38.0,
+}
+STEPS = [ProfileStep(duration_s=1800.0, speed_rpm=2400.0, load_n=2650.0)]
+
+
+async def running(live: Any, values: dict[str, float]) -> None:
+    live.start()
+    await live.until(lambda: live.runtime.estimate.started, "a start", values)
+
+
+async def test_it_starts_with_the_first_good_values_and_forecasts(
+    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
+) -> None:
+    live = make_live()
+    live.start()
+    assert live.tag("t_node_7_c.twin")["quality"] == Quality.WAITING_FOR_INITIAL_DATA
+    assert live.runtime.state()["nodes"]["t_node_7_c"] == {"mean_c": None, "std_c": None}
+    assert live.runtime.forecast() is None
+    with pytest.raises(NotReadyError):
+        await live.runtime.what_if(STEPS, None, None)
+    forecast = await live.until(live.runtime.forecast, "a forecast", machine_at_rest)
+    assert forecast["model_version"] == 1
+    assert forecast["planned"] is False
+    assert forecast["time_s"][-1] == 4 * 3600
+    assert live.tag("t_node_7_c.twin")["value"] == pytest.approx(23.0, abs=0.5)
+    assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.GOOD
+    assert live.runtime.summary()["health"] == {
+        "status": "good",
+        "twin_running": True,
+        "channels_without_good_data": [],
+    }
+
+
+async def test_no_stale_value_is_shown_as_live(
+    make_live: Callable[..., Any], machine_at_rest: dict[str, float]
+) -> None:
+    live = make_live()
+    await running(live, machine_at_rest)
+    await live.until(
+        lambda: live.tag("t_inner_ring_c")["quality"] == Quality.LAST_KNOWN, "a stale value"
+    )
+    assert live.tag("t_inner_ring_c")["value"] is None
+    assert live.tag("t_node_7_c.twin")["value"] is not None, "the twin goes on alone"
+    assert "t_inner_ring_c" in live.runtime.summary()["health"]["channels_without_good_data"]
+
+
+async def test_a_forecast_that_fails_does_not_end_the_twin(
+    make_live: Callable[..., Any], make_version: Callable[..., Any]
+) -> None:
+    live = make_live(active=make_version(1, designation="6016"))  # not the asset's bearing
+    await running(live, WARM)
+    began_us = live.runtime.estimate.time_us
+    await live.until(
+        lambda: live.runtime.estimate.time_us > began_us + 600 * 1_000_000, "steps", WARM
+    )
+    assert live.runtime.forecast() is None
+    assert live.runtime.running
+    live.runtime.switch(make_version(2))
+    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    assert forecast["model_version"] == 2
+
+
+async def test_an_absurd_value_does_not_end_the_twin(make_live: Callable[..., Any]) -> None:
+    """Nothing bounds a pushed value; the model runs away from this one and starts anew."""
+    live = make_live()
+    await running(live, WARM)
+    absurd = WARM | {"t_inner_ring_c": 1e300}
+    await live.until(lambda: not live.runtime.estimate.started, "the failure", absurd)
+    assert live.tag("t_node_7_c.twin")["value"] is None
+    await live.until(
+        lambda: (live.tag("t_inner_ring_c.twin")["value"] or 0) == pytest.approx(55.0, abs=1.5),
+        "a new start",
+        WARM,
+    )
+
+
+async def test_a_store_that_takes_no_state_does_not_end_the_twin(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    live.store_is_away = True
+    await running(live, WARM)
+    await asyncio.sleep(5.5)  # the state is kept every 5 wall seconds
+    assert not live.saved
+    assert live.runtime.running
+    live.store_is_away = False
+    await live.stop()
+    assert live.saved, "kept once more at the end"
+    assert live.task.cancelled()
+
+
+async def test_what_was_kept_is_taken_up(make_live: Callable[..., Any]) -> None:
+    first = make_live()
+    await running(first, WARM)
+    await first.until(lambda: first.runtime.estimate.observer.revolutions > 0, "turning", WARM)
+    await first.stop()
+    kept = json.loads(json.dumps(first.saved[-1]))
+    second = make_live()
+    second.start(kept)
+    await asyncio.sleep(0)
+    assert second.runtime.estimate.started
+    before = first.runtime.estimate.observer
+    assert second.runtime.estimate.observer.revolutions == before.revolutions
+    assert second.runtime.estimate.observer.sensor("t_inner_ring_c") == pytest.approx(
+        before.sensor("t_inner_ring_c")
+    )
+
+
+@pytest.mark.parametrize("kept", [{}, {"observer": {"state": []}, "time_us": 1}])
+async def test_a_kept_state_of_another_kind_is_left_aside(
+    make_live: Callable[..., Any], kept: dict[str, Any]
+) -> None:
+    live = make_live()
+    live.start(kept)
+    await live.until(lambda: live.runtime.estimate.started, "a start", WARM)
+
+
+async def test_a_switch_leaves_no_gap(
+    make_live: Callable[..., Any], make_version: Callable[..., Any]
+) -> None:
+    live = make_live()
+    await running(live, WARM)
+    before = live.tag("t_node_7_c.twin")["value"]
+    live.runtime.switch(make_version(2, z=0.2))
+    assert live.tag("t_node_7_c.twin")["value"] == before
+    assert live.tag("model.version")["value"] == 2
+    assert live.runtime.state()["model_version"] == 2
+    await live.until(
+        lambda: (live.runtime.forecast() or {}).get("model_version") == 2, "its forecast", WARM
+    )
+
+
+async def test_the_plan_is_followed_while_it_is_fresh(make_live: Callable[..., Any]) -> None:
+    live = make_live()
+    live.plan((1800.0, 2400.0, 2650.0), (3600.0, 6200.0, 5500.0))
+    live.start()
+    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    assert forecast["planned"] is True
+    assert [step["speed_rpm"] for step in forecast["profile"]] == [2400.0, 6200.0]
+    controller = live.runtime.summary()["controller"]
+    assert [step["load_n"] for step in controller["plan"]] == [2650.0, 5500.0]
+    # A controller that has fallen silent (30 s, here 1.5 s of wall time) plans nothing.
+    held = await live.until(
+        lambda: (f := live.runtime.forecast()) and not f["planned"] and f, "the point held", WARM
+    )
+    assert [step["speed_rpm"] for step in held["profile"]] == [2400.0]
+
+
+async def test_a_plan_for_a_hot_stage_raises_the_forecast_alarm(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    subscription = live.subscribe()
+    live.plan((600.0, 2400.0, 2650.0), (14_400.0, 12_000.0, 20_000.0))
+    live.start()
+    alarm = await live.until(
+        lambda: next((a for a in live.alarms.active() if a.kind == "forecast limit"), None),
+        "the alarm",
+        WARM,
+    )
+    assert alarm.predicted
+    assert alarm.channel == "t_inner_ring_c"
+    assert alarm.probability > 0.2
+    assert 0 < alarm.lead_time_s < 14_400
+    assert (
+        live.tag("t_inner_ring_c.time_to_warning_s")["value"]
+        == pytest.approx(alarm.lead_time_s, abs=600)
+        or alarm.level == "alarm"
+    )
+    seen = set()
+    while "alarm" not in seen:
+        seen.add((await asyncio.wait_for(subscription.get(), 5)).type)
+    assert "forecast" in seen
+
+
+async def test_late_samples_are_not_sent_as_live(make_live: Callable[..., Any]) -> None:
+    live = make_live()
+    subscription = live.subscribe()
+    live.start()
+    now_us = live.clock.now_us()
+    newest = Sample("bench-1", "t_inner_ring_c", now_us, 55.0, 192, now_us)
+    older = Sample("bench-1", "t_inner_ring_c", now_us - 5_000_000, 54.0, 192, now_us)
+    live.runtime.take([newest, older], [])
+    message = await asyncio.wait_for(subscription.get(), 5)
+    while message.type != "measurement":
+        message = await asyncio.wait_for(subscription.get(), 5)
+    (sent,) = json.loads(message.text)["data"]["samples"]
+    assert sent["value"] == 55.0
+
+
+async def test_estimates_go_to_the_store_once_a_minute(make_live: Callable[..., Any]) -> None:
+    live = make_live()
+    await running(live, WARM)
+    await live.until(lambda: len(live.stored) >= 6, "estimates", WARM)
+    channels = {sample.channel for sample in live.stored}
+    assert channels == {"t_inner_ring_c.twin", "t_outer_ring_c.twin"}
+    times = [s.time_us for s in live.stored if s.channel == "t_inner_ring_c.twin"]
+    assert all(b - a >= 59_000_000 for a, b in pairwise(times))
+
+
+async def test_what_if_answers_from_the_present_state(make_live: Callable[..., Any]) -> None:
+    live = make_live()
+    await running(live, WARM)
+    answer = await live.runtime.what_if(STEPS, 600.0, ["t_node_7_c", "t_inner_ring_c"])
+    assert answer["time_s"] == [0.0, 600.0, 1200.0, 1800.0]
+    assert list(answer["nodes"]) == ["t_node_7_c", "t_inner_ring_c"]
+    assert answer["nodes"]["t_inner_ring_c"]["q50"][0] == pytest.approx(55.0, abs=1.5)
+    assert answer["profile"] == [
+        {"duration_s": 1800.0, "speed_rpm": 2400.0, "load_n": 2650.0, "ambient_c": 23.0}
+    ]
+
+
+async def test_an_asset_without_temperatures_only_shows_what_it_has(
+    make_live: Callable[..., Any], make_section: Callable[..., Any]
+) -> None:
+    live = make_live(make_section(("speed_rpm", "load_n")))
+    live.start()
+    await live.until(
+        lambda: live.tag("speed_rpm")["value"] == 1500.0,
+        "speed",
+        {"speed_rpm": 1500.0, "load_n": 2650.0},
+    )
+    await asyncio.sleep(0.3)
+    assert not live.runtime.estimate.started
+    assert live.runtime.summary()["health"]["twin_running"] is False
+    assert live.tag("t_inner_ring_c.forecast_max")["value"] is None
+    assert not live.task.done()
+
+
+async def test_a_limit_on_a_node_is_shown_but_not_predicted(
+    make_live: Callable[..., Any], make_section: Callable[..., Any]
+) -> None:
+    limits = {"t_node_7_c": {"warning": 60, "alarm": 80}}
+    live = make_live(make_section(limits=limits))
+    live.start()
+    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    assert forecast["limits"] == limits
+    assert forecast["time_to_limit"] == {}
+    assert live.tag("t_node_7_c.forecast_max")["value"] == max(
+        forecast["nodes"]["t_node_7_c"]["q50"]
+    )
+    assert live.tag("t_node_7_c.time_to_warning_s")["quality"] < 192
+    assert set(live.runtime.state()["nodes"]) == set(NODES)
