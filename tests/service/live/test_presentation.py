@@ -1,0 +1,162 @@
+"""Forecasts, states and tags as others read them."""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adapters.samples import Quality
+from service.live import presentation
+from service.live.ahead import Step, operating_profile
+from service.live.estimate import LiveEstimate
+from service.live.presentation import LimitCrossing
+from service.settings import Limits
+from twin_core.forecasting import Forecast, forecast
+
+BEGAN = "2026-11-21T08:00:00.000Z"
+START_US = 1_763_700_000_000_000
+LIMITS = {
+    "t_inner_ring_c": Limits(warning=70, alarm=95),
+    "t_outer_ring_c": Limits(warning=65, alarm=80),
+    "t_node_7_c": Limits(warning=60, alarm=80),
+}
+
+
+@pytest.fixture
+def estimate(make_version: Callable[..., Any]) -> LiveEstimate:
+    return LiveEstimate(make_version())
+
+
+@pytest.fixture
+def hot_forecast(make_version: Callable[..., Any]) -> Forecast:
+    active = make_version()
+    profile = operating_profile([Step(7200.0, 9000.0, 12_000.0, 23.0)], 600.0)
+    return forecast(
+        active.model, active.posterior, np.full(13, 23.0), 0.01 * np.eye(13), 0.0, profile,
+        members=50,
+    )  # fmt: skip
+
+
+def body(result: Forecast) -> dict[str, Any]:
+    crossings = presentation.limit_crossings(result, LIMITS)
+    return presentation.forecast_json(result, LIMITS, crossings) | {"made_at": BEGAN}
+
+
+def test_crossings_are_those_of_the_ensemble(hot_forecast: Forecast) -> None:
+    crossings = presentation.limit_crossings(hot_forecast, LIMITS)
+    assert set(crossings) == {"t_inner_ring_c", "t_outer_ring_c"}, "a node has no members kept"
+    crossing = crossings["t_inner_ring_c"]["warning"]
+    assert crossing.probability > 0.5
+    assert crossing.earliest_s is not None
+    assert crossing.median_s is not None
+    assert 0.0 < crossing.earliest_s < crossing.median_s < 7200.0
+    assert crossings["t_inner_ring_c"]["alarm"].probability <= crossing.probability
+
+
+def test_a_forecast_is_plain_json_with_ordered_quantiles(hot_forecast: Forecast) -> None:
+    shown = json.loads(json.dumps(body(hot_forecast), allow_nan=False))
+    assert shown["time_s"] == [600.0 * row for row in range(13)]
+    assert set(shown["nodes"]) == set(hot_forecast.names)
+    for quantiles in shown["nodes"].values():
+        columns = [quantiles[name] for name in presentation.QUANTILE_NAMES]
+        assert (np.diff(np.array(columns), axis=0) >= 0).all()
+        assert all(len(column) == 13 for column in columns)
+    assert shown["limits"]["t_node_7_c"] == {"warning": 60.0, "alarm": 80.0}
+    assert set(shown["time_to_limit"]["t_outer_ring_c"]["alarm"]) == {
+        "probability",
+        "median_s",
+        "earliest_s",
+    }
+    assert shown["labels"] == list(hot_forecast.labels)
+
+
+def test_only_the_wanted_nodes_are_shown(hot_forecast: Forecast) -> None:
+    shown = presentation.forecast_json(hot_forecast, LIMITS, {}, ["t_node_3_c"])
+    assert list(shown["nodes"]) == ["t_node_3_c"]
+
+
+def test_tags_of_an_estimate_that_has_not_started(estimate: LiveEstimate) -> None:
+    tags = presentation.estimate_tags(estimate, BEGAN)
+    assert len(tags) == 15
+    assert set(map(str, tags)) >= {"t_inner_ring_c.twin", "t_node_13_c.twin"}
+    for tag in tags.values():
+        assert tag == {
+            "value": None,
+            "unit": "°C",
+            "quality": int(Quality.WAITING_FOR_INITIAL_DATA),
+            "time": BEGAN,
+        }
+    state = presentation.state_json(estimate, START_US)
+    assert state["nodes"]["t_node_1_c"] == {"mean_c": None, "std_c": None}
+    assert state["time"] == "2025-11-21T04:40:00.000Z"
+
+
+def test_tags_and_state_of_a_running_estimate(
+    estimate: LiveEstimate, machine_at_rest: dict[str, float]
+) -> None:
+    estimate.step(START_US, machine_at_rest)
+    tag = presentation.estimate_tags(estimate, BEGAN)["t_node_7_c.twin"]
+    assert tag["value"] == round(float(estimate.observer.temperatures_c[6]), 3)
+    assert tag["quality"] == Quality.GOOD
+    assert tag["time"] == "2025-11-21T04:40:00.000Z", "when it held, not when it is asked for"
+    state = presentation.state_json(estimate, START_US + 3_000_000)
+    assert state["time"] == tag["time"]
+    assert state["model_version"] == 1
+    assert state["nodes"]["t_node_7_c"] == {
+        "mean_c": tag["value"],
+        "std_c": round(float(estimate.observer.std_c[6]), 3),
+    }
+
+
+def test_forecast_tags_wait_for_the_first_forecast() -> None:
+    tags = presentation.forecast_tags(LIMITS, None, {}, BEGAN)
+    assert len(tags) == 3 * len(LIMITS)
+    for tag in tags.values():
+        assert tag["value"] is None
+        assert tag["quality"] == Quality.WAITING_FOR_INITIAL_DATA
+
+
+def test_forecast_tags_tell_the_peak_and_the_times(hot_forecast: Forecast) -> None:
+    shown, crossings = body(hot_forecast), presentation.limit_crossings(hot_forecast, LIMITS)
+    tags = presentation.forecast_tags(LIMITS, shown, crossings, "never")
+    peak = tags["t_inner_ring_c.forecast_max"]
+    assert peak["value"] == max(shown["nodes"]["t_inner_ring_c"]["q50"])
+    assert (peak["unit"], peak["quality"], peak["time"]) == ("°C", Quality.GOOD, BEGAN)
+    to_warning = tags["t_inner_ring_c.time_to_warning_s"]
+    assert to_warning["value"] == round(crossings["t_inner_ring_c"]["warning"].median_s or 0, 6)
+    assert to_warning["unit"] == "s"
+
+
+def test_a_limit_that_will_not_be_passed_has_no_time_but_a_good_quality(
+    hot_forecast: Forecast,
+) -> None:
+    never = {"warning": LimitCrossing(0.0, None, None), "alarm": LimitCrossing(0.0, None, None)}
+    tags = presentation.forecast_tags(LIMITS, body(hot_forecast), {"t_inner_ring_c": never}, BEGAN)
+    assert tags["t_inner_ring_c.time_to_alarm_s"]["value"] is None
+    assert tags["t_inner_ring_c.time_to_alarm_s"]["quality"] == Quality.GOOD
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(24.700000000000003, 24.7), (math.nan, None), (-math.inf, None), (None, None), (0.0, 0.0)],
+)
+def test_a_tag_shows_numbers_only(value: float | None, shown: float | None) -> None:
+    assert presentation.tag(value, "°C", Quality.GOOD, BEGAN)["value"] == shown
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t_inner_ring_c", "°C"),
+        ("t_node_7_c.twin", "°C"),
+        ("ambient_c", "°C"),
+        ("speed_setpoint_rpm", "rpm"),
+        ("load_n", "N"),
+        ("phase", ""),
+    ],
+)
+def test_units_follow_from_names(name: str, unit: str) -> None:
+    assert presentation.unit_of(name) == unit
