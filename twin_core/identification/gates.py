@@ -192,19 +192,20 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     ]
     if not lasting:
         return []
-    number, hardest = max(lasting, key=lambda found: _demand(found[1]))
+    hard_number, hardest = max(lasting, key=lambda found: _demand(found[1]))
     tests = [
-        _test("extrapolation", data, number, hardest, lambda point: not _as_hard(point, hardest))
+        _test(
+            "extrapolation", data, hard_number, hardest, lambda point: not _as_hard(point, hardest)
+        )
     ]
     number, latest = lasting[-1]
-    if tests[0] is None or latest.start_s != hardest.start_s:
+    if tests[0] is None or (number, latest.start_s) != (hard_number, hardest.start_s):
         tests.append(_test("latest", data, number, latest, lambda _: True))
     found = [test for test in tests if test is not None]
     if found:
         return found
-    number, point = lasting[-1]
-    start_s = point.start_s + 2.0 / 3.0 * point.duration_s
-    third = OperatingPoint(point.speed_rpm, point.load_n, point.end_s - start_s, start_s)
+    start_s = latest.start_s + 2.0 / 3.0 * latest.duration_s
+    third = OperatingPoint(latest.speed_rpm, latest.load_n, latest.end_s - start_s, start_s)
     test = _test("latest", data, number, third, lambda _: True)
     return [test] if test is not None else []
 
