@@ -1,0 +1,222 @@
+"""The forecast ensemble: centre, spread, sensors against nodes, limits, failures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from twin_core.bearings import bearing
+from twin_core.forecasting import QUANTILE_LEVELS, Forecast, forecast
+from twin_core.identification.posterior import Posterior, prior_posterior
+from twin_core.models import ThermalModel, build_model
+from twin_core.simulation import OperatingProfile, simulate, steady_state
+
+SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+RUN_IN = 1.0e7
+
+
+@pytest.fixture(scope="module")
+def model() -> ThermalModel:
+    return build_model(bearing=bearing("6311"))
+
+
+@pytest.fixture(scope="module")
+def known(model: ThermalModel) -> Posterior:
+    """A narrow posterior, as after a rich identification."""
+    prior = prior_posterior(model)
+    return replace(prior, covariance=0.05**2 * np.eye(prior.z.size))
+
+
+def hold(speed_rpm: float, load_n: float, rows: int = 121) -> OperatingProfile:
+    time_s = 60.0 * np.arange(rows, dtype=np.float64)
+    return OperatingProfile(
+        time_s, np.full(rows, speed_rpm), np.full(rows, load_n), np.full(rows, 22.0)
+    )
+
+
+def now(model: ThermalModel, speed_rpm: float = 1500.0) -> tuple[np.ndarray, np.ndarray]:
+    """A steady machine, its nodes known to 0.1 K."""
+    values = model.parameters.centre
+    return steady_state(model, values, speed_rpm, 2650.0, 22.0, RUN_IN), 0.01 * np.eye(13)
+
+
+def test_median_follows_the_simulation_at_the_optimum(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    profile = hold(4200.0, 2650.0)
+    result = forecast(model, known, state, covariance, RUN_IN, profile, members=400)
+    centre = simulate(model, model.parameters.centre, profile, state, RUN_IN).temperatures_c
+    for name in SENSORS:
+        expected = centre @ model.sensor_row(name)
+        assert_allclose(result.quantile(name)[2], expected, atol=0.15)
+    for node, name in enumerate(model.node_names):
+        assert_allclose(result.quantile(name)[2], centre[:, node], atol=0.25)
+
+
+def test_fan_starts_at_the_observed_state_and_opens(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    result = forecast(model, known, state, covariance, RUN_IN, hold(4200.0, 2650.0))
+    for name in SENSORS:
+        quantiles = result.quantile(name)
+        assert quantiles[2, 0] == pytest.approx(float(model.sensor_row(name) @ state), abs=0.05)
+        width = quantiles[4] - quantiles[0]
+        # at the start: state .1, offset .1, white and resolution .06 K
+        assert 0.3 < width[0] < 0.9
+        assert width[-1] > 2.0 * width[0]
+    assert np.all(np.diff(result.quantiles, axis=0) >= 0.0)
+    assert result.quantiles.shape == (len(QUANTILE_LEVELS), 121, 15)
+    assert result.names == (*SENSORS, *model.node_names)
+
+
+def test_spread_agrees_with_linear_propagation(model, known) -> None:  # type: ignore[no-untyped-def]
+    """s^2 = g' C g + deviation^2 for a narrow posterior and an exactly known state."""
+    state, _ = now(model)
+    profile = hold(4200.0, 2650.0)
+    result = forecast(model, known, state, np.zeros((13, 13)), RUN_IN, profile, members=1000)
+    row, step = model.sensor_row("t_node_4_c"), 1e-3
+    gradient = np.empty(known.z.size)
+    for k in range(known.z.size):
+        ends = []
+        for sign in (step, -step):
+            z = np.zeros(known.z.size)
+            z[k] = sign
+            values = model.parameters.values_from_z(z)
+            ends.append(simulate(model, values, profile, state, RUN_IN).temperatures_c[-1] @ row)
+        gradient[k] = (ends[0] - ends[1]) / (2.0 * step)
+    expected = float(np.sqrt(gradient @ known.covariance @ gradient + 0.25**2))
+    quantiles = result.quantile("t_node_4_c")[:, -1]
+    assert (quantiles[4] - quantiles[0]) / (2 * 1.96) == pytest.approx(expected, rel=0.12)
+    assert (quantiles[3] - quantiles[1]) / (2 * 0.6745) == pytest.approx(expected, rel=0.12)
+
+
+def test_samples_of_the_posterior_are_used_when_there_are_any(model) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    prior = prior_posterior(model)
+    tight = replace(prior, samples=np.zeros((10, prior.z.size)))
+    profile = hold(6200.0, 5500.0)
+    wide_fan = forecast(model, prior, state, covariance, RUN_IN, profile)
+    tight_fan = forecast(model, tight, state, covariance, RUN_IN, profile)
+    width = [
+        float(np.ptp(fan.quantile("t_inner_ring_c")[[0, 4], -1])) for fan in (wide_fan, tight_fan)
+    ]
+    assert width[1] < 2.0 < 10.0 < width[0]
+
+
+def test_same_seed_same_forecast(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    profile = hold(4200.0, 2650.0, 31)
+    first, same, other = (
+        forecast(model, known, state, covariance, RUN_IN, profile, seed=seed) for seed in (1, 1, 2)
+    )
+    assert_array_equal(first.quantiles, same.quantiles)
+    assert np.any(first.quantiles != other.quantiles)
+
+
+def test_a_sensor_is_less_certain_than_the_node_beneath(model, known) -> None:  # type: ignore[no-untyped-def]
+    """Offset, noise and resolution belong to the measured value only."""
+    state, covariance = now(model)
+    result = forecast(model, known, state, 0.0 * covariance, RUN_IN, hold(1500.0, 2650.0, 3))
+    start = result.quantiles[4, 0] - result.quantiles[0, 0]
+    assert np.all(start[:2] > 0.3)
+    assert_allclose(start[2:], 0.0, atol=1e-9)
+
+
+def test_irregular_rows_and_a_change_on_the_way(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    profile = OperatingProfile(
+        np.array([0.0, 7.0, 60.0, 61.5, 1800.0, 7200.0]),
+        np.array([1500.0, 1500.0, 1500.0, 6200.0, 6200.0, 6200.0]),
+        np.full(6, 2650.0),
+        np.full(6, 22.0),
+    )
+    result = forecast(model, known, state, covariance, RUN_IN, profile)
+    median = result.quantile("t_inner_ring_c")[2]
+    assert median[3] == pytest.approx(median[0], abs=0.2)
+    assert median[5] > median[4] > median[3] + 5.0
+
+
+def test_a_runaway_counts_as_over_every_limit_and_is_reported(model) -> None:  # type: ignore[no-untyped-def]
+    prior = prior_posterior(model)
+    state, covariance = now(model)
+    samples = np.zeros((4, prior.z.size))
+    # in one of four samples friction is huge and grows with temperature
+    index = model.parameters.index
+    samples[0, index("M0")] = 4.0
+    samples[0, index("q")] = -4.0
+    samples[0, index("s")] = 4.0
+    spoilt = replace(prior, samples=samples)
+    result = forecast(model, spoilt, state, covariance, RUN_IN, hold(6200.0, 5500.0, 241))
+    assert result.runaway_probability == pytest.approx(0.25)
+    assert "runaway not excluded" in result.labels
+    assert result.exceedance("t_inner_ring_c", 129.0).probability == pytest.approx(0.25)
+    assert np.all(np.isfinite(result.quantiles))
+    assert result.quantile("t_inner_ring_c")[4, -1] > 129.0
+
+
+def test_members_whose_simulation_fails_are_not_dropped(model) -> None:  # type: ignore[no-untyped-def]
+    prior = prior_posterior(model)
+    state, _ = now(model)
+    hot = state.copy()
+    hot[3] = 1990.0
+    spread = np.zeros((13, 13))
+    spread[3, 3] = 100.0**2
+    result = forecast(model, prior, hot, spread, RUN_IN, hold(6200.0, 5500.0, 5))
+    # Half of them begin beyond what can be simulated; the rest stay below 400 degC at the sensor.
+    assert 0.3 < result.exceedance("t_outer_ring_c", 400.0).probability < 0.7
+    assert result.runaway_probability > 0.3
+    assert np.all(np.isfinite(result.quantiles))
+
+
+def by_hand(paths: list[list[float]]) -> Forecast:
+    members = np.array(paths)[:, :, None]
+    return Forecast(
+        time_s=60.0 * np.arange(members.shape[1]),
+        names=("t_inner_ring_c",),
+        quantiles=np.zeros((5, members.shape[1], 1)),
+        members_c=members,
+        sensors=("t_inner_ring_c",),
+        runaway_probability=0.0,
+        labels=(),
+    )
+
+
+def test_exceedance_by_hand() -> None:
+    result = by_hand(
+        [[50, 60, 70], [50, 50, 60], [65, 50, 50], [50, 50, 50]],
+    )
+    found = result.exceedance("t_inner_ring_c", 60.0)
+    assert found.probability == 0.75
+    assert found.earliest_s == 0.0  # the third member begins over the limit
+    assert found.median_s == 60.0
+    found = result.exceedance("t_inner_ring_c", 55.0)
+    assert found.median_s == 30.0  # half way between 50 at 0 s and 60 at 60 s
+    assert result.exceedance("t_inner_ring_c", 66.0).median_s is None
+    assert result.exceedance("t_inner_ring_c", 99.0).earliest_s is None
+
+
+def test_exceedance_within_a_span() -> None:
+    result = by_hand([[50, 60, 50, 50, 70], [50, 50, 50, 50, 70]])
+    assert result.exceedance("t_inner_ring_c", 65.0, end_s=180.0).probability == 0.0
+    assert result.exceedance("t_inner_ring_c", 58.0, start_s=120.0).earliest_s == pytest.approx(
+        180.0 + 60.0 * 8 / 20
+    )
+    assert result.exceedance("t_inner_ring_c", 58.0, end_s=60.0).probability == 0.5
+    with pytest.raises(ValueError, match="no row"):
+        result.exceedance("t_inner_ring_c", 58.0, start_s=1e4)
+    with pytest.raises(KeyError, match="t_inner_ring_c"):
+        result.exceedance("t_oil_c", 58.0)
+
+
+def test_senseless_orders_are_refused(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    with pytest.raises(ValueError, match="even number"):
+        forecast(model, known, state, covariance, 0.0, hold(1500.0, 2650.0), members=11)
+    with pytest.raises(ValueError, match="6016"):
+        forecast(
+            model,
+            replace(known, bearing="6016"),
+            state,
+            covariance,
+            0.0,
+            hold(1500.0, 2650.0),
+        )

@@ -1,0 +1,73 @@
+"""What must be said along with a forecast."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin_core.bearings import bearing
+from twin_core.forecasting.labels import (
+    LOAD_LAW,
+    NOT_IDENTIFIED,
+    RUNAWAY,
+    SPEED_LAW,
+    forecast_labels,
+)
+from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
+from twin_core.models import build_model
+from twin_core.operating_points import OperatingPoint
+from twin_core.simulation import OperatingProfile
+
+
+def trained_at(*points: tuple[float, float]) -> Posterior:
+    prior = prior_posterior(build_model(bearing=bearing("6311")))
+    return replace(
+        prior,
+        trained=TrainedRange(
+            tuple(OperatingPoint(rpm, newton, 3600.0, 0.0) for rpm, newton in points), minutes=60
+        ),
+    )
+
+
+def ahead(speed_rpm: float, load_n: float) -> OperatingProfile:
+    return OperatingProfile(
+        np.array([0.0, 60.0]),
+        np.array([1000.0, speed_rpm]),
+        np.array([1000.0, load_n]),
+        np.full(2, 22.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("points", "speed_rpm", "load_n", "expected"),
+    [
+        ([(1500, 2650), (4200, 2650)], 6200.0, 2650.0, ()),
+        ([(1500, 2650), (4200, 2650)], 4200.0, 2900.0, ()),
+        ([(1500, 2650), (4200, 2650)], 4200.0, 2950.0, (LOAD_LAW,)),
+        ([(1500, 2650), (4200, 2650)], 4200.0, 4000.0, (LOAD_LAW, RUNAWAY)),
+        ([(4200, 2650), (4200, 3300)], 4200.0, 4000.0, ()),
+        ([(4200, 2650), (4200, 3300)], 4200.0, 5000.0, (RUNAWAY,)),
+        ([(4200, 2650), (4200, 3300)], 6200.0, 2650.0, (SPEED_LAW,)),
+        ([(1500, 2650)], 6200.0, 5500.0, (LOAD_LAW, SPEED_LAW, RUNAWAY)),
+    ],
+)
+def test_labels_by_what_was_trained(points, speed_rpm, load_n, expected) -> None:  # type: ignore[no-untyped-def]
+    assert forecast_labels(trained_at(*points), ahead(speed_rpm, load_n), 80.0, 0.0) == expected
+
+
+def test_hot_upper_edge_and_runaway_members() -> None:
+    posterior = trained_at((1500, 2650), (4200, 2650))
+    point = ahead(4200.0, 2650.0)
+    assert forecast_labels(posterior, point, 99.0, 0.0) == ()
+    assert forecast_labels(posterior, point, 100.1, 0.0) == (RUNAWAY,)
+    assert forecast_labels(posterior, point, 80.0, 0.01) == (RUNAWAY,)
+
+
+def test_before_any_identification() -> None:
+    prior = prior_posterior(build_model(bearing=bearing("6311")))
+    assert forecast_labels(prior, ahead(1500.0, 2650.0), 50.0, 0.0) == (NOT_IDENTIFIED,)
+
+
+def test_load_on_a_standing_machine_teaches_and_threatens_nothing() -> None:
+    posterior = trained_at((1500, 2650), (4200, 2650))
+    assert forecast_labels(posterior, ahead(0.0, 9000.0), 50.0, 0.0) == ()
