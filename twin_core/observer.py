@@ -166,6 +166,18 @@ class Observer:
         """Revolutions since greasing."""
         return self._revolutions
 
+    @property
+    def heat_disturbance_w(self) -> NDArray[np.float64]:
+        """Heat in W that the model lacks (or has too much of) per node, shape (nodes,).
+
+        What keeps the estimate on the measurements where the model alone would leave them; it
+        fades over :data:`DISTURBANCE_TIME_S`. A forecast that left it out would jump at its start.
+        """
+        if self._point is None:
+            return np.zeros(self._nodes)
+        heat: NDArray[np.float64] = self._disturbance_w(self._heat_w) @ self._state[self._nodes :]
+        return heat
+
     def sensor(self, name: str) -> tuple[float, float]:
         """Mean in degC and standard deviation in K of what a perfect sensor would read now.
 
@@ -220,6 +232,7 @@ class Observer:
             self._state[:nodes].copy(),
             self._revolutions,
             heat,
+            0.0,
             path,
         )
         if failed >= 0:

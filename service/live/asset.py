@@ -369,6 +369,7 @@ class AssetRuntime:
             observer.covariance.copy(),
             float(observer.revolutions),
             operating_profile(steps, row_s),
+            observer.heat_disturbance_w,
         )
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._executor, _forecast, *arguments)
@@ -435,7 +436,8 @@ class AssetRuntime:
 
 
 def _forecast(*arguments: Any) -> Forecast:
-    return forecast(*arguments, members=MEMBERS, seed=0)
+    *state, disturbance_w = arguments
+    return forecast(*state, disturbance_w=disturbance_w, members=MEMBERS, seed=0)
 
 
 def _differs(known: PlannedProfile | None, new: PlannedProfile) -> bool:

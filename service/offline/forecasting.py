@@ -38,6 +38,8 @@ class Present:
     ----------
     temperatures_c, covariance
         (nodes,) and (nodes, nodes) of all nodes.
+    disturbance_w
+        (nodes,) heat that the model lacks at present, as the observer found it.
     revolutions
         Run-in of the grease.
     speed_rpm, load_n, ambient_c
@@ -46,6 +48,7 @@ class Present:
 
     temperatures_c: FloatArray
     covariance: FloatArray
+    disturbance_w: FloatArray
     revolutions: float
     speed_rpm: float
     load_n: float
@@ -80,6 +83,7 @@ def cold(identified: IdentifiedModel, initial_temperature_c: float) -> Present:
     return Present(
         temperatures_c=np.full(nodes, initial_temperature_c),
         covariance=_COLD_OFFSET_K**2 * np.ones((nodes, nodes)) + _COLD_SCATTER_K**2 * np.eye(nodes),
+        disturbance_w=np.zeros(nodes),
         revolutions=float(identified.run_in.revolutions[0]),
         speed_rpm=0.0,
         load_n=0.0,
@@ -126,7 +130,13 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
             observer.update(_readings(minutes, minutes.size - 1))
     except SimulationError as error:
         raise FollowError(f"{history.name}: {error}") from error
-    return Present(observer.temperatures_c, observer.covariance, observer.revolutions, *last)
+    return Present(
+        observer.temperatures_c,
+        observer.covariance,
+        observer.heat_disturbance_w,
+        observer.revolutions,
+        *last,
+    )
 
 
 def _follow(
@@ -190,6 +200,7 @@ def forecast_profile(
         present.covariance,
         present.revolutions,
         profile,
+        disturbance_w=present.disturbance_w,
         members=MEMBERS,
     )
     quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))

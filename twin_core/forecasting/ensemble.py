@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin_core.forecasting.labels import forecast_labels
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
+from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
 
 FloatArray = NDArray[np.float64]
@@ -141,6 +142,7 @@ def forecast(
     revolutions: float,
     profile: OperatingProfile,
     *,
+    disturbance_w: ArrayLike | None = None,
     members: int = 200,
     seed: int = 0,
 ) -> Forecast:
@@ -156,6 +158,9 @@ def forecast(
         Revolutions since the grease was fresh.
     profile
         n rows ahead; the first is now.
+    disturbance_w
+        (nodes,) heat in W that the model lacks at present, the observer's
+        ``heat_disturbance_w``; it fades as in the observer. Default none.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -182,6 +187,8 @@ def forecast(
         hold_operating_point(profile),
         start,
         max(float(revolutions), 0.0),
+        disturbance_w=disturbance_w,
+        disturbance_time_s=DISTURBANCE_TIME_S,
     )
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
     temperatures[failed] = _CEILING_C

@@ -272,12 +272,12 @@ def step_functions(rate, step, decay, first, second):  # type: ignore[no-untyped
 
 @compiled
 def simulate_kernel(  # type: ignore[no-untyped-def]
-    net, values, time, speed, load, ambient, initial, revolutions, disturbance, out
+    net, values, time, speed, load, ambient, initial, revolutions, disturbance, fading, out
 ):
     """Simulate one candidate; fill out (n, nodes) with temperatures at the rows' instants.
 
-    `disturbance` (nodes,) is a constant extra heat in W. Returns the row from which on the result
-    is unusable (the rest of `out` is NaN), or -1.
+    `disturbance` (nodes,) is an extra heat in W at the first row that fades at the rate `fading`
+    in 1/s. Returns the row from which on the result is unusable (the rest of `out` is NaN), or -1.
     """
     count = net.capacity.size
     capacity, coefficient, friction, share = bind_network(net, values)
@@ -327,12 +327,13 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
                     y[k] += inverse[k, i] * temperature[i]
         for k in range(count):
             base[k] = ambient_input[k] * ambient[row]
+        duration = time[row + 1] - time[row]
+        left = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
         for i in range(count):
             if disturbance[i] != 0.0:
                 for k in range(count):
-                    base[k] += modes[i, k] * disturbance[i]
+                    base[k] += modes[i, k] * disturbance[i] * left
         # A part of shorter steps after a change, then the rest of the row.
-        duration = time[row + 1] - time[row]
         fresh = min(max(fresh_until - time[row], 0.0), duration)
         for part in range(2):
             span = fresh if part == 0 else duration - fresh
@@ -388,10 +389,21 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
 
 @compiled
 def simulate_range(  # type: ignore[no-untyped-def]
-    net, values, time, speed, load, ambient, initial, revolutions, start, stop, out
+    net,
+    values,
+    time,
+    speed,
+    load,
+    ambient,
+    initial,
+    revolutions,
+    disturbance,
+    fading,
+    start,
+    stop,
+    out,
 ):
     """Simulate candidates start..stop-1 of a batch, each independent of all others."""
-    disturbance = np.zeros(net.capacity.size)
     for member in range(start, stop):
         failed = simulate_kernel(
             net,
@@ -403,6 +415,7 @@ def simulate_range(  # type: ignore[no-untyped-def]
             initial[member],
             revolutions[member],
             disturbance,
+            fading,
             out[member],
         )
         if failed >= 0:

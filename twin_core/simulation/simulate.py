@@ -74,6 +74,7 @@ def simulate(
         initial,
         float(revolutions),
         np.zeros(nodes),
+        0.0,
         temperatures,
     )
     if failed >= 0:
@@ -91,6 +92,9 @@ def simulate_batch(
     profile: OperatingProfile,
     initial_temperatures_c: ArrayLike,
     revolutions: ArrayLike = 0.0,
+    *,
+    disturbance_w: ArrayLike | None = None,
+    disturbance_time_s: float = np.inf,
 ) -> NDArray[np.float64]:
     """Simulate many parameter vectors over the same profile, in parallel.
 
@@ -110,6 +114,10 @@ def simulate_batch(
         Shape (nodes,) for all, or (B, nodes).
     revolutions
         Revolutions since greasing at the first row, scalar or shape (B,).
+    disturbance_w
+        Shape (nodes,): heat in W beyond the model's at the first row; default none.
+    disturbance_time_s
+        Over which it fades.
 
     Returns
     -------
@@ -134,6 +142,10 @@ def simulate_batch(
     turned = np.asarray(revolutions, dtype=np.float64)
     if turned.shape not in ((), (count,)):
         raise ValueError(f"revolutions has shape {turned.shape}, expected () or ({count},)")
+    heat = np.zeros(nodes) if disturbance_w is None else _finite("disturbance_w", disturbance_w)
+    if heat.shape != (nodes,):
+        raise ValueError(f"disturbance_w has shape {heat.shape}, expected ({nodes},)")
+    fading = 1.0 / disturbance_time_s
     starts = np.ascontiguousarray(np.broadcast_to(initial, (count, nodes)))
     turns = np.ascontiguousarray(np.broadcast_to(turned, (count,)))
     result = np.empty((count, profile.size, nodes))
@@ -148,6 +160,8 @@ def simulate_batch(
             profile.ambient_c,
             starts,
             turns,
+            heat,
+            fading,
             start,
             stop,
             result,
@@ -214,6 +228,7 @@ def steady_state(
         np.full(nodes, ambient),
         0.0,
         np.zeros(nodes),
+        0.0,
         path,
     )
     temperatures: NDArray[np.float64] = path[1]
