@@ -42,8 +42,9 @@ ENV PATH=/opt/venv/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/
 USER 10001:10001
 RUN ["bearing-twin", "warm-up"]
 
+# To be mounted: /data (the store) and /etc/bearing-twin (the configuration). Not declared as VOLUME:
+# buildah 1.28 at random hides what is mounted on a declared one.
 WORKDIR /data
-VOLUME ["/data", "/etc/bearing-twin"]
 EXPOSE 8080
 STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=15s --timeout=5s --start-period=120s --retries=3 \
