@@ -25,7 +25,9 @@ def _prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
     with contextlib.suppress(OSError):
         os.nice(5)
-    numba.set_num_threads(max(1, (os.cpu_count() or 1) - 1))
+    # What numba may use can be less than the machine has: a container's share, an environment
+    # variable.
+    numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS - 1))
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow_parent, args=(parent,), daemon=True).start()
