@@ -13,6 +13,7 @@ from service.api.context import (
 )
 from service.jobs.history import AssetHistory
 from service.jobs.manager import AUTOMATIC, IdentificationJobs
+from twin_core.windows import Window
 
 LOOK_EVERY_S = 300.0
 LOOK_LEAST_WALL_S = 1.0
@@ -23,14 +24,26 @@ _log = structlog.get_logger(__name__)
 async def identify_by_itself(
     jobs: IdentificationJobs, histories: Mapping[str, AssetHistory], clock: Clock
 ) -> None:
-    """Look at every asset's windows from time to time and queue a job where they are worth it."""
+    """Look at every asset's windows from time to time and queue a job where they are worth it.
+
+    What was tried once is not tried again until new data have come, also when the job failed or
+    somebody cancelled it.
+    """
+    tried: dict[str, list[Window]] = {}
     while True:
         await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
         for asset_id, history in histories.items():
             if jobs.busy(asset_id):
                 continue
             try:
-                if await history.is_worth_identifying():
-                    await jobs.create(asset_id, IdentificationRequest(), None, AUTOMATIC)
+                found = await history.windows()
+                if not await history.are_worth_identifying(found, tried.get(asset_id, [])):
+                    continue
+                await jobs.create(asset_id, IdentificationRequest(), None, AUTOMATIC)
+                tried[asset_id] = found
             except (JobConflictError, RequestRefusedError) as error:
                 _log.info("automatic_identification_put_off", asset=asset_id, reason=str(error))
+            except Exception:
+                # A store that does not answer, data that nobody thought of: the next look may
+                # fare better, and the other assets must not wait for this one.
+                _log.exception("automatic_identification_failed", asset=asset_id)

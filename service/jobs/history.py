@@ -12,12 +12,26 @@ from service.clock import rfc3339
 from service.settings import AssetSection
 from service.store import Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.windows import LowRiskRegion, MinuteData, Window, find_windows, is_at_rest, varied
+from twin_core.windows import (
+    STANDING_RPM,
+    LowRiskRegion,
+    MinuteData,
+    Window,
+    find_windows,
+    is_at_rest,
+    varied,
+)
 
 MINUTE_US = 60_000_000
 LOOK_BACK_US = 72 * 3600 * 1_000_000
 OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
 SHORTEST_WINDOW_S = 1800.0
+# How many good minutes there must be in them: of three in a row two may be missing.
+FEWEST_MINUTES = 10
+# A set-point at the edge of the region is measured with noise; `find_windows` allows for as much.
+REGION_TOLERANCE = 1.02
+# What the drivers and the sample writer may still hold, in wall seconds.
+SETTLING_WALL_S = 1.0
 # What must have come anew at one operating point before a re-identification is worth its while.
 NEW_POINT_S = 1500.0
 
@@ -50,9 +64,16 @@ class AssetHistory:
         """Low-risk windows as the REST interface shows them."""
         return [window_json(window) for window in await self.windows()]
 
-    async def is_worth_identifying(self) -> bool:
-        """Tell whether enough new and varied data have come since the last identification."""
-        found = await self.windows()
+    async def are_worth_identifying(self, found: list[Window], tried: list[Window]) -> bool:
+        """Tell whether windows hold enough that is new and varied.
+
+        Parameters
+        ----------
+        found : list of Window
+            All windows there are.
+        tried : list of Window
+            What does not count as new, beside the windows of all model versions.
+        """
         if not found:
             return False
         versions = await anyio.to_thread.run_sync(self._store.model_versions, self._asset)
@@ -61,7 +82,7 @@ class AssetHistory:
             for version in versions
             for window in version.document["window_records"]
         ]
-        return varied(used, found, NEW_POINT_S)
+        return varied(used + tried, found, NEW_POINT_S)
 
     def span_us(self, window: Window) -> tuple[int, int]:
         """Start and end of a window as process time."""
@@ -76,16 +97,20 @@ class AssetHistory:
                 "expected speed, load, ambient and ring temperatures"
             )
         good = minutes.good
-        if minutes.time_s[good][-1] - minutes.time_s[good][0] < SHORTEST_WINDOW_S - 120:
-            return f"less than {SHORTEST_WINDOW_S / 60:g} min of good data"
         outside = good & (
-            (minutes.speed_rpm > self._region.speed_rpm_max)
-            | (minutes.load_n > self._region.load_n_max)
+            (np.abs(minutes.speed_rpm) > self._region.speed_rpm_max * REGION_TOLERANCE)
+            | (minutes.load_n > self._region.load_n_max * REGION_TOLERANCE)
         )
         if outside.any():
             return (
                 f"{int(outside.sum())} min are outside the low-risk region "
                 f"({self._region.speed_rpm_max:g} rpm, {self._region.load_n_max:g} N)"
+            )
+        running_s = minutes.time_s[good & (np.abs(minutes.speed_rpm) >= STANDING_RPM)]
+        if running_s.size < FEWEST_MINUTES or np.ptp(running_s) < SHORTEST_WINDOW_S - 120:
+            return (
+                f"less than {SHORTEST_WINDOW_S / 60:g} min of good data on the running machine "
+                f"({running_s.size} min)"
             )
         return None
 
@@ -115,15 +140,17 @@ class AssetHistory:
     async def _minutes(
         self, start_us: int | None = None, end_us: int | None = None
     ) -> MinuteData | None:
-        last_us = (self._clock.now_us() // MINUTE_US - 1) * MINUTE_US
+        """Read the whole minutes of a span; by default the last days'."""
+        settled_us = self._clock.now_us() - round(SETTLING_WALL_S * self._clock.rate * 1e6)
+        last_us = (settled_us // MINUTE_US - 1) * MINUTE_US
         end_us = last_us if end_us is None else min(end_us, last_us)
         start_us = end_us - LOOK_BACK_US if start_us is None else start_us
-        start_us = -(-start_us // MINUTE_US) * MINUTE_US
+        start_us, end_us = -(-start_us // MINUTE_US) * MINUTE_US, end_us // MINUTE_US * MINUTE_US
         return await anyio.to_thread.run_sync(self._read, start_us, end_us)
 
     def _read(self, start_us: int, end_us: int) -> MinuteData | None:
         """Operating point over each minute, temperatures around its beginning."""
-        if end_us <= start_us:
+        if end_us <= start_us or not self._temperatures:
             return None
         over = self._store.minute_averages(self._asset, OPERATING_CHANNELS, start_us, end_us)
         around = self._store.minute_averages(
@@ -144,7 +171,9 @@ class AssetHistory:
             name: _spread(time_us, over.minute_us, over.mean[name]) for name in OPERATING_CHANNELS
         }
         if not self._has_ambient:
-            coldest = np.nanmin([np.nanmin(values) for values in temperatures.values()])
+            # Nothing on the machine is colder than the hall.
+            known = [values[np.isfinite(values)] for values in temperatures.values()]
+            coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
             operating["ambient_c"] = np.full(time_us.size, coldest)
         bad = sum(
             _spread(time_us, over.minute_us, over.bad_count[name].astype(np.float64))
