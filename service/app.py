@@ -312,7 +312,7 @@ async def serve(
         if not is_loopback(host) and not _has_key(store):
             raise SettingsError(
                 f"service.host = {host!r}: reachable from other machines, so at least one API key "
-                "is needed; make one with 'bearing-twin keys create --role admin'"
+                "is needed; make one with 'bearing-twin keys create --role admin -c FILE'"
             )
         await anyio.to_thread.run_sync(compile_kernels)
         clock = ProcessClock.resume(settings.clock.rate, data_dir)

@@ -2,9 +2,10 @@
 
 import sys
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
+from typer.exceptions import TyperException
 
 from service.cli.bench import virtual_bench
 from service.cli.database import db
@@ -54,13 +55,24 @@ def _options(
 def main() -> None:
     """Run the command line.
 
-    Our own kinds of ValueError are what a user can mend: they end with their one line on standard
-    error and exit status 2. Any other exception is a fault of ours and keeps its traceback.
+    Our own kinds of ValueError, and options that do not fit, are what a user can mend: they end
+    with one line on standard error and exit status 2. Any other exception is a fault of ours and
+    keeps its traceback.
     """
     try:
-        app()
+        status = app(standalone_mode=False)
+    except TyperException as error:
+        message = str(getattr(error, "format_message", error.__str__)())
+        if message:
+            _refuse(message)
+        sys.exit(2)  # called without arguments: the help has been shown
     except ValueError as error:
         if type(error).__module__.partition(".")[0] not in _OURS:
             raise
-        sys.stderr.write(f"bearing-twin: {' '.join(str(error).split())}\n")
-        sys.exit(2)
+        _refuse(str(error))
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _refuse(message: str) -> NoReturn:
+    sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
+    sys.exit(2)

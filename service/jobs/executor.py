@@ -25,9 +25,9 @@ def _prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
     with contextlib.suppress(OSError):
         os.nice(5)
-    # What numba may use can be less than the machine has: a container's share, an environment
-    # variable.
-    numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS - 1))
+    # The simulation takes as many threads as numba is configured for, which may be less than the
+    # machine has: a container's share, an environment variable.
+    numba.config.NUMBA_NUM_THREADS = max(1, numba.config.NUMBA_NUM_THREADS - 1)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow_parent, args=(parent,), daemon=True).start()
