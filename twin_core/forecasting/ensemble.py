@@ -3,7 +3,7 @@
 Members are the model with parameter samples of the posterior, started from states drawn from the
 observer's, run over the profile ahead. To each sensor and node a slow deviation is added, which
 begins at zero (the state has just been observed) and grows to its stationary spread: what no
-parameter vector can express. Sensors further get their constant offset, noise and resolution.
+parameter vector can express. Sensors further get their lag, constant offset, noise and resolution.
 
 Intervals are not shrunk by any calibration: a factor learned on machines that share one load law
 would be knowledge of those machines.
@@ -193,7 +193,9 @@ def forecast(
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
     temperatures[failed] = _CEILING_C
     sensors = model.sensor_names
-    readings = temperatures @ model.sensor_matrix(sensors).T
+    readings = _lagging(
+        temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
+    )
     readings += _deviation(rng, members, profile.time_s, len(sensors))
     readings += SENSOR_OFFSET_K * _paired(rng, members, (1, len(sensors)))
     nodes = temperatures + _deviation(rng, members, profile.time_s, temperatures.shape[2])
@@ -212,6 +214,16 @@ def forecast(
         runaway_probability=probability,
         labels=forecast_labels(posterior, profile, float(np.max(upper)), probability),
     )
+
+
+def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:
+    """Paths (members, n, k) as they were ``lag_s`` before each row; before the first, as there."""
+    then_s = np.maximum(time_s - lag_s, time_s[0])
+    before = np.searchsorted(time_s, then_s, side="right") - 1
+    after = np.minimum(before + 1, time_s.size - 1)
+    step_s = np.maximum(time_s[after] - time_s[before], 1e-9)
+    share = ((then_s - time_s[before]) / step_s)[:, None]
+    return np.asarray((1.0 - share) * paths[:, before] + share * paths[:, after])
 
 
 def _parameters(rng: np.random.Generator, members: int, posterior: Posterior) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.identification.problem import IdentificationProblem
+from twin_core.identification.problem import SENSOR_LAG_S, IdentificationProblem
 from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
 from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, distinct_values
@@ -82,6 +82,8 @@ class Posterior:
     samples
         (k, p) samples of the posterior, which follow it better than the Laplace approximation
         where that matters: in forecasts. k is 0 before any identification; the prior is normal.
+    sensor_lag_s
+        Lag of the temperature sensors in s.
     train_rms_k
         Root mean square error in the training data per sensor, K.
     cost_per_residual
@@ -102,6 +104,7 @@ class Posterior:
     z: FloatArray
     covariance: FloatArray
     samples: FloatArray
+    sensor_lag_s: float
     train_rms_k: Mapping[str, float]
     cost_per_residual: float
     rank: int
@@ -175,6 +178,7 @@ class Posterior:
             "z": self.z.tolist(),
             "covariance": self.covariance.tolist(),
             "samples": np.round(self.samples, 4).tolist(),
+            "sensor_lag_s": self.sensor_lag_s,
             "train_rms_k": dict(self.train_rms_k),
             "cost_per_residual": self.cost_per_residual,
             "rank": self.rank,
@@ -199,6 +203,7 @@ class Posterior:
             z=np.array(document["z"], dtype=np.float64),
             covariance=np.array(document["covariance"], dtype=np.float64),
             samples=np.array(document["samples"], dtype=np.float64).reshape(-1, len(document["z"])),
+            sensor_lag_s=float(document["sensor_lag_s"]),
             train_rms_k={name: float(rms) for name, rms in document["train_rms_k"].items()},
             cost_per_residual=float(document["cost_per_residual"]),
             rank=int(document["rank"]),
@@ -223,6 +228,7 @@ def prior_posterior(model: ThermalModel) -> Posterior:
         np.zeros(p),
         np.eye(p),
         np.empty((0, p)),
+        SENSOR_LAG_S,
         {},
         0.0,
         0,
@@ -268,6 +274,7 @@ def posterior_at(
         z=unknowns[:p].copy(),
         covariance=0.5 * (covariance + covariance.T),
         samples=posterior_samples(problem, unknowns, sample_count, seed),
+        sensor_lag_s=problem.lag_s(unknowns),
         train_rms_k=problem.rms_k(unknowns),
         cost_per_residual=float(np.mean(residuals[:m] ** 2)),
         rank=int(np.count_nonzero(singular > _RANK_TOLERANCE * largest)),

@@ -28,7 +28,8 @@ _REST_SPREAD_K = 0.3
 _DIFFERENCE_Z = 1e-3
 # A PT100 in its bore follows within some 5 to 30 s. Unaccounted for, that looks like a weaker
 # dependence of the friction on temperature wherever a temperature climbs.
-_LAG_S, _LAG_SPREAD_S, _LONGEST_LAG_S = 15.0, 10.0, 45.0
+SENSOR_LAG_S = 15.0
+_LAG_SPREAD_S, _LONGEST_LAG_S = 10.0, 45.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +111,7 @@ class IdentificationProblem:
         self.unknown_count = unknown
         self.measurement_count = residual
         limit = np.full(unknown - self.parameter_count - 1, _INITIAL_STATE_LIMIT)
-        lag = np.array([-_LAG_S, _LONGEST_LAG_S - _LAG_S]) / _LAG_SPREAD_S
+        lag = np.array([-SENSOR_LAG_S, _LONGEST_LAG_S - SENSOR_LAG_S]) / _LAG_SPREAD_S
         self.lower: FloatArray = np.concatenate((model.parameters.z_lower, lag[:1], -limit))
         self.upper: FloatArray = np.concatenate((model.parameters.z_upper, lag[1:], limit))
         self._nuisance_sensitivity: FloatArray | None = None
@@ -151,8 +152,14 @@ class IdentificationProblem:
         ]
         return np.concatenate(parts, axis=1)
 
+    def lag_s(self, unknowns: FloatArray) -> float:
+        """Lag of the temperature sensors in s at ``unknowns`` (d,)."""
+        return float(self._lag_s(unknowns[None])[0, 0])
+
     def _lag_s(self, batch: FloatArray) -> FloatArray:
-        lag_s = _LAG_S + _LAG_SPREAD_S * batch[:, self.parameter_count : self.parameter_count + 1]
+        lag_s = (
+            SENSOR_LAG_S + _LAG_SPREAD_S * batch[:, self.parameter_count : self.parameter_count + 1]
+        )
         return np.asarray(np.clip(lag_s, 0.0, _LONGEST_LAG_S))
 
     def jacobian(

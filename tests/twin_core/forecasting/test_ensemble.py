@@ -48,6 +48,8 @@ def test_median_follows_the_simulation_at_the_optimum(model, known) -> None:  # 
     centre = simulate(model, model.parameters.centre, profile, state, RUN_IN).temperatures_c
     for name in SENSORS:
         expected = centre @ model.sensor_row(name)
+        # what a sensor reads is a quarter of a minute old
+        expected[1:] += known.sensor_lag_s / 60.0 * (expected[:-1] - expected[1:])
         assert_allclose(result.quantile(name)[2], expected, atol=0.15)
     for node, name in enumerate(model.node_names):
         assert_allclose(result.quantile(name)[2], centre[:, node], atol=0.25)
@@ -156,15 +158,14 @@ def test_a_runaway_counts_as_over_every_limit_and_is_reported(model) -> None:  #
 def test_members_whose_simulation_fails_are_not_dropped(model) -> None:  # type: ignore[no-untyped-def]
     prior = prior_posterior(model)
     state, _ = now(model)
-    hot = state.copy()
-    hot[3] = 1990.0
     spread = np.zeros((13, 13))
-    spread[3, 3] = 100.0**2
-    result = forecast(model, prior, hot, spread, RUN_IN, hold(6200.0, 5500.0, 5))
-    # Half of them begin beyond what can be simulated; the rest stay below 400 degC at the sensor.
-    assert 0.3 < result.exceedance("t_outer_ring_c", 400.0).probability < 0.7
-    assert result.runaway_probability > 0.3
+    spread[3, 3] = 1e5**2  # an absurdly unsure node: most members start where nothing can follow
+    result = forecast(model, prior, state, spread, RUN_IN, hold(1500.0, 2650.0, 5))
+    share = result.exceedance("t_outer_ring_c", 450.0).probability
+    assert share > 0.5
+    assert result.runaway_probability >= share
     assert np.all(np.isfinite(result.quantiles))
+    assert np.all(np.isfinite(result.members_c))
 
 
 def by_hand(paths: list[list[float]]) -> Forecast:

@@ -93,6 +93,7 @@ def test_json_round_trip(model, cold_start) -> None:  # type: ignore[no-untyped-
     again = Posterior.from_dict(document)
     assert again.to_dict() == posterior.to_dict()
     assert again.trained == posterior.trained
+    assert again.sensor_lag_s == pytest.approx(15.0)
     assert again.trained.from_rest
     assert again.identified
     assert_allclose(again.samples, posterior.samples, atol=1e-4)
