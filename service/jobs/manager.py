@@ -1,15 +1,17 @@
 """Runs identification jobs in the background and switches the live twin to what passes the gates.
 
 A job is a row in the store. It survives a restart of the service: a job that was queued or running
-when the service stopped is taken up again, and because a row that has ended never changes, none
-takes effect twice.
+when the service stopped is taken up again. None takes effect twice: a row that has ended never
+changes, and one whose model version is stored already goes on from there.
 """
 
 import asyncio
 import contextlib
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +20,25 @@ import structlog
 
 from adapters.drivers import Clock
 from service.api.context import (
-    ActivationRefusedError,
     IdentificationRequest,
     JobConflictError,
     RequestRefusedError,
 )
 from service.clock import rfc3339
+from service.jobs.activation import Activations
+from service.jobs.documents import job_json
 from service.jobs.history import AssetHistory
-from service.jobs.models import active_model, identified_document, model_json
+from service.jobs.models import identified_document
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
-from service.store import ActiveJobError, Store
-from service.store.records import Job, ModelStatus
+from service.store import ActiveJobError, Store, StoreUnavailableError
+from service.store.jobs import UNFINISHED
+from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
 
 PROGRESS_EVERY_WALL_S = 0.4
+STORE_RETRY_WALL_S = 2.0
 MOST_ATTEMPTS = 3
 AUTOMATIC = "automatic"
 
@@ -79,11 +84,15 @@ class IdentificationJobs:
         self._observe_seconds = observe_seconds
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
+        self._activations = Activations(store, clock, assets)
+        # Whether a job is cancelled or its result takes effect is decided for good under this.
+        self._deciding = asyncio.Lock()
 
     # ------------------------------------------------------------------ life
     async def start(self) -> None:
         """Take up the jobs that an earlier run of the service left unfinished."""
         self._executor = self._make_executor()
+        await anyio.to_thread.run_sync(shutil.rmtree, self._folder, True)
         for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
             if job.asset not in self._assets:
                 continue
@@ -97,15 +106,18 @@ class IdentificationJobs:
             task.cancel()
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self._shut_down_executor()
-        for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
-            # A clean stop is no failed attempt.
-            await self._update(
-                job.id,
-                only_if=["running"],
-                status="queued",
-                progress=0.0,
-                attempts=max(job.attempts - 1, 0),
-            )
+        try:
+            for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
+                # A clean stop is no failed attempt.
+                await self._update(
+                    job.id,
+                    only_if=["running"],
+                    status="queued",
+                    progress=0.0,
+                    attempts=max(job.attempts - 1, 0),
+                )
+        except StoreUnavailableError as error:
+            _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
 
     # ------------------------------------------------------------------ the API's side
     async def create(
@@ -157,7 +169,15 @@ class IdentificationJobs:
             problem = await history.problem_with(span.start, span.end)
             if problem:
                 raise RequestRefusedError(f"/windows/{number}", problem)
-        return [(span.start, span.end) for span in request.windows]
+        spans = sorted((span.start, span.end) for span in request.windows)
+        for (_, end_us), (start_us, _) in pairwise(spans):
+            if start_us < end_us:
+                raise RequestRefusedError(
+                    "/windows",
+                    f"the window that begins at {rfc3339(start_us)} overlaps another; data that "
+                    "count twice would make the result look surer than it is",
+                )
+        return spans
 
     async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Return one job; None when the asset has no such job."""
@@ -173,37 +193,21 @@ class IdentificationJobs:
         job = await anyio.to_thread.run_sync(self._store.job, job_id)
         if job is None or job.asset != asset_id:
             return None
-        changed = await self._update(
-            job_id, status="cancelled", ended_at_us=self._clock.now_us(), error="cancelled"
-        )
-        JobFolder(self._folder / job_id).cancel()
-        if changed is not None and job.status == "queued" and job_id in self._tasks:
-            self._tasks[job_id].cancel()
-        return job_json(changed or job)
+        async with self._deciding:
+            cancelled = await self._update(
+                job_id, status="cancelled", ended_at_us=self._clock.now_us(), error="cancelled"
+            )
+        if cancelled is None:  # it had ended before
+            return await self.job(asset_id, job_id)
+        await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
+        self._publish(cancelled)
+        return job_json(cancelled)
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
     ) -> Mapping[str, Any]:
         """Make a version the active one and switch the live twin to it."""
-        model = await anyio.to_thread.run_sync(self._store.model_version, asset_id, version)
-        if model is None:
-            raise KeyError(version)
-        if model.status == "rejected" and not (force and comment):
-            raise ActivationRefusedError(
-                f"version {version} was rejected ({model.reason}); "
-                'expected {"force": true} with a comment to activate it all the same'
-            )
-        asset = self._assets[asset_id]
-        activated = await anyio.to_thread.run_sync(
-            self._store.activate,
-            asset_id,
-            version,
-            who,
-            comment or f"activated by {who}",
-            self._clock.now_us(),
-        )
-        asset.switch(active_model(asset.settings, activated))
-        return model_json(activated)
+        return await self._activations.activate(asset_id, version, who, comment, force)
 
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running in this service."""
@@ -211,53 +215,75 @@ class IdentificationJobs:
 
     # ------------------------------------------------------------------ running
     def _begin(self, job: Job) -> None:
-        task = asyncio.create_task(self._run(job), name=job.asset)
+        task = asyncio.create_task(self._run(job.id), name=job.asset)
         self._tasks[job.id] = task
         task.add_done_callback(lambda _: self._tasks.pop(job.id, None))
 
-    async def _run(self, job: Job) -> None:
+    async def _run(self, job_id: str) -> None:
         async with self._one_at_a_time:
-            folder = JobFolder(self._folder / job.id)
+            folder = JobFolder(self._folder / job_id)
             try:
-                await self._attempts(job, folder)
+                while not await self._has_ended(job_id, folder):
+                    pass
             finally:
                 folder.cancel()  # a worker that is still at it has nothing left to do
             folder.remove()
 
-    async def _attempts(self, job: Job, folder: JobFolder) -> None:
-        for attempt in range(job.attempts + 1, MOST_ATTEMPTS + 1):
-            started = await self._update(
-                job.id,
-                status="running",
-                attempts=attempt,
-                progress=0.0,
-                started_at_us=self._clock.now_us(),
-            )
-            if started is None:
-                return  # cancelled while it waited
-            self._publish(started)
-            began = asyncio.get_running_loop().time()
-            try:
-                result = await self._work(started, folder)
-                await self._finish(started, result)
-                self._observe_seconds(asyncio.get_running_loop().time() - began)
-                return
-            except BrokenProcessPool:
-                _log.error("job_worker_died", job=job.id, attempt=attempt)
-                self._shut_down_executor()
-                self._executor = self._make_executor()
-            except Exception as error:
-                # Whatever went wrong in one job is that job's failure, not the service's.
-                _log.exception("job_failed", job=job.id)
-                await self._end(job.id, "failed", f"{type(error).__name__}: {error}")
-                return
-        await self._end(job.id, "failed", f"the worker process died {MOST_ATTEMPTS} times")
+    async def _has_ended(self, job_id: str, folder: JobFolder) -> bool:
+        """Try once to bring a job to its end; False when it is to be tried again."""
+        try:
+            job = await anyio.to_thread.run_sync(self._store.job, job_id)
+            if job is None or job.status not in UNFINISHED:
+                return True  # cancelled while it waited
+            known = await self._model_of(job)
+            if known is not None:
+                await self._take_effect(job, known)
+                return True
+            if job.attempts >= MOST_ATTEMPTS:
+                await self._end(job_id, "failed", f"gave up after {job.attempts} attempts")
+                return True
+            await self._attempt(job, folder)
+        except BrokenProcessPool:
+            _log.error("job_worker_died", job=job_id)
+            self._shut_down_executor()
+            self._executor = self._make_executor()
+            return False
+        except StoreUnavailableError as error:
+            _log.warning("job_waits_for_the_store", job=job_id, error=str(error))
+            await asyncio.sleep(STORE_RETRY_WALL_S)
+            return False
+        except Exception as error:
+            # Whatever went wrong in one job is that job's failure, not the service's.
+            _log.exception("job_failed", job=job_id)
+            await self._end(job_id, "failed", f"{type(error).__name__}: {error}")
+        return True
+
+    async def _attempt(self, job: Job, folder: JobFolder) -> None:
+        # The folder comes first: from now on a cancellation leaves its mark there.
+        await anyio.to_thread.run_sync(folder.make)
+        started = await self._update(
+            job.id,
+            status="running",
+            attempts=job.attempts + 1,
+            progress=0.0,
+            started_at_us=self._clock.now_us(),
+        )
+        if started is None:
+            return
+        self._publish(started)
+        began = asyncio.get_running_loop().time()
+        await self._finish(started, await self._work(started, folder))
+        self._observe_seconds(asyncio.get_running_loop().time() - began)
+
+    async def _model_of(self, job: Job) -> ModelVersion | None:
+        """Find the version that a job stored before the service was stopped or killed."""
+        versions = await anyio.to_thread.run_sync(self._store.model_versions, job.asset)
+        return next((one for one in versions if one.document["job"] == job.id), None)
 
     async def _work(self, job: Job, folder: JobFolder) -> JobResult:
         asset, history = self._assets[job.asset], self._histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
-        await anyio.to_thread.run_sync(folder.make)
         order = JobOrder(
             folder=folder,
             model_name=asset.settings.model,
@@ -295,50 +321,68 @@ class IdentificationJobs:
         if result.cancelled:
             await self._end(job.id, "cancelled", "cancelled")
             return
-        current = await anyio.to_thread.run_sync(self._store.job, job.id)
-        if current is None or current.status != "running":
-            return  # cancelled at the very end: the result must not take effect
-        asset = self._assets[job.asset]
-        document = identified_document(job, result, asset.settings)
+        document = identified_document(job, result, self._assets[job.asset].settings)
         status: ModelStatus = "candidate" if result.accepted else "rejected"
-        version = await anyio.to_thread.run_sync(
-            self._store.add_model_version,
-            job.asset,
-            status,
-            result.reason,
-            document,
-            self._clock.now_us(),
-        )
+        async with self._deciding:
+            still_wanted = await self._update(
+                job.id,
+                only_if=["running"],
+                best_fitness=result.best_fitness,
+                evaluations=result.evaluations,
+            )
+            if still_wanted is None:
+                return  # cancelled at the very end: the result must not take effect
+            number = await anyio.to_thread.run_sync(
+                self._store.add_model_version,
+                job.asset,
+                status,
+                result.reason,
+                document,
+                self._clock.now_us(),
+            )
+            version = await anyio.to_thread.run_sync(self._store.model_version, job.asset, number)
+            if version is None:
+                raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
+            await self._take_effect(still_wanted, version)
+
+    async def _take_effect(self, job: Job, version: ModelVersion) -> None:
+        """Activate what may be activated by itself; whoever sees the job's end sees that too."""
+        ladder = self._assets[job.asset].settings.identification.ladder
+        if version.status == "candidate" and ladder == "apply":
+            await self.activate(job.asset, version.version, AUTOMATIC, version.reason, force=False)
         ended = await self._update(
             job.id,
             status="succeeded",
             progress=1.0,
-            best_fitness=result.best_fitness,
-            evaluations=result.evaluations,
             ended_at_us=self._clock.now_us(),
-            model_version=version,
-        )
-        if ended is None:
-            return
-        _log.info(
-            "job_succeeded", asset=job.asset, version=version, status=status, reason=result.reason
-        )
-        if result.accepted and asset.settings.identification.ladder == "apply":
-            await self.activate(job.asset, version, AUTOMATIC, result.reason, force=False)
-        self._publish(ended)
-
-    async def _end(self, job_id: str, status: Any, error: str) -> None:
-        ended = await self._update(
-            job_id, status=status, error=error, ended_at_us=self._clock.now_us()
+            model_version=version.version,
         )
         if ended is not None:
+            _log.info(
+                "job_succeeded",
+                asset=job.asset,
+                version=version.version,
+                status=version.status,
+                reason=version.reason,
+            )
             self._publish(ended)
 
+    async def _end(self, job_id: str, status: JobStatus, error: str) -> None:
+        while True:
+            try:
+                ended = await self._update(
+                    job_id, status=status, error=error, ended_at_us=self._clock.now_us()
+                )
+            except StoreUnavailableError as away:
+                _log.warning("job_waits_for_the_store", job=job_id, error=str(away))
+                await asyncio.sleep(STORE_RETRY_WALL_S)
+                continue
+            if ended is not None:
+                self._publish(ended)
+            return
+
     async def _update(self, job_id: str, **changes: Any) -> Job | None:
-        updated = await anyio.to_thread.run_sync(lambda: self._store.update_job(job_id, **changes))
-        if updated is not None and updated.status == "cancelled":
-            self._publish(updated)
-        return updated
+        return await anyio.to_thread.run_sync(lambda: self._store.update_job(job_id, **changes))
 
     def _publish(self, job: Job, phase: str | None = None) -> None:
         self._bus.publish("job", job.asset, job_json(job) | {"phase": phase})
@@ -353,24 +397,3 @@ class IdentificationJobs:
         for process in processes:
             with contextlib.suppress(ProcessLookupError):
                 process.terminate()
-
-
-def job_json(job: Job) -> dict[str, Any]:
-    """A job in the shape of the REST contract."""
-    return {
-        "id": job.id,
-        "status": job.status,
-        "progress": job.progress,
-        "best_fitness": job.best_fitness,
-        "evaluations": job.evaluations,
-        "created_at": rfc3339(job.created_at_us),
-        "started_at": rfc3339(job.started_at_us) if job.started_at_us is not None else None,
-        "ended_at": rfc3339(job.ended_at_us) if job.ended_at_us is not None else None,
-        "error": job.error,
-        "model_version": job.model_version,
-        "windows": job.request["windows"],
-        "method": job.request["method"],
-        "seed": job.request["seed"],
-        "requested_by": job.request["who"],
-        "attempts": job.attempts,
-    }

@@ -65,6 +65,20 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
     )
 
 
+def why_not_of_this_asset(asset: AssetSection, version: ModelVersion) -> str | None:
+    """Say why a stored version cannot run the asset as it is configured now; None when it can.
+
+    The bearing or the model may have been changed in the configuration, or the model may have got
+    other parameters with a newer version of this software.
+    """
+    try:
+        posterior = Posterior.from_dict(version.document["posterior"])
+        posterior.check(thermal_model(asset.model, asset.bearing))
+    except (KeyError, TypeError, ValueError) as error:
+        return f"{error}" if isinstance(error, ValueError) else f"not readable ({error!r})"
+    return None
+
+
 def model_json(version: ModelVersion) -> dict[str, Any]:
     """A model version as the REST interface shows it."""
     shown = {

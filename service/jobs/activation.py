@@ -1,0 +1,60 @@
+"""Which model version is the active one: in the store and in the live twin, always the same."""
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+import anyio.to_thread
+
+from adapters.drivers import Clock
+from service.api.context import ActivationRefusedError
+from service.jobs.models import active_model, model_json, why_not_of_this_asset
+from service.live.asset import AssetRuntime
+from service.store import Store
+
+
+class Activations:
+    """Makes one version after the other the active one.
+
+    Parameters
+    ----------
+    store, clock
+        Where the versions are; process time.
+    assets : mapping of str to AssetRuntime
+        The live twins to be switched.
+    """
+
+    def __init__(self, store: Store, clock: Clock, assets: Mapping[str, AssetRuntime]) -> None:
+        self._store = store
+        self._clock = clock
+        self._assets = assets
+        # Of two activations at a time, the one that wins in the store must win in the twin.
+        self._switching = asyncio.Lock()
+
+    async def activate(
+        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+    ) -> Mapping[str, Any]:
+        """Make a version the active one; see `service.api.context.JobManager`."""
+        asset = self._assets[asset_id]
+        async with self._switching:
+            model = await anyio.to_thread.run_sync(self._store.model_version, asset_id, version)
+            if model is None:
+                raise KeyError(version)
+            foreign = why_not_of_this_asset(asset.settings, model)
+            if foreign:
+                raise ActivationRefusedError(f"version {version}: {foreign}")
+            if model.status == "rejected" and not (force and comment):
+                raise ActivationRefusedError(
+                    f"version {version} was rejected ({model.reason}); "
+                    'expected {"force": true} with a comment to activate it all the same'
+                )
+            activated = await anyio.to_thread.run_sync(
+                self._store.activate,
+                asset_id,
+                version,
+                who,
+                comment or f"activated by {who}",
+                self._clock.now_us(),
+            )
+            asset.switch(active_model(asset.settings, activated))
+        return model_json(activated)
