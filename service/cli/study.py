@@ -1,0 +1,85 @@
+"""``bearing-twin study``: the paper's studies, its figures beside ours."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from service.offline.interruption import exit_on_signals
+
+if TYPE_CHECKING:
+    from service.studies.common import Progress, Report
+
+
+def study(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="simple-network, noa-vs-pso, or all.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write figures, tables and plots into this folder."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Repeat the paper's studies and print its figures beside ours.
+
+    With "all" the JSON document holds one document per study, by name.
+    """
+    from service.studies.common import require  # the numerical libraries take seconds to load
+    from service.studies.registry import ALL, chosen
+
+    studies = chosen(name)
+    if out is not None:
+        require("matplotlib")
+    documents = {}
+    with exit_on_signals():
+        for title, run in studies.items():
+            with _progress_bar(title) as tell:
+                report = run(tell)
+            written = report.write(out) if out is not None else []
+            documents[title] = report.document
+            if not as_json:
+                _print(report, written)
+    if as_json:
+        typer.echo(json.dumps(documents if name == ALL else documents[name]))
+
+
+@contextmanager
+def _progress_bar(title: str) -> "Iterator[Progress]":
+    """Yield what to call with the progress; nothing is shown where nobody watches."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %  {task.fields[done]}"),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=1.0, done="")
+
+        def tell(fraction: float, text: str) -> None:
+            bar.update(task, completed=fraction, done=text)
+
+        yield tell
+
+
+def _print(report: "Report", written: list[Path]) -> None:
+    console = Console(highlight=False)
+    for table in report.tables:
+        shown = Table(*table.columns, title=table.title)
+        for row in table.rows:
+            shown.add_row(*row)
+        console.print(shown)
+        for note in table.notes:
+            console.print(note)
+    for path in written:
+        console.print(str(path), soft_wrap=True)

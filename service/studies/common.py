@@ -1,0 +1,167 @@
+"""What all studies share: reports with tables and plots, and work spread over the processors."""
+
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_DOTS_PER_INCH = 150
+
+
+class StudyError(ValueError):
+    """A study cannot be run or written as asked; the text is one line."""
+
+
+Progress = Callable[[float, str], None]
+"""Told how far a study has come: a fraction from 0 to 1, and what has been done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table for people; every row has one text per column."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        lines = [f"### {self.title}", "", _row(self.columns), _row(["---"] * len(self.columns))]
+        lines += [_row(row) for row in self.rows]
+        for note in self.notes:
+            lines += ["", note]
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A plot that is drawn when it is wanted; needs matplotlib."""
+
+    name: str
+    draw: "Callable[[], Figure]"
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a study found.
+
+    Parameters
+    ----------
+    study
+        Its name.
+    document
+        Figures for programs, plain JSON types.
+    tables, plots
+        The same for people.
+    """
+
+    study: str
+    document: dict[str, Any]
+    tables: tuple[Table, ...]
+    plots: tuple[Plot, ...]
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the document, the tables and the plots into a folder, made if need be.
+
+        Raises
+        ------
+        StudyError
+            If the folder cannot be written, or matplotlib is not installed.
+        """
+        require("matplotlib")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            written = [folder / f"{self.study}.json", folder / f"{self.study}.md"]
+            written[0].write_text(json.dumps(self.document, indent=2) + "\n", encoding="utf-8")
+            text = "\n".join(table.markdown() for table in self.tables)
+            written[1].write_text(text, encoding="utf-8")
+            for plot in self.plots:
+                written.append(folder / f"{plot.name}.png")
+                plot.draw().savefig(written[-1], dpi=_DOTS_PER_INCH)
+        except OSError as error:
+            raise StudyError(f"--out {folder}: {error.strerror or error}") from error
+        return written
+
+
+def figure(width_in: float, height_in: float) -> "Figure":
+    """A figure that needs no display and no global state of matplotlib."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def require(*modules: str) -> None:
+    """Check that libraries of the extra ``bench`` are installed.
+
+    Raises
+    ------
+    StudyError
+        If one is missing; says how to install it.
+    """
+    for module in modules:
+        if find_spec(module) is None:
+            raise StudyError(f"{module} is not installed: pip install 'bearing-twin[bench]'")
+
+
+def in_processes(
+    function: Callable[[Task], Result], tasks: Sequence[Task], progress: Progress
+) -> list[Result]:
+    """Apply a function of this package to tasks, one process per processor.
+
+    Numerical libraries run on one thread in each, so that times measured in one process are those
+    of one processor. Results are in the order of the tasks. An error ends all processes and is
+    raised; so does a signal that raises in this process.
+
+    Parameters
+    ----------
+    function, tasks
+        Both travel to other processes by pickle.
+    progress
+        Told after each task.
+    """
+    results: list[Result] = []
+    processes = min(len(os.sched_getaffinity(0)), len(tasks))
+    context = multiprocessing.get_context("spawn")
+    with _one_thread(), context.Pool(processes, _ignore_interrupts) as pool:
+        for result in pool.imap(function, tasks):
+            results.append(result)
+            progress(len(results) / len(tasks), f"{len(results)} of {len(tasks)} runs")
+    return results
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C, which reaches all processes, to the one that started the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that are started meanwhile compute on one thread each."""
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

@@ -1,0 +1,182 @@
+"""The paper's inverse problem: find the parameters that made noise-free temperatures.
+
+Any optimiser may search; what it evaluates is counted here, simulation by simulation, finite
+differences and rejected trials included, so that methods can be compared fairly.
+"""
+
+import time
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.network_model import NetworkModel
+from twin_core.networks.simple_5 import (
+    AMBIENT_C,
+    simple_5_model,
+    simple_5_profile,
+    target_values,
+)
+from twin_core.simulation import OperatingProfile, simulate_batch
+
+FloatArray = NDArray[np.float64]
+
+TOLERANCE = 0.01
+"""A parameter counts as found when it is within 1 % of its target."""
+
+
+class SearchEnd(Exception):  # noqa: N818 - not an error, a search is over
+    """The target is met or the budget is used up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InverseProblem:
+    """Noise-free temperatures of two sensors, and the box in which their causes lie.
+
+    Parameters
+    ----------
+    model
+        The network; every parameter is searched on a logarithmic scale between its bounds.
+    profile
+        n operating points.
+    initial_c
+        (nodes,) temperatures at the first row.
+    sensors
+        Names of the sensors that are compared.
+    targets
+        (p,) the values to be found.
+    measured_c
+        (n - 1, sensors) temperatures after the first row at the targets.
+    """
+
+    model: NetworkModel
+    profile: OperatingProfile
+    initial_c: FloatArray
+    sensors: tuple[str, ...]
+    targets: FloatArray
+    measured_c: FloatArray
+
+    @property
+    def dimensions(self) -> int:
+        """Number of parameters, p."""
+        return self.model.parameters.size
+
+    def values(self, unit: FloatArray) -> FloatArray:
+        """Parameters (..., p) of points (..., p) in the unit box."""
+        lower, upper = self.model.parameters.lower, self.model.parameters.upper
+        return np.asarray(lower * (upper / lower) ** unit)
+
+    def residuals(self, unit: FloatArray) -> FloatArray:
+        """Temperature errors in K of points (B, p) in the unit box, (B, (n - 1) sensors)."""
+        return self.residuals_of(self.values(unit))
+
+    def residuals_of(self, values: FloatArray) -> FloatArray:
+        """Temperature errors in K of parameters (B, p) or (p,), (B, (n - 1) sensors)."""
+        batch = np.atleast_2d(values)
+        nodes = simulate_batch(self.model, batch, self.profile, self.initial_c)
+        read = nodes[:, 1:] @ self.model.sensor_matrix(self.sensors).T
+        return np.asarray((read - self.measured_c).reshape(len(batch), -1))
+
+
+@cache
+def simple_network_problem() -> InverseProblem:
+    """The simple network of section 5.1 from cold, 450 rows of nodes 1 and 2."""
+    model, profile, targets = simple_5_model(), simple_5_profile(), target_values()
+    initial_c = np.full(len(model.node_names), AMBIENT_C)
+    truth = simulate_batch(model, targets[None], profile, initial_c)[0, 1:]
+    measured_c = truth @ model.sensor_matrix(model.sensor_names).T
+    return InverseProblem(model, profile, initial_c, model.sensor_names, targets, measured_c)
+
+
+class Best(NamedTuple):
+    """A best point so far: when it was found, and the parameters there."""
+
+    evaluations: int
+    seconds: float
+    values: FloatArray
+
+
+class CountedSearch:
+    """What a method may ask of an inverse problem, within a budget of simulations.
+
+    Parameters
+    ----------
+    problem
+        What is searched, in the unit box.
+    budget
+        Number of simulations, each counted, whatever it was for.
+    stop_at_target
+        Whether the search ends as soon as all parameters of the best point are within 1 %.
+
+    Attributes
+    ----------
+    evaluations
+        Simulations so far; when the target is met, up to the one that met it.
+    trace
+        Every new best point.
+    reached
+        Simulations until all parameters of the best point were within 1 %, or None.
+    """
+
+    def __init__(self, problem: InverseProblem, budget: int, stop_at_target: bool = True) -> None:
+        self.problem = problem
+        self.budget = budget
+        self.evaluations = 0
+        self.trace: list[Best] = []
+        self.reached: int | None = None
+        self._stop_at_target = stop_at_target
+        self._best = np.inf
+        self._began = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the search was begun."""
+        return time.perf_counter() - self._began
+
+    def costs(self, unit: FloatArray) -> FloatArray:
+        """Sums of squared temperature errors in K2 of points (B, p), (B,).
+
+        Raises
+        ------
+        SearchEnd
+            When the target is met or the budget is used up.
+        """
+        return np.asarray(np.sum(self.residuals(unit) ** 2, axis=1))
+
+    def residuals(self, unit: FloatArray) -> FloatArray:
+        """Temperature errors in K of points (B, p), (B, m); raises as `costs` does."""
+        left = self.budget - self.evaluations
+        if left <= 0:
+            raise SearchEnd
+        points = unit[:left]
+        residuals = self.problem.residuals(points)
+        costs = np.sum(residuals**2, axis=1)
+        for point, cost in zip(points, costs, strict=True):
+            self.evaluations += 1
+            if cost < self._best:
+                self._best = float(cost)
+                self._note(self.problem.values(point))
+        if len(points) < len(unit):
+            raise SearchEnd
+        return residuals
+
+    def _note(self, values: FloatArray) -> None:
+        self.trace.append(Best(self.evaluations, self.seconds, values))
+        errors = np.abs(values / self.problem.targets - 1.0)
+        if self.reached is None and np.all(errors <= TOLERANCE):
+            self.reached = self.evaluations
+            if self._stop_at_target:
+                raise SearchEnd
+
+    def settled(self, parameter: int) -> int | None:
+        """Evaluations from which on one parameter of the best point stayed within 1 %."""
+        target = self.problem.targets[parameter]
+        since = None
+        for best in self.trace:
+            if abs(best.values[parameter] / target - 1.0) > TOLERANCE:
+                since = None
+            elif since is None:
+                since = best.evaluations
+        return since
