@@ -14,6 +14,9 @@ def make_executor() -> Executor:
 
     The worker is spawned, not forked: the service has threads and sockets that must not be shared.
     """
+    # For the worker, which loads its libraries anew: many small matrices, where threads only wait
+    # for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return ProcessPoolExecutor(
         max_workers=1,
         mp_context=multiprocessing.get_context("spawn"),

@@ -27,7 +27,7 @@ def test_numba_may_be_given_less_than_the_machine_has() -> None:
         "import os; os.cpu_count = lambda: 8\n"
         "from service.jobs.executor import _prepare_worker\n"
         "_prepare_worker()\n"
-        "import numba; print(numba.get_num_threads())"
+        "import numba; print(numba.config.NUMBA_NUM_THREADS)"
     )
     found = subprocess.run(
         [sys.executable, "-c", prepare],
