@@ -25,12 +25,12 @@ from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
-from service.jobs.models import active_model, first_model
+from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.settings import AssetSection, Settings, SettingsError
-from service.store import Alarm, Store, lock_data_directory
+from service.store import Alarm, ModelVersion, Store, lock_data_directory
 from service.wiring import Wiring, is_loopback, wire
 
 HEALTH_EVERY_WALL_S = 1.0
@@ -101,19 +101,15 @@ class Service:
     def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
         active = self.store.active_model(asset.id)
         if active is None:
-            version = self.store.add_model_version(
-                asset.id, "candidate", "", first_model(asset), self.clock.now_us()
-            )
-            active = self.store.activate(
-                asset.id,
-                version,
-                "service",
-                "default parameters, before the first identification",
-                self.clock.now_us(),
-            )
+            active = self._default_version(asset, "before the first identification")
+        elif foreign := why_not_of_this_asset(asset, active):
+            _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
+            active = self._default_version(asset, f"version {active.version}: {foreign}")
 
         async def save_state(document: Mapping[str, Any]) -> None:
-            await anyio.to_thread.run_sync(self.store.save_asset_state, asset.id, dict(document))
+            await anyio.to_thread.run_sync(
+                self.store.save_asset_state, asset.id, dict(document), abandon_on_cancel=True
+            )
 
         return AssetRuntime(
             asset,
@@ -126,6 +122,15 @@ class Service:
             store_samples=self._store_derived,
             save_state=save_state,
             windows=self.histories[asset.id].windows_json,
+        )
+
+    def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:
+        now_us = self.clock.now_us()
+        version = self.store.add_model_version(
+            asset.id, "candidate", "", first_model(asset), now_us
+        )
+        return self.store.activate(
+            asset.id, version, "service", f"default parameters; {why}", now_us
         )
 
     # ------------------------------------------------------------------ what flows

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.signals import stop_on_signals
+from service.cli.signals import leave_threads_behind, stop_on_signals
 from service.logs import configure_logging
 from service.settings import Settings, load_settings
 
@@ -24,11 +24,12 @@ def serve(config: ConfigFile = None) -> None:
     settings = load_settings(config)
     configure_logging()
     asyncio.run(_serve(settings))
+    leave_threads_behind()
 
 
 async def _serve(settings: Settings) -> None:
+    stop = stop_on_signals()
     # Imported here: the compiled twin takes a second to load, which no other command should pay.
     from service import app
 
-    stop = stop_on_signals()
     await app.serve(settings, announce=lambda address: typer.echo(address), stop=stop)

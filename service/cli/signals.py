@@ -1,7 +1,17 @@
 """Clean ends: SIGTERM and SIGINT set an event, the command then ends with status 0."""
 
 import asyncio
+import os
 import signal
+import sys
+import threading
+import time
+
+import structlog
+
+_THREADS_WALL_S = 0.5
+
+_log = structlog.get_logger(__name__)
 
 
 def stop_on_signals() -> asyncio.Event:
@@ -11,3 +21,19 @@ def stop_on_signals() -> asyncio.Event:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     return stop
+
+
+def leave_threads_behind() -> None:
+    """End the process with status 0 if threads still wait for a store that does not answer.
+
+    Python itself would wait for them as long as they take. What they were to write was given up,
+    and logged, by whoever waited for it.
+    """
+    deadline = time.monotonic() + _THREADS_WALL_S
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(deadline - time.monotonic(), 0.0))
+            if thread.is_alive():
+                _log.warning("thread_left_behind", thread=thread.name)
+                sys.stdout.flush()
+                os._exit(0)

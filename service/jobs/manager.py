@@ -39,6 +39,7 @@ from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
 
 PROGRESS_EVERY_WALL_S = 0.4
 STORE_RETRY_WALL_S = 2.0
+STOP_WALL_S = 1.0
 MOST_ATTEMPTS = 3
 AUTOMATIC = "automatic"
 
@@ -107,16 +108,17 @@ class IdentificationJobs:
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
         self._shut_down_executor()
         try:
-            for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
-                # A clean stop is no failed attempt.
-                await self._update(
-                    job.id,
-                    only_if=["running"],
-                    status="queued",
-                    progress=0.0,
-                    attempts=max(job.attempts - 1, 0),
-                )
-        except StoreUnavailableError as error:
+            async with asyncio.timeout(STOP_WALL_S):
+                for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
+                    # A clean stop is no failed attempt.
+                    await self._update(
+                        job.id,
+                        only_if=["running"],
+                        status="queued",
+                        progress=0.0,
+                        attempts=max(job.attempts - 1, 0),
+                    )
+        except (StoreUnavailableError, TimeoutError) as error:
             _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
 
     # ------------------------------------------------------------------ the API's side
@@ -382,7 +384,10 @@ class IdentificationJobs:
             return
 
     async def _update(self, job_id: str, **changes: Any) -> Job | None:
-        return await anyio.to_thread.run_sync(lambda: self._store.update_job(job_id, **changes))
+        # A service that stops does not wait for a store that does not answer.
+        return await anyio.to_thread.run_sync(
+            lambda: self._store.update_job(job_id, **changes), abandon_on_cancel=True
+        )
 
     def _publish(self, job: Job, phase: str | None = None) -> None:
         self._bus.publish("job", job.asset, job_json(job) | {"phase": phase})

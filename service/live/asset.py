@@ -37,6 +37,7 @@ HORIZON_S = 4 * 3600.0
 MEMBERS = 200
 ESTIMATE_EVERY_S = 60.0
 SAVE_EVERY_WALL_S = 5.0
+LAST_SAVE_WALL_S = 1.0
 FORECAST_LEAST_WALL_S = 1.0
 MEASUREMENTS_LEAST_WALL_S = 0.25
 STATE_LEAST_WALL_S = 0.5
@@ -278,7 +279,9 @@ class AssetRuntime:
                 tasks.create_task(self._keep())
         finally:
             self.running = False
-            await self._save()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LAST_SAVE_WALL_S):
+                    await self._save()
 
     def _restore(self, kept_state: Mapping[str, Any]) -> None:
         try:

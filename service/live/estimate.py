@@ -148,6 +148,7 @@ class LiveEstimate:
         if self._observer is None or self.point is None:
             return None
         return {
+            "bearing": self.active.model.bearing.designation,
             "time_us": self.time_us,
             "observer": self._observer.to_dict(),
             "speed_rpm": self.point.speed_rpm,
@@ -162,8 +163,12 @@ class LiveEstimate:
         Raises
         ------
         ValueError
-            If it is not one of this kind of model; the estimate then starts anew.
+            If it is not one of this kind of model, or of another bearing; the estimate then
+            starts anew.
         """
+        bearing = self.active.model.bearing.designation
+        if kept.get("bearing") != bearing:
+            raise ValueError(f"kept estimate: of bearing {kept.get('bearing')}, not {bearing}")
         try:
             observer = Observer.from_dict(self.active.model, self.active.values, kept["observer"])
             point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])

@@ -237,6 +237,7 @@ def test_a_restored_estimate_goes_on_exactly_as_the_kept_one(
         {"observer": None},
         {"speed_rpm": ...},
         {"time_us": "yesterday"},
+        {"bearing": "6016"},
     ],
 )
 def test_what_cannot_be_restored_leaves_it_to_start_anew(
