@@ -1,0 +1,39 @@
+"""twin_core imports numpy, scipy, numba and a few pure modules of the standard library, no more.
+
+import-linter forbids what we know of; this test also catches what nobody thought of.
+"""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import twin_core
+
+ROOT = Path(twin_core.__file__).parent
+ALLOWED = {"numpy", "scipy", "numba", "twin_core"}
+# Pure computation, types, and the thread pool around kernels without the interpreter's lock.
+PURE = {
+    "collections",
+    "concurrent",
+    "dataclasses",
+    "enum",
+    "functools",
+    "itertools",
+    "math",
+    "operator",
+    "typing",
+    "warnings",
+}
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.rglob("*.py")), ids=lambda file: file.name)
+def test_only_allowed_imports(file: Path) -> None:
+    imported = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            imported.add((node.module or "").partition(".")[0])
+    assert imported <= ALLOWED | PURE
