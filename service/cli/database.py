@@ -4,7 +4,6 @@ import typer
 
 from service.cli.serve import ConfigFile
 from service.settings import load_settings
-from service.store import Store
 
 db = typer.Typer(help="The store's schema.", no_args_is_help=True)
 
@@ -16,6 +15,8 @@ def _group() -> None: ...
 @db.command()
 def upgrade(config: ConfigFile = None) -> None:
     """Bring the store up to the schema of this version."""
+    from service.store import Store
+
     settings = load_settings(config)
     with Store.open(settings.service.database_url, settings.data_dir):
         typer.echo("The store is up to date.")

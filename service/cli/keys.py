@@ -3,17 +3,17 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from service.cli.serve import ConfigFile
 from service.clock import rfc3339
-from service.security.keys import create_key, list_keys, revoke_key
 from service.settings import load_settings
-from service.store import ApiKey, Store
+
+# What only some commands need is imported where it is needed: the help must not wait for it.
+if TYPE_CHECKING:
+    from service.store import ApiKey, Store
 
 keys = typer.Typer(help="API keys: create, list, revoke.", no_args_is_help=True)
 
@@ -21,7 +21,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stand
 
 
 @contextmanager
-def _store(config: ConfigFile) -> Iterator[Store]:
+def _store(config: ConfigFile) -> Iterator["Store"]:
+    from service.store import Store
+
     settings = load_settings(config)
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         yield store
@@ -37,6 +39,8 @@ def create(
     as_json: AsJson = False,
 ) -> None:
     """Make a key and print it; it is shown this once and kept only as a hash."""
+    from service.security.keys import create_key
+
     with _store(config) as store:
         new = create_key(store, role, expires_in_days)
     typer.echo(json.dumps({"key": new.text} | _facts(new.record)) if as_json else new.text)
@@ -45,6 +49,11 @@ def create(
 @keys.command("list")
 def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
     """List all keys by their prefixes, with role, expiry and revocation."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from service.security.keys import list_keys
+
     with _store(config) as store:
         records = list_keys(store)
     if as_json:
@@ -69,12 +78,14 @@ def revoke(
     as_json: AsJson = False,
 ) -> None:
     """Revoke a key; a running service refuses it within two seconds."""
+    from service.security.keys import revoke_key
+
     with _store(config) as store:
         record = revoke_key(store, key)
     typer.echo(json.dumps(_facts(record)) if as_json else f"{record.prefix} is revoked")
 
 
-def _facts(record: ApiKey) -> dict[str, str | None]:
+def _facts(record: "ApiKey") -> dict[str, str | None]:
     return {
         "id": record.id,
         "prefix": record.prefix,

@@ -14,11 +14,11 @@ _THREADS_WALL_S = 0.5
 _log = structlog.get_logger(__name__)
 
 
-def stop_on_signals() -> asyncio.Event:
-    """Return an event that SIGTERM or SIGINT sets; to be called in the running loop."""
+def stop_on_signals(*more: signal.Signals) -> asyncio.Event:
+    """Return an event that SIGTERM, SIGINT and more set; to be called in the running loop."""
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, *more):
         loop.add_signal_handler(number, stop.set)
     return stop
 

@@ -1,4 +1,4 @@
-"""The demo's two processes, virtual bench and service, started as a user would start them."""
+"""The demo's processes, virtual bench and service, started as a user would start them."""
 
 import asyncio
 import contextlib
@@ -11,14 +11,56 @@ STOP_WALL_S = 15.0
 
 
 class DemoError(RuntimeError):
-    """A part of the demo did not start or ended early."""
+    """A part of the demo did not start or ended early.
+
+    Attributes
+    ----------
+    status : int
+        Exit status of the demo: 2 where the part found something that the user can mend.
+    """
+
+    def __init__(self, text: str, status: int = 1) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Process:
+    """A running ``bearing-twin`` command.
+
+    Attributes
+    ----------
+    first_line : str
+        Its first line of output, which says where it listens.
+    """
+
+    def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
+        self.first_line = ""
+        self._name = name
+        self._process = process
+        self._log = log
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended, by itself or not."""
+        return self._process.returncode is not None
+
+    async def wait(self) -> None:
+        """Wait for its end."""
+        await self._process.wait()
+
+    def error(self) -> DemoError:
+        """What to say of its untimely end."""
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        status = self._process.returncode
+        if status == 2 and lines:
+            return DemoError(lines[-1].removeprefix("bearing-twin: "), status)
+        last = lines[-1] if lines else "without a word"
+        return DemoError(f"the {self._name} ended with status {status}: {last}")
 
 
 @contextlib.asynccontextmanager
-async def running(
-    name: str, arguments: Sequence[str], log: Path
-) -> AsyncIterator[tuple[asyncio.subprocess.Process, str]]:
-    """Run ``bearing-twin ARGUMENTS`` and yield it with its first line of output.
+async def running(name: str, arguments: Sequence[str], log: Path) -> AsyncIterator[Process]:
+    """Run ``bearing-twin ARGUMENTS`` and yield it once it has said its first line.
 
     Its standard error goes to ``log``. On leaving it gets SIGTERM, and SIGKILL if it does not end.
 
@@ -36,18 +78,22 @@ async def running(
             stdout=asyncio.subprocess.PIPE,
             stderr=errors,
             stdin=asyncio.subprocess.DEVNULL,
+            # Ctrl-C is for the demo alone: it still has to ask the service for the account.
+            process_group=0,
         )
+    started = Process(name, process, log)
     try:
         if process.stdout is None:
             raise DemoError(f"{name}: no output to read")
         try:
             first = await asyncio.wait_for(process.stdout.readline(), START_WALL_S)
         except TimeoutError:
-            raise DemoError(f"{name} did not start within {START_WALL_S:g} s; see {log}") from None
+            raise DemoError(f"the {name} did not start within {START_WALL_S:g} s") from None
         if not first:
-            status = await process.wait()
-            raise DemoError(f"{name} ended with status {status}: {_last_line(log)}")
-        yield process, first.decode().strip()
+            await process.wait()
+            raise started.error()
+        started.first_line = first.decode().strip()
+        yield started
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
@@ -56,8 +102,3 @@ async def running(
         except TimeoutError:
             process.kill()
             await process.wait()
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else "without a word"

@@ -1,0 +1,46 @@
+"""The demo's account as a table for people."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def print_account(document: dict[str, Any], console: Console) -> None:
+    """Print forecast and measurement of every high-risk stage, the warnings and the samples."""
+    table = Table(title="Forecast before each high-risk stage and what was measured at its end, °C")
+    for heading in ("stage", "ring", "forecast (95 % band)", "measured", "error", "in band"):
+        table.add_column(heading, justify="left" if heading in ("stage", "ring") else "right")
+    for stage in document["stages"]:
+        for sensor, row in stage["sensors"].items():
+            if row["forecast_c"] is None:
+                cells = ["no forecast", _figure(row["measured_c"]), "", ""]
+            else:
+                cells = [
+                    f"{row['forecast_c']:.1f} ({row['q025']:.1f} … {row['q975']:.1f})",
+                    _figure(row["measured_c"]),
+                    f"{row['error_c']:+.1f}",
+                    f"{row['coverage_95']:.0%} of the time",
+                ]
+            table.add_row(stage["name"], sensor.split("_")[1], *cells)
+    console.print(table)
+    for stage in document["stages"]:
+        if stage["forecast_made_at"]:
+            console.print(
+                f"{stage['name']}: began at {stage['start'][11:19]}, forecast made at "
+                f"{stage['forecast_made_at'][11:19]} by model {stage['forecast_model_version']}."
+            )
+    for stage in document["stages"]:
+        warning = stage["warning"]
+        if warning["forecast_limit_at"]:
+            reached = warning["measured_limit_at"]
+            console.print(
+                f"{stage['name']}: limit announced at {warning['forecast_limit_at'][11:19]}, "
+                + (f"reached at {reached[11:19]}" if reached else "not reached")
+            )
+    samples = document["samples"]
+    console.print(f"Good samples stored: {samples['modbus']} by Modbus, {samples['can']} by CAN.")
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"
