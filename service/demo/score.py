@@ -54,6 +54,13 @@ class KeptForecast:
         """Quantiles at given times, shape (3, m)."""
         return np.array([np.interp(time_us, self.time_us, row) for row in self.quantiles[sensor]])
 
+    def may_pass(self, sensor: str, limit_c: float, stage: "Stage") -> bool:
+        """Whether the band reaches a limit within a stage."""
+        inside = (self.time_us >= stage.start_us) & (
+            self.time_us <= (stage.end_us or stage.start_us)
+        )
+        return bool(np.any(self.quantiles[sensor][-1, inside] >= limit_c))
+
 
 @dataclass(frozen=True, slots=True)
 class Measured:

@@ -185,16 +185,18 @@ class Story:
         """The demo's JSON document."""
         stages = [stage for stage in self._stages if stage.risk == "high"]
         journal = await self._alarm_journal()
+        limits = (await self._get(f"/api/v1/assets/{ASSET}"))["limits"]
+        before = [made_before(self._forecasts, stage) for stage in stages]
         return {
             "model_versions": await self._model_versions(),
             "stages": [
                 stage_json(
                     stage,
-                    made_before(self._forecasts, stage),
+                    forecast,
                     await self._measured(stage),
-                    _warning(stage, journal),
+                    _warning(stage, forecast, journal, limits),
                 )
-                for stage in stages
+                for stage, forecast in zip(stages, before, strict=True)
             ],
             "samples": {
                 "modbus": await self._sample_count(MODBUS_CHANNELS),
@@ -277,13 +279,19 @@ class Story:
         return answer.json()
 
 
-def _warning(stage: Stage, journal: Sequence[Mapping[str, Any]]) -> dict[str, str | None]:
+def _warning(
+    stage: Stage,
+    forecast: KeptForecast | None,
+    journal: Sequence[Mapping[str, Any]],
+    limits: Mapping[str, Mapping[str, float]],
+) -> dict[str, str | None]:
     """When the limits of a stage were first announced, and when first reached by measurement.
 
-    A prediction belongs to the stage if it was standing at its start or raised during it.
+    A prediction belongs to a stage if it stood at the stage's start or was raised during it, and
+    if the forecast made before the stage has the limit inside its band within the stage: one alarm
+    may stand over several stages and mean only the last of them.
     """
     standing: dict[str, str] = {}
-    forecast_at: str | None = None
     measured_at: str | None = None
     end_us = stage.end_us or stage.start_us
     for entry in sorted(journal, key=lambda entry: str(entry["time"])):
@@ -292,12 +300,14 @@ def _warning(stage: Stage, journal: Sequence[Mapping[str, Any]]) -> dict[str, st
         if time_us >= end_us:
             break
         if entry["kind"] == "forecast limit":
-            if raised:
-                standing[entry["alarm_id"]] = entry["time"]
+            limit_c = limits[entry["channel"]][entry["limit_level"]]
+            if raised and forecast and forecast.may_pass(entry["channel"], limit_c, stage):
+                standing.setdefault(entry["alarm_id"], entry["time"])
             elif entry["to"] in ("RTNUN", "NORM") and time_us < stage.start_us:
                 standing.pop(entry["alarm_id"], None)
         if entry["kind"] == "measured limit" and raised and time_us >= stage.start_us:
             measured_at = measured_at or entry["time"]
-    if standing:
-        forecast_at = min(standing.values())
-    return {"forecast_limit_at": forecast_at, "measured_limit_at": measured_at}
+    return {
+        "forecast_limit_at": min(standing.values(), default=None),
+        "measured_limit_at": measured_at,
+    }
