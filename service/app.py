@@ -182,11 +182,18 @@ class Service:
         stop : asyncio.Event
             Set it to end the service.
         """
+        closing: list[asyncio.Task[None]] = []
+
+        def close_alarms() -> None:
+            closing.append(asyncio.create_task(anyio.to_thread.run_sync(self.alarms.close)))
+
         try:
             async with (
                 self._background(self.ingest.run(self.drivers), "ingest", stop),
                 contextlib.AsyncExitStack() as stack,
             ):
+                # At the end, while the last samples are stored.
+                stack.callback(close_alarms)
                 for asset in self.assets.values():
                     kept = await anyio.to_thread.run_sync(self.store.load_asset_state, asset.id)
                     await stack.enter_async_context(
@@ -205,7 +212,7 @@ class Service:
                     await stack.enter_async_context(self._background(task, name, stop))
                 await stop.wait()
         finally:
-            await anyio.to_thread.run_sync(self.alarms.close)
+            await asyncio.gather(*closing)
             self._executor.shutdown(wait=False, cancel_futures=True)
 
     async def _web(self, listener: socket.socket) -> None:

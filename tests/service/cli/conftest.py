@@ -1,0 +1,90 @@
+"""The command line as a user has it: a process with output, error and exit status."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from processes import Command, free_port
+
+ASSET = """
+[[assets]]
+id = "motor-1"
+bearing = "6311"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+[assets.channels]
+speed_rpm = { source = "push" }
+load_n = { source = "push" }
+ambient_c = { source = "push" }
+t_inner_ring_c = { source = "push" }
+"""
+
+
+@pytest.fixture
+def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``bearing-twin ARGUMENTS`` in an empty directory to its end."""
+
+    def run(
+        *arguments: str, environment: Mapping[str, str] | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "service", *arguments],
+            cwd=tmp_path,
+            env=os.environ | (environment or {}),
+            capture_output=True,
+            text=True,
+            timeout=90,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def refused(
+    cli: Callable[..., subprocess.CompletedProcess[str]],
+) -> Callable[..., str]:
+    """Run a command that must end with status 2; returns its one line."""
+
+    def run(*arguments: str, environment: Mapping[str, str] | None = None) -> str:
+        ended = cli(*arguments, environment=environment)
+        assert ended.returncode == 2, ended.stderr[-3000:]
+        assert ended.stdout == ""
+        (line,) = ended.stderr.splitlines()
+        assert line.startswith("bearing-twin: ")
+        return line
+
+    return run
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+@pytest.fixture
+def configure(tmp_path: Path, port: int) -> Callable[..., Path]:
+    """Write a configuration file; the service's section is given already."""
+
+    def write(text: str = ASSET, service: str = "") -> Path:
+        path = tmp_path / "site.toml"
+        path.write_text(f'[service]\nport = {port}\ndata_dir = "data"\n{service}\n{text}')
+        return path
+
+    return write
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Command]]:
+    """Start a command that stays; all are cleared away at the end."""
+    started: list[Command] = []
+
+    def run(*arguments: str) -> Command:
+        started.append(Command(list(arguments), tmp_path / f"{arguments[0]}.log"))
+        return started[-1]
+
+    yield run
+    for command in started:
+        command.end()

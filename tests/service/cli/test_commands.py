@@ -1,0 +1,95 @@
+"""Commands that do their work."""
+
+import json
+import re
+import subprocess
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import httpx2
+import pytest
+
+Cli = Callable[..., "subprocess.CompletedProcess[str]"]
+COMMANDS = ("demo", "serve", "virtual-bench", "identify", "forecast", "keys", "db")
+
+
+def test_the_version_is_that_of_the_package(cli: Cli) -> None:
+    ended = cli("--version")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == f"bearing-twin {version('bearing-twin')}\n"
+
+
+def test_the_help_lists_the_commands(cli: Cli) -> None:
+    for ended in (cli("--help"), cli("-h")):
+        assert ended.returncode == 0
+        for command in COMMANDS:
+            assert re.search(rf"\b{command}\b", ended.stdout)
+        assert "warm-up" not in ended.stdout, "nothing for users"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(cli: Cli, command: str) -> None:
+    ended = cli(command, "--help")
+    assert ended.returncode == 0
+    assert "Usage:" in ended.stdout
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("serve", "--help")])
+def test_nobody_waits_for_what_only_other_commands_need(
+    cli: Cli, arguments: tuple[str, ...]
+) -> None:
+    """The compiled twin, the field buses and the database take seconds to load."""
+    ended = cli(*arguments, environment={"PYTHONPROFILEIMPORTTIME": "1"})
+    assert ended.returncode == 0
+    loaded = {line.rpartition("|")[2].strip() for line in ended.stderr.splitlines()}
+    assert "typer" in loaded
+    assert not loaded & {"numba", "scipy", "sqlalchemy", "pymodbus", "can", "fastapi", "numpy"}
+
+
+def test_keys_live_from_creation_to_revocation(cli: Cli) -> None:
+    created = cli("keys", "create", "--role", "operator", "--expires-in-days", "2", "--json")
+    assert created.returncode == 0, created.stderr
+    key = json.loads(created.stdout)
+    assert set(key) >= {"key", "id", "prefix", "role", "expires"}
+    assert key["role"] == "operator"
+    assert key["key"].startswith(key["prefix"])
+    plain = cli("keys", "create", "--role", "viewer")
+    assert re.fullmatch(r"bt_\S+\n", plain.stdout), "only the key"
+    assert plain.stderr == ""
+
+    listed = json.loads(cli("keys", "list", "--json").stdout)["keys"]
+    assert [one["role"] for one in listed] == ["operator", "viewer"]
+    assert [one["expires"] is None for one in listed] == [False, True]
+    assert "key" not in listed[0]
+    assert key["prefix"] in cli("keys", "list").stdout
+
+    revoked = cli("keys", "revoke", key["id"], "--json")
+    assert revoked.returncode == 0
+    assert json.loads(revoked.stdout)["revoked"] is not None
+    by_prefix = cli("keys", "revoke", listed[1]["prefix"])
+    assert by_prefix.stdout == f"{listed[1]['prefix']} is revoked\n"
+    listed = json.loads(cli("keys", "list", "--json").stdout)["keys"]
+    assert all(one["revoked"] for one in listed)
+
+
+def test_without_a_configuration_the_data_are_in_var(cli: Cli, tmp_path: Path) -> None:
+    ended = cli("db", "upgrade")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == "The store is up to date.\n"
+    assert (tmp_path / "var" / "bearing-twin.db").exists()
+    assert cli("db", "upgrade").returncode == 0, "again is no error"
+
+
+def test_a_key_made_while_the_service_runs_opens_it_until_it_is_revoked(
+    cli: Cli, configure: Callable[..., Path], start: Callable[..., object], port: int
+) -> None:
+    config = str(configure())
+    start("serve", "-c", config)
+    key = cli("keys", "create", "--role", "viewer", "-c", config).stdout.strip()
+    url = f"http://127.0.0.1:{port}/api/v1/assets"
+    assert httpx2.get(url, headers={"X-API-Key": key}).status_code == 200
+    assert cli("keys", "revoke", key[:11], "-c", config).returncode == 0
+    time.sleep(2.1)
+    assert httpx2.get(url, headers={"X-API-Key": key}).status_code == 401

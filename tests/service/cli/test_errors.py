@@ -1,0 +1,170 @@
+"""What a user can mend: exit status 2 and one line that names it."""
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = """
+[[sources]]
+name = "drive"
+driver = "can"
+interface = "slcan"
+channel = "socket://127.0.0.1:1"
+dbc = "{dbc}"
+
+[[assets]]
+id = "bench-1"
+bearing = "6311"
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+[assets.channels]
+speed_rpm = {{ source = "drive", message = "{message}", signal = "Speed" }}
+"""
+DBC = Path(__file__).parents[3] / "adapters" / "virtual_bench" / "bench.dbc"
+
+
+@pytest.fixture
+def taken() -> Iterator[int]:
+    """A port that somebody else listens on."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        yield other.getsockname()[1]
+
+
+def test_an_unknown_scenario_lists_the_known_ones(refused: Callable[..., str]) -> None:
+    line = refused("virtual-bench", "--scenario", "stairs")
+    assert "'stairs'" in line
+    assert "staircase, load-steps" in line
+
+
+@pytest.mark.parametrize("option", ["--modbus-port", "--can-port"])
+def test_a_port_of_the_bench_in_use(refused: Callable[..., str], taken: int, option: str) -> None:
+    other = "--can-port" if option == "--modbus-port" else "--modbus-port"
+    assert str(taken) in refused("virtual-bench", option, str(taken), other, "0")
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "nan"])
+def test_a_rate_that_is_none(refused: Callable[..., str], rate: str) -> None:
+    assert "rate" in refused(
+        "virtual-bench", "--rate", rate, "--modbus-port", "0", "--can-port", "0"
+    )
+
+
+def test_a_truth_file_that_cannot_be_written(refused: Callable[..., str]) -> None:
+    line = refused(
+        "virtual-bench", "--truth", "no/such/folder/truth.csv", "--modbus-port", "0",
+        "--can-port", "0",
+    )  # fmt: skip
+    assert "no/such/folder/truth.csv" in line
+
+
+def test_a_port_of_the_service_in_use(
+    refused: Callable[..., str], configure: Callable[..., Path], taken: int
+) -> None:
+    config = configure()
+    config.write_text(config.read_text().replace("port =", "port = " + str(taken) + " #"))
+    line = refused("serve", "-c", str(config))
+    assert f"service.port = {taken}" in line
+    assert "expected a free port" in line
+
+
+def test_a_port_of_the_demo_in_use_is_told_at_once(refused: Callable[..., str], taken: int) -> None:
+    assert str(taken) in refused("demo", "--headless", "--port", str(taken))
+
+
+@pytest.mark.parametrize("command", [("serve",), ("keys", "list"), ("db", "upgrade")])
+def test_a_configuration_that_is_no_toml(
+    refused: Callable[..., str], tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    (tmp_path / "bad.toml").write_text("[service\nport = 1")
+    line = refused(*command, "-c", "bad.toml")
+    assert "bad.toml: not valid TOML" in line
+    assert "line 1" in line
+
+
+def test_a_configuration_that_is_not_there(refused: Callable[..., str]) -> None:
+    assert "gone.toml: cannot be read" in refused("serve", "-c", "gone.toml")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('bearing = "6311"', 'bearing = "6312"', ("assets[0].bearing", "6312", "6311")),
+        ("speed_rpm_max = 4300", "speed_rpm_max = -1", ("speed_rpm_max", "-1")),
+        ('id = "motor-1"', 'id = "motor 1"', ("assets[0].id", "motor 1")),
+        ('load_n = { source = "push" }', 'load_n = { source = "pull" }', ("load_n", "pull")),
+        ("speed_rpm = {", "speed = {", ("channels.speed", "speed_rpm")),
+        ("port =", "prot =", ("service.prot", "unknown key")),
+        ("port =", "port = 99999 #", ("service.port", "99999")),
+    ],
+)
+def test_a_wrong_key_is_named_with_its_value(
+    refused: Callable[..., str], configure: Callable[..., Path], before: str, after: str,
+    words: tuple[str, ...],
+) -> None:  # fmt: skip
+    config = configure()
+    assert before in config.read_text()
+    config.write_text(config.read_text().replace(before, after, 1))
+    line = refused("serve", "-c", str(config))
+    for word in words:
+        assert word in line
+
+
+def test_a_wrong_key_in_the_environment(refused: Callable[..., str]) -> None:
+    line = refused("serve", environment={"BEARING_TWIN__SERVICE__PORT": "eighty"})
+    assert "service.port" in line
+    assert "eighty" in line
+
+
+def test_a_dbc_that_is_not_there(
+    refused: Callable[..., str], configure: Callable[..., Path]
+) -> None:
+    config = configure(SOURCE.format(dbc="gone.dbc", message="DriveStatus"))
+    line = refused("serve", "-c", str(config))
+    assert "gone.dbc" in line
+    assert "dbc" in line.lower()
+
+
+def test_a_message_that_the_dbc_does_not_have(
+    refused: Callable[..., str], configure: Callable[..., Path]
+) -> None:
+    config = configure(SOURCE.format(dbc=DBC, message="DriveState"))
+    line = refused("serve", "-c", str(config))
+    assert "DriveState" in line
+    assert "DriveStatus" in line, "it says what was probably meant"
+
+
+def test_a_data_directory_that_cannot_be_one(
+    refused: Callable[..., str], configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "data").write_text("a file")
+    assert "data" in refused("serve", "-c", str(configure()))
+    assert "data" in refused("keys", "list", "-c", str(configure()))
+
+
+def test_a_store_that_is_none(
+    refused: Callable[..., str], configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "bearing-twin.db").write_text("no database, but long enough " * 100)
+    line = refused("serve", "-c", str(configure()))
+    assert "bearing-twin.db" in line
+
+
+def test_a_service_for_others_needs_a_key(
+    refused: Callable[..., str], configure: Callable[..., Path]
+) -> None:
+    line = refused("serve", "-c", str(configure(service='host = "0.0.0.0"')))
+    assert "keys create" in line
+
+
+def test_a_role_that_there_is_not(refused: Callable[..., str]) -> None:
+    line = refused("keys", "create", "--role", "root")
+    assert "root" in line
+    assert "viewer" in line
+
+
+def test_a_key_that_there_is_not(refused: Callable[..., str]) -> None:
+    assert "bt_none" in refused("keys", "revoke", "bt_none")

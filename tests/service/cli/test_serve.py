@@ -1,0 +1,190 @@
+"""The service of unusual configurations, and its end."""
+
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from processes import Command, wait_until
+
+from service.clock import ProcessClock, rfc3339
+from service.security.keys import create_key
+from service.settings import load_settings
+from service.store import Store
+
+MACHINE = {"speed_rpm": 1500.0, "load_n": 2650.0, "ambient_c": 22.0, "t_inner_ring_c": 40.0}
+FAST = "\n[clock]\nrate = 60\n"
+PUSHED = """
+[[assets]]
+id = "motor-1"
+bearing = "6311"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+[assets.channels]
+speed_rpm = { source = "push" }
+load_n = { source = "push" }
+ambient_c = { source = "push" }
+t_inner_ring_c = { source = "push" }
+"""
+Start = Callable[..., Command]
+
+
+class Client:
+    """A gateway and an administrator of one asset that only gets pushed values."""
+
+    def __init__(self, config: Path, port: int) -> None:
+        self.settings = load_settings(config)
+        with Store.open(self.settings.service.database_url, self.settings.data_dir) as store:
+            key = create_key(store, "admin").text
+        self.http = httpx2.Client(
+            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": key}, timeout=20
+        )
+
+    def get(self, path: str) -> Any:
+        answer = self.http.get(path)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def push(self, **values: float) -> None:
+        clock = ProcessClock.resume(self.settings.clock.rate, self.settings.data_dir)
+        now = rfc3339(clock.now_us())
+        samples = [{"channel": name, "time": now, "value": value} for name, value in values.items()]
+        answer = self.http.post("/api/v1/assets/motor-1/measurements", json={"samples": samples})
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["rejected"] == []
+
+    def tag(self, name: str) -> Any:
+        return self.get("/api/v1/assets/motor-1/snapshot")["tags"][name]["value"]
+
+    def follow(self, name: str) -> Any:
+        """Push the machine's values until the twin has a value for a tag."""
+
+        def look() -> Any:
+            self.push(**MACHINE)
+            return self.tag(name)
+
+        return wait_until(look, 30, f"a value of {name}")
+
+
+@pytest.fixture
+def connect(port: int) -> Iterator[Callable[[Path], Client]]:
+    clients: list[Client] = []
+
+    def to(config: Path) -> Client:
+        clients.append(Client(config, port))
+        return clients[-1]
+
+    yield to
+    for client in clients:
+        client.http.close()
+
+
+def test_a_service_without_sources_and_assets_is_ready(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    config = configure("")
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+    assert client.get("/readyz")["status"] == "ready"
+    assert client.get("/api/v1/assets")["items"] == []
+    assert client.get("/api/v1/alarms")["items"] == []
+    assert client.http.get("/").status_code == 200
+    assert service.terminate() == 0
+
+
+def test_pushed_values_alone_keep_a_twin(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    config = configure(PUSHED + FAST)
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+    assert client.get("/readyz")["status"] == "degraded"
+    assert client.tag("t_node_7_c.twin") is None
+    assert 22.0 < client.follow("t_node_7_c.twin") < 60.0
+    assert client.follow("t_inner_ring_c.forecast_max") > 30.0
+    asset = client.get("/api/v1/assets/motor-1")
+    assert asset["health"]["twin_running"] is True
+    assert asset["controller"] is None
+    assert {one["source"] for one in asset["channels"]} == {"push", "twin"}
+    forecast = client.get("/api/v1/assets/motor-1/forecast")
+    assert forecast["planned"] is False
+    assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
+    assert service.terminate() == 0
+    assert '"level": "error"' not in service.log.read_text()
+
+
+def test_an_asset_without_temperatures_does_not_end_the_service(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    without = PUSHED.replace('t_inner_ring_c = { source = "push" }\n', "").replace(
+        'ambient_c = { source = "push" }\n', ""
+    )
+    config = configure(without + "\n[clock]\nrate = 300\n")
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+    client.push(speed_rpm=1500.0, load_n=2650.0)
+    time.sleep(2.5)  # by then it has looked for windows twice
+    assert client.get("/livez")["status"] == "alive"
+    assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
+    assert client.tag("t_node_7_c.twin") is None
+    assert service.terminate() == 0
+    assert '"level": "error"' not in service.log.read_text()
+
+
+def test_another_bearing_in_the_configuration_begins_anew(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    """What was identified, and estimated, belongs to the old one."""
+    config = configure(PUSHED + FAST)
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+    client.follow("t_node_7_c.twin")
+    assert service.terminate() == 0
+    config.write_text(config.read_text().replace("6311", "6016"))
+    service = start("serve", "-c", str(config))
+    assert client.tag("t_node_7_c.twin") is None
+    assert client.tag("model.version") == 2
+    models = client.get("/api/v1/assets/motor-1/models")["items"]
+    assert [(model["version"], model["status"]) for model in models] == [
+        (2, "active"),
+        (1, "retired"),
+    ]
+    assert "6311" in models[0]["reason"]
+    client.follow("t_inner_ring_c.forecast_max")
+    answer = client.http.post("/api/v1/assets/motor-1/models/1/activate")
+    assert answer.status_code == 409
+    assert "6311" in answer.json()["detail"]
+    assert service.terminate() == 0
+
+
+def test_a_kept_state_that_cannot_be_read_does_not_keep_it_from_starting(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    config = configure(PUSHED + FAST)
+    client = connect(config)
+    with closing(sqlite3.connect(config.parent / "data" / "bearing-twin.db")) as store, store:
+        store.execute("INSERT INTO asset_states (asset, document) VALUES ('motor-1', '{}')")
+    service = start("serve", "-c", str(config))
+    client.follow("t_node_7_c.twin")
+    assert service.terminate() == 0
+
+
+def test_it_ends_within_seconds_though_the_store_is_locked(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    """Another program holds the database, and the twin just tries to keep its state."""
+    config = configure(PUSHED + FAST)
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+    client.follow("t_node_7_c.twin")
+    database = client.settings.data_dir / "bearing-twin.db"
+    with closing(sqlite3.connect(database, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        time.sleep(5.5)  # a save is under way now
+        began = time.monotonic()
+        assert service.terminate() == 0
+        assert time.monotonic() - began < 10.0
+        other.execute("ROLLBACK")
