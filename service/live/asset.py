@@ -159,7 +159,8 @@ class AssetRuntime:
             "active_model": {
                 "version": self.active.version,
                 "model": self.active.model.name,
-                "trusted": True,
+                # A model whose estimate or forecast fails on this machine says nothing about it.
+                "trusted": not (self._estimating.failing or self._forecasting.failing),
                 "identified": identified_at_us is not None,
                 "identified_at": rfc3339(identified_at_us) if identified_at_us else None,
             },
