@@ -1,6 +1,7 @@
 """Real processes for tests: virtual bench and service, started as a user would start them."""
 
 import json
+import random
 import signal
 import socket
 import subprocess
@@ -24,9 +25,18 @@ Found = TypeVar("Found")
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port that nobody listens on, below those that outgoing connections are given.
+
+    A test that starts a server anew on the same port would else find it taken now and then.
+    """
+    while True:
+        port = random.randrange(20_000, 32_000)
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        return port
 
 
 def wait_until(
