@@ -34,12 +34,12 @@ def study(
 
     With "all" the JSON document holds one document per study, by name.
     """
-    from service.studies.common import require  # the numerical libraries take seconds to load
+    from service.studies.common import prepare  # the numerical libraries take seconds to load
     from service.studies.registry import ALL, chosen
 
     studies = chosen(name)
     if out is not None:
-        require("matplotlib")
+        prepare(out)
     documents = {}
     with exit_on_signals():
         for title, run in studies.items():

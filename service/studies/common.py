@@ -74,16 +74,8 @@ class Report:
     plots: tuple[Plot, ...]
 
     def write(self, folder: Path) -> list[Path]:
-        """Write the document, the tables and the plots into a folder, made if need be.
-
-        Raises
-        ------
-        StudyError
-            If the folder cannot be written, or matplotlib is not installed.
-        """
-        require("matplotlib")
+        """Write the document, the tables and the plots into a folder; see `prepare`."""
         try:
-            folder.mkdir(parents=True, exist_ok=True)
             written = [folder / f"{self.study}.json", folder / f"{self.study}.md"]
             written[0].write_text(json.dumps(self.document, indent=2) + "\n", encoding="utf-8")
             text = "\n".join(table.markdown() for table in self.tables)
@@ -101,6 +93,23 @@ def figure(width_in: float, height_in: float) -> "Figure":
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def prepare(folder: Path) -> None:
+    """Make the folder that reports shall be written to, before hours of work are spent on them.
+
+    Raises
+    ------
+    StudyError
+        If that is impossible, or matplotlib is not installed.
+    """
+    require("matplotlib")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StudyError(f"--out {folder}: {error.strerror or error}") from error
+    if not os.access(folder, os.W_OK):
+        raise StudyError(f"--out {folder}: cannot be written")
 
 
 def require(*modules: str) -> None:

@@ -170,13 +170,22 @@ class CountedSearch:
             if self._stop_at_target:
                 raise SearchEnd
 
-    def settled(self, parameter: int) -> int | None:
-        """Evaluations from which on one parameter of the best point stayed within 1 %."""
+    def within(self, parameter: int) -> tuple[int | None, int | None]:
+        """When one parameter of the best point came within 1 % of its target.
+
+        Returns
+        -------
+        first : int or None
+            Simulations until it was so for the first time, which may be by chance.
+        for_good : int or None
+            Simulations from which on it stayed so to the end of the search.
+        """
         target = self.problem.targets[parameter]
-        since = None
+        first = for_good = None
         for best in self.trace:
             if abs(best.values[parameter] / target - 1.0) > TOLERANCE:
-                since = None
-            elif since is None:
-                since = best.evaluations
-        return since
+                for_good = None
+                continue
+            first = best.evaluations if first is None else first
+            for_good = best.evaluations if for_good is None else for_good
+        return first, for_good

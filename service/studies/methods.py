@@ -15,6 +15,7 @@ from twin_core.identification.noa import Nutcracker, NutcrackerSettings
 
 NOA_POPULATION = 17
 NOA_BUDGET = 30_000
+BASELINE_BUDGET = 100_000
 EXPLORATION = 300
 """Evaluations of NOA before the refinement; as always with NOA they are its schedule too."""
 
@@ -128,7 +129,9 @@ def particle_swarm(search: CountedSearch, seed: int) -> None:
 METHODS = {
     "noa": Method(noa, NOA_BUDGET, f"released variant, N {NOA_POPULATION}, T {NOA_BUDGET}"),
     "pso": Method(
-        particle_swarm, 10 * NOA_BUDGET, f"pymoo, {PSO_PARTICLES} particles, adaptive coefficients"
+        particle_swarm,
+        BASELINE_BUDGET,
+        f"pymoo, {PSO_PARTICLES} particles, adaptive coefficients",
     ),
     "noa+refine": Method(
         noa_then_refine, 2_000, f"NOA N {NOA_POPULATION}, T {EXPLORATION}, then trust region"
@@ -136,10 +139,12 @@ METHODS = {
     "trf": Method(trust_region, 10_000, "scipy least_squares, random starts, 2-point Jacobian"),
     "de": Method(
         differential_evolution,
-        100_000,
+        BASELINE_BUDGET,
         f"scipy, best1bin, {DE_MEMBERS_PER_DIMENSION} members per parameter, CR 0.9",
     ),
-    "cma-es": Method(cma_es, 100_000, f"cma, sigma {CMA_SPREAD}, population doubles at restarts"),
+    "cma-es": Method(
+        cma_es, BASELINE_BUDGET, f"cma, sigma {CMA_SPREAD}, population doubles at restarts"
+    ),
 }
 
 

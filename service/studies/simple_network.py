@@ -147,7 +147,7 @@ def _draw(
         _draw_trace(axes, names, targets, trace)
         axes.set_title(title)
     left.set_ylabel("best value so far / target")
-    right.legend(ncols=2)
+    right.legend(ncols=7, loc="lower right", columnspacing=0.8, handlelength=1.0)
     return drawn
 
 
@@ -160,6 +160,7 @@ def _draw_trace(
         axes.step(count, relative[:, column], where="post", label=name)
     axes.axhspan(1 - TOLERANCE, 1 + TOLERANCE, color="0.85", zorder=0)
     axes.set_xscale("log")
+    axes.set_xlim(10, None)
     axes.set_yscale("log")
     axes.set_xlabel("simulations")
     axes.grid(alpha=0.3)

@@ -1,0 +1,100 @@
+"""The inverse problem and the counting of simulations."""
+
+import numpy as np
+import pytest
+
+from service.studies.inverse import CountedSearch, InverseProblem, SearchEnd, simple_network_problem
+
+
+@pytest.fixture(scope="module")
+def problem() -> InverseProblem:
+    return simple_network_problem()
+
+
+@pytest.fixture
+def target(problem: InverseProblem) -> np.ndarray:
+    """The target as a point of the unit box."""
+    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
+    return np.log(problem.targets / lower) / np.log(upper / lower)
+
+
+def test_the_unit_box_is_the_logarithm_between_the_bounds(problem: InverseProblem) -> None:
+    parameters = problem.model.parameters
+    assert problem.values(np.zeros(7)) == pytest.approx(parameters.lower)
+    assert problem.values(np.ones(7)) == pytest.approx(parameters.upper)
+    assert problem.values(np.full(7, 0.5)) == pytest.approx(
+        np.sqrt(parameters.lower * parameters.upper)
+    )
+
+
+def test_residuals_vanish_at_the_target_only(problem: InverseProblem, target: np.ndarray) -> None:
+    residuals = problem.residuals(np.array([target, np.full(7, 0.5)]))
+    assert residuals.shape == (2, 900)
+    assert np.abs(residuals[0]).max() < 1e-9
+    assert np.abs(residuals[1]).max() > 1.0
+
+
+def test_every_simulation_counts_up_to_the_budget(problem: InverseProblem) -> None:
+    search = CountedSearch(problem, 10)
+    points = np.random.default_rng(0).random((4, 7))
+    assert search.costs(points).shape == (4,)
+    assert search.residuals(points[:3]).shape == (3, 900)
+    assert search.evaluations == 7
+    with pytest.raises(SearchEnd):
+        search.costs(points)
+    assert search.evaluations == 10
+    with pytest.raises(SearchEnd):
+        search.residuals(points[:1])
+    assert search.evaluations == 10
+    assert search.reached is None
+
+
+def test_the_trace_holds_every_new_best(problem: InverseProblem) -> None:
+    points = np.random.default_rng(1).random((50, 7))
+    costs = np.sum(problem.residuals(points) ** 2, axis=1)
+    search = CountedSearch(problem, 50)
+    search.costs(points[:20])
+    search.costs(points[20:])
+    best = np.flatnonzero(costs == np.minimum.accumulate(costs))
+    assert [one.evaluations for one in search.trace] == (best + 1).tolist()
+    assert search.trace[-1].values == pytest.approx(problem.values(points[np.argmin(costs)]))
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_the_target_is_met_by_the_point_within_one_percent(
+    problem: InverseProblem, target: np.ndarray, stop: bool
+) -> None:
+    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
+    percent = np.log(1.01) / np.log(upper / lower)
+    points = target + np.outer([3.0, 1.1, 0.9, 0.0], percent)
+    search = CountedSearch(problem, 100, stop_at_target=stop)
+    if stop:
+        with pytest.raises(SearchEnd):
+            search.costs(points)
+        assert search.evaluations == 3
+    else:
+        search.costs(points)
+        assert search.evaluations == 4
+    assert search.reached == 3
+
+
+def test_a_chance_hit_is_not_for_good(problem: InverseProblem, target: np.ndarray) -> None:
+    by_chance, nearer, there = np.full(7, 0.5), target.copy(), target.copy()
+    by_chance[3] = target[3]
+    nearer[3] += 0.02
+    search = CountedSearch(problem, 100, stop_at_target=False)
+    search.costs(np.array([by_chance, nearer, there]))
+    assert search.within(3) == (1, 3)
+    assert search.within(0) == (2, 2)
+    none = CountedSearch(problem, 100)
+    none.costs(np.full((1, 7), 0.5))
+    assert none.within(3) == (None, None)
+
+
+def test_an_unusable_candidate_costs_one_simulation(problem: InverseProblem) -> None:
+    search = CountedSearch(problem, 100)
+    costs = search.costs(np.array([np.full(7, np.nan), np.full(7, 0.5)]))
+    assert np.isnan(costs[0])
+    assert np.isfinite(costs[1])
+    assert search.evaluations == 2
+    assert len(search.trace) == 1
