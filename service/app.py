@@ -34,6 +34,8 @@ from service.store import Alarm, ModelVersion, Store, lock_data_directory
 from service.wiring import Wiring, is_loopback, wire
 
 HEALTH_EVERY_WALL_S = 1.0
+CANCEL_AGAIN_WALL_S = 1.0
+INGEST = "ingest"
 
 _log = structlog.get_logger(__name__)
 
@@ -189,7 +191,7 @@ class Service:
 
         try:
             async with (
-                self._background(self.ingest.run(self.drivers), "ingest", stop),
+                self._background(self.ingest.run(self.drivers), INGEST, stop),
                 contextlib.AsyncExitStack() as stack,
             ):
                 # At the end, while the last samples are stored.
@@ -251,6 +253,10 @@ class Service:
         finally:
             task.remove_done_callback(ended)
             task.cancel()
+            while not task.done():
+                await asyncio.wait({task}, timeout=CANCEL_AGAIN_WALL_S)
+                if name == INGEST and not task.done():
+                    _cancel_sources_again()
             with contextlib.suppress(asyncio.CancelledError):
                 await task
 
@@ -262,6 +268,18 @@ class _Server(uvicorn.Server):
     def capture_signals(self) -> Any:
         """Leave the signals to the service."""
         yield
+
+
+def _cancel_sources_again() -> None:
+    """Cancel the tasks of drivers that have missed their cancellation.
+
+    `asyncio.wait_for` of Python 3.11, which pymodbus uses, swallows a cancellation that comes
+    together with the answer it waits for; the driver would then poll on for ever.
+    """
+    for task in asyncio.all_tasks():
+        if task.get_name().startswith("source "):
+            _log.warning("source_cancelled_again", task=task.get_name())
+            task.cancel()
 
 
 def bind(host: str, port: int) -> socket.socket:

@@ -86,7 +86,8 @@ async def running(name: str, arguments: Sequence[str], log: Path) -> AsyncIterat
         if process.stdout is None:
             raise DemoError(f"{name}: no output to read")
         try:
-            first = await asyncio.wait_for(process.stdout.readline(), START_WALL_S)
+            async with asyncio.timeout(START_WALL_S):
+                first = await process.stdout.readline()
         except TimeoutError:
             raise DemoError(f"the {name} did not start within {START_WALL_S:g} s") from None
         if not first:
@@ -98,7 +99,8 @@ async def running(name: str, arguments: Sequence[str], log: Path) -> AsyncIterat
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
         try:
-            await asyncio.wait_for(process.wait(), STOP_WALL_S)
+            async with asyncio.timeout(STOP_WALL_S):
+                await process.wait()
         except TimeoutError:
             process.kill()
             await process.wait()

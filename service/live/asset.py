@@ -333,7 +333,8 @@ class AssetRuntime:
         period_wall_s = max(FORECAST_EVERY_S / self._clock.rate, FORECAST_LEAST_WALL_S)
         while True:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._forecast_wanted.wait(), period_wall_s)
+                async with asyncio.timeout(period_wall_s):
+                    await self._forecast_wanted.wait()
             self._forecast_wanted.clear()
             if self.estimate.started:
                 with self._forecasting():
