@@ -1,7 +1,13 @@
 """Scores of point and interval forecasts. Temperatures in degC, errors and scores in K.
 
+``fitness``, ``r_squared`` and ``euclidean_distance`` are those of Wang et al., Appl. Sci. 2025,
+15(12), 6671: its equation (25), its figures 12 and 17, its tables 6 and 7. Fitness and distance
+grow with the number of rows, and R2 with the spread of what was measured, so none of them compares
+between runs of different lengths or stages; RMS, coverage, interval score and CRPS do.
+
 Interval score and CRPS after Gneiting and Raftery, J. Am. Stat. Assoc. 102 (2007) 359,
-doi 10.1198/016214506000001437. Rows whose measurement is NaN are left out everywhere.
+doi 10.1198/016214506000001437: equations (43) and (21). Rows whose measurement is NaN are left out
+everywhere.
 """
 
 from collections.abc import Sequence
@@ -29,6 +35,53 @@ def rms(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
     """Return the root mean square error, NaN without a measurement."""
     errors = _errors(forecast_c, measured_c)
     return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
+
+
+def fitness(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
+    """Return the sum of absolute errors in K over all rows and sensors, NaN without a measurement.
+
+    Equation (25) of the paper, whose modulus bars got lost in print.
+
+    Parameters
+    ----------
+    forecast_c, measured_c
+        Same shape, such as (n, sensors).
+    """
+    errors = _errors(forecast_c, measured_c)
+    return float(np.sum(np.abs(errors))) if errors.size else float("nan")
+
+
+def euclidean_distance(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
+    """Return the root of the sum of squared errors in K, NaN without a measurement.
+
+    The paper's distance between two curves (its section 5.2.2): RMS times the root of their length.
+
+    Parameters
+    ----------
+    forecast_c, measured_c
+        (n,) two curves.
+    """
+    errors = _errors(forecast_c, measured_c)
+    return float(np.sqrt(np.sum(errors**2))) if errors.size else float("nan")
+
+
+def r_squared(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
+    """Return 1 minus squared errors over squared deviations of the measurements from their mean.
+
+    1 is perfect, 0 no better than the measurements' own mean, and it has no lower limit. NaN for
+    fewer than two measurements or constant ones.
+
+    Parameters
+    ----------
+    forecast_c, measured_c
+        (n,) forecast and measurements of one sensor.
+    """
+    errors = _errors(forecast_c, measured_c)
+    measured = np.asarray(measured_c, float)
+    measured = measured[~np.isnan(measured)]
+    if measured.size < 2 or np.ptp(measured) == 0.0:
+        return float("nan")
+    return float(1.0 - np.sum(errors**2) / np.sum((measured - np.mean(measured)) ** 2))
 
 
 def max_error(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
@@ -64,6 +117,8 @@ def interval_score(
 
 def crps_from_members(members_c: ArrayLike, measured_c: ArrayLike) -> float:
     """Return the mean continuous ranked probability score of an ensemble.
+
+    CRPS = E|X - y| - E|X - X'| / 2, both X over the members.
 
     Parameters
     ----------
