@@ -1,0 +1,399 @@
+"""Runs of virtual benches as the twin sees them: minute rows, identification, forecast, scores.
+
+The data come from the virtual bench's physics, which share nothing with the twin's. A bench starts
+cold and at rest; the twin is identified from the first rows, its observer follows the machine to
+the present, and the forecast over the rest is compared with what the sensors read (coverage) and
+with the noise-free temperatures (errors).
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.virtual_bench import (
+    BenchParameters,
+    Scenario,
+    SensorParameters,
+    measure,
+    scenario_profile,
+    simulate,
+)
+from adapters.virtual_bench.scenarios import Step
+from adapters.virtual_bench.sensors import Pt100
+from twin_core import scores
+from twin_core.bearings import bearing
+from twin_core.forecasting import Forecast, forecast
+from twin_core.identification import (
+    IdentificationData,
+    IdentificationResult,
+    IdentificationWindow,
+    Posterior,
+    identify,
+)
+from twin_core.models import ThermalModel, build_model
+from twin_core.observer import Observer, initial_state
+from twin_core.simulation import OperatingProfile, hold_operating_point
+from twin_core.windows import MinuteData
+
+FloatArray = NDArray[np.float64]
+
+RINGS = ("t_inner_ring_c", "t_outer_ring_c")
+NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
+MINUTE_S = 60.0
+SECONDS = 60
+STEADY_ROWS = 30
+"""The steady phase of a stage is its last half hour, what comes before is its rise."""
+RAN_AWAY_C = 110.0
+"""A bench whose inner ring passes this temperature has run away thermally."""
+
+_FIRST_NODE_CHANNEL = 100
+
+
+class Stage(NamedTuple):
+    """An operating point held for some minutes, the ramp towards it included."""
+
+    minutes: int
+    speed_rpm: float
+    load_n: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenchRun:
+    """What one bench did over a plan.
+
+    Parameters
+    ----------
+    bearing
+        Mounted bearing.
+    stages
+        The plan.
+    minutes
+        (n,) rows: speed, load and ambient averaged over the minute that begins at the row's time,
+        temperatures over the 60 s around it, as the service makes them.
+    truth_c
+        (n,) noise-free temperatures at the rows' times, of both rings and the paper's 13 nodes.
+    """
+
+    bearing: str
+    stages: tuple[Stage, ...]
+    minutes: MinuteData
+    truth_c: dict[str, FloatArray]
+
+    def first_row(self, stage: int) -> int:
+        """Row at which a stage begins; the number of stages gives the end."""
+        return sum(one.minutes for one in self.stages[:stage])
+
+    def ran_away(self, first: int, end: int) -> bool:
+        """Whether the inner ring truly passed 110 degC within rows."""
+        return bool(np.any(self.truth_c["t_inner_ring_c"][first:end] > RAN_AWAY_C))
+
+    def planned(self, first: int, end: int) -> OperatingProfile:
+        """The plan from a row on, as known at that row: set-points, and the ambient of now."""
+        rows = slice(first, end)
+        stage = np.searchsorted(
+            np.cumsum([one.minutes for one in self.stages]), np.arange(first, end), side="right"
+        )
+        ambient = np.full(end - first, self.minutes.ambient_c[first])
+        return OperatingProfile(
+            self.minutes.time_s[rows] - self.minutes.time_s[first],
+            np.array([one.speed_rpm for one in self.stages])[stage],
+            np.array([one.load_n for one in self.stages])[stage],
+            ambient,
+        )
+
+    def measured(self, first: int, end: int) -> OperatingProfile:
+        """Speed, load and ambient as they were measured, from a row on."""
+        rows = slice(first, end)
+        return hold_operating_point(
+            OperatingProfile(
+                self.minutes.time_s[rows] - self.minutes.time_s[first],
+                self.minutes.speed_rpm[rows],
+                self.minutes.load_n[rows],
+                self.minutes.ambient_c[rows],
+            )
+        )
+
+
+def run_bench(
+    parameters: BenchParameters,
+    stages: Sequence[Stage],
+    seed: int,
+    *,
+    speed_ramp_rpm_per_s: float = 100.0,
+    node_sensors: bool = False,
+) -> BenchRun:
+    """Run a bench from cold and measure it.
+
+    Parameters
+    ----------
+    parameters
+        The bench.
+    stages
+        What it runs, one after the other.
+    seed
+        Of ambient and sensors.
+    speed_ramp_rpm_per_s
+        How fast the drive follows a new set-point.
+    node_sensors
+        Whether thermometers of the same kind sit in the paper's 13 nodes as well.
+    """
+    steps = tuple(
+        Step(f"{one.speed_rpm:g} rpm {one.load_n:g} N", 60.0 * one.minutes, *one[1:], risk="high")
+        for one in stages
+    )
+    scenario = Scenario(
+        "study", "", parameters.bearing, steps, speed_ramp_rpm_per_s=speed_ramp_rpm_per_s
+    )
+    profile = scenario_profile(scenario, parameters, seed)
+    run = simulate(profile, parameters)
+    seen = measure(profile, run, seed)
+    truth = {
+        "t_inner_ring_c": run.t_inner_ring_c,
+        "t_outer_ring_c": run.t_outer_ring_c,
+        **dict(zip(NODES, run.paper_nodes_c.T, strict=True)),
+    }
+    readings = {name: getattr(seen, name) for name in RINGS}
+    if node_sensors:
+        for channel, name in enumerate(NODES, start=_FIRST_NODE_CHANNEL):
+            chain = Pt100(seed, channel, float(truth[name][0]), SensorParameters())
+            readings[name] = chain.convert(truth[name])
+    count = sum(one.minutes for one in stages)
+    minutes = MinuteData(
+        MINUTE_S * np.arange(count, dtype=np.float64),
+        _over(seen.speed_rpm, count),
+        _over(seen.load_n, count),
+        _over(seen.ambient_c, count),
+        {name: _around(values, count) for name, values in readings.items()},
+        np.ones(count, dtype=np.bool_),
+    )
+    rows = slice(0, SECONDS * count, SECONDS)
+    return BenchRun(
+        parameters.bearing,
+        tuple(stages),
+        minutes,
+        {name: values[rows].copy() for name, values in truth.items()},
+    )
+
+
+def _over(values: FloatArray, count: int) -> FloatArray:
+    return np.asarray(values[: SECONDS * count].reshape(count, SECONDS).mean(axis=1))
+
+
+def _around(values: FloatArray, count: int) -> FloatArray:
+    half = SECONDS // 2
+    return np.array(
+        [values[max(SECONDS * k - half, 0) : SECONDS * k + half].mean() for k in range(count)]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """A twin identified from the first rows of a run.
+
+    Parameters
+    ----------
+    model, result
+        The model and what was found.
+    rows
+        How many rows were used.
+    sensors
+        The temperature sensors that were used.
+    seconds
+        How long the identification took.
+    """
+
+    model: ThermalModel
+    result: IdentificationResult
+    rows: int
+    sensors: tuple[str, ...]
+    seconds: float
+
+    @property
+    def may_forecast(self) -> bool:
+        """Whether the fit is good enough for its forecasts to be shown."""
+        return self.result.status == "converged"
+
+    @property
+    def posterior(self) -> Posterior:
+        """What is known of the parameters."""
+        return self.result.posterior
+
+
+def identify_twin(
+    run: BenchRun,
+    rows: int,
+    *,
+    model_name: str = "default",
+    sensors: tuple[str, ...] = RINGS,
+    seed: int = 0,
+) -> Twin:
+    """Identify a twin from the first rows of a run, with the default method.
+
+    Parameters
+    ----------
+    run
+        A bench that started cold.
+    rows
+        How many rows are used.
+    model_name
+        See `twin_core.models.build_model`.
+    sensors
+        Names of the temperatures that are used.
+    seed
+        Of the identification.
+    """
+    model = build_model(model_name, bearing=bearing(run.bearing))
+    low = with_sensors(run.minutes.take(slice(0, rows)), sensors)
+    data = IdentificationData((IdentificationWindow(low, at_rest=True),))
+    begun = time.perf_counter()
+    result = identify(model, data, seed=seed)
+    return Twin(model, result, rows, sensors, time.perf_counter() - begun)
+
+
+def with_sensors(minutes: MinuteData, sensors: Sequence[str]) -> MinuteData:
+    """The same rows with some of the temperature sensors only."""
+    return MinuteData(
+        minutes.time_s,
+        minutes.speed_rpm,
+        minutes.load_n,
+        minutes.ambient_c,
+        {name: minutes.temperatures_c[name] for name in sensors},
+        minutes.good,
+    )
+
+
+def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile) -> Forecast:
+    """Forecast from a row of a run, its observer having followed the machine up to there.
+
+    Parameters
+    ----------
+    twin
+        Identified from rows up to ``first``.
+    run
+        The run.
+    first
+        The present row; 0 for a forecast of a cold start.
+    ahead
+        n rows; the first is the present one.
+    """
+    observer = _follow(twin, run, first)
+    return forecast(
+        twin.model,
+        twin.posterior,
+        observer.temperatures_c,
+        observer.covariance,
+        observer.revolutions,
+        ahead,
+        disturbance_w=observer.heat_disturbance_w,
+    )
+
+
+def _follow(twin: Twin, run: BenchRun, last: int) -> Observer:
+    """The observer after the readings of row ``last``."""
+    values = twin.model.parameters.values_from_z(twin.posterior.z)
+    point = run.measured(0, last + 1)
+    columns = [run.minutes.temperatures_c[name].tolist() for name in twin.sensors]
+    readings = [dict(zip(twin.sensors, row, strict=True)) for row in zip(*columns, strict=True)]
+    mean, covariance = initial_state(
+        twin.model, values, readings[0], float(point.ambient_c[0]), 0.0, 0.0, at_rest=True
+    )
+    observer = Observer(twin.model, values, mean, covariance)
+    for row in range(last):
+        observer.predict(
+            MINUTE_S,
+            float(point.speed_rpm[row]),
+            float(point.load_n[row]),
+            float(point.ambient_c[row]),
+        )
+        observer.update(readings[row + 1])
+    return observer
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How good a forecast of one sensor was over some rows.
+
+    Parameters
+    ----------
+    max_error_k, rms_error_k
+        Median against the noise-free temperature.
+    rise_max_k
+        Largest error before the steady phase; 0 where there is no such row.
+    steady_error_k, steady_bias_k
+        Mean of the absolute and of the signed error over the steady phase.
+    coverage_95, rise_coverage_95, steady_coverage_95
+        Share of the readings inside the 95 % band: of all, and of the two phases (that of a phase
+        without rows is that of all).
+    half_width_k
+        Half the mean width of the band.
+    interval_score_k, crps_k
+        Of the readings.
+    r_squared
+        Of the median against the readings.
+    """
+
+    max_error_k: float
+    rms_error_k: float
+    rise_max_k: float
+    steady_error_k: float
+    steady_bias_k: float
+    coverage_95: float
+    rise_coverage_95: float
+    steady_coverage_95: float
+    half_width_k: float
+    interval_score_k: float
+    crps_k: float
+    r_squared: float
+
+
+def score(made: Forecast, run: BenchRun, sensor: str, begun: int, first: int, end: int) -> Score:
+    """Score a forecast of one ring sensor over the rows from ``first`` to before ``end``.
+
+    Parameters
+    ----------
+    made
+        A forecast whose first row is row ``begun`` of the run.
+    run
+        What then happened.
+    sensor
+        One of `RINGS`.
+    begun, first, end
+        Rows of the run; the last half hour before ``end`` is the steady phase.
+    """
+    ahead = slice(first - begun, end - begun)
+    low, _, median, _, high = made.quantile(sensor)[:, ahead]
+    truth = run.truth_c[sensor][first:end]
+    measured = run.minutes.temperatures_c[sensor][first:end]
+    error = median - truth
+    rise = slice(0, max(error.size - STEADY_ROWS, 0))
+    steady = slice(rise.stop, None)
+
+    def covered(rows: slice) -> float:
+        return scores.coverage(low[rows], high[rows], measured[rows])
+
+    whole = covered(slice(None))
+    return Score(
+        max_error_k=float(np.max(np.abs(error))),
+        rms_error_k=float(np.sqrt(np.mean(error**2))),
+        rise_max_k=float(np.max(np.abs(error[rise]), initial=0.0)),
+        steady_error_k=float(np.mean(np.abs(error[steady]))),
+        steady_bias_k=float(np.mean(error[steady])),
+        coverage_95=whole,
+        rise_coverage_95=covered(rise) if rise.stop else whole,
+        steady_coverage_95=covered(steady),
+        half_width_k=float(0.5 * np.mean(high - low)),
+        interval_score_k=scores.interval_score(low, high, measured),
+        crps_k=scores.crps_from_members(
+            made.members_c[:, ahead, made.sensors.index(sensor)], measured
+        ),
+        r_squared=scores.r_squared(median, measured),
+    )
+
+
+def mean_of(found: Sequence[Score], name: str) -> float:
+    """Mean of one figure over benches; NaN without any."""
+    return float(np.mean([getattr(one, name) for one in found])) if found else float("nan")
