@@ -61,6 +61,7 @@ def compare(
     initial_c: Mapping[str, float],
     measured_c: Mapping[str, FloatArray],
     twin: Forecast | SensorForecast,
+    truth_c: Mapping[str, FloatArray] | None = None,
 ) -> tuple[ForecastScore, ...]:
     """Score the twin and the methods beside it.
 
@@ -73,9 +74,12 @@ def compare(
     initial_c
         What every sensor reads now.
     measured_c
-        (n,) temperatures by sensor, measured or true; NaN at rows that do not count.
+        (n,) temperatures by sensor; NaN at rows that do not count.
     twin
         Its forecast over the same rows.
+    truth_c
+        (n,) noise-free temperatures by sensor, where they are known: then errors are against them,
+        while bands are always scored against the measurements.
 
     Raises
     ------
@@ -88,9 +92,9 @@ def compare(
             f"the twin's forecast has {own.time_s.size} rows, expected the {ahead.size} rows of "
             "the profile"
         )
-    found = score(TWIN, own, measured_c)
+    found = score(TWIN, own, measured_c, truth_c)
     for method, forecaster in rivals(training).items():
-        found += score(method, forecaster(ahead, initial_c), measured_c)
+        found += score(method, forecaster(ahead, initial_c), measured_c, truth_c)
     return found
 
 
@@ -100,20 +104,24 @@ def rivals(training: Sequence[MinuteData]) -> dict[str, Forecaster]:
 
 
 def score(
-    method: str, forecast: SensorForecast, measured_c: Mapping[str, FloatArray]
+    method: str,
+    forecast: SensorForecast,
+    measured_c: Mapping[str, FloatArray],
+    truth_c: Mapping[str, FloatArray] | None = None,
 ) -> tuple[ForecastScore, ...]:
-    """Score one method's forecast on every sensor that was measured at all."""
+    """Score one method's forecast on every sensor that was measured at all; see `compare`."""
     found = []
     for name, values_c in measured_c.items():
-        if not np.any(np.isfinite(values_c)):
+        known = np.isfinite(values_c)
+        if not known.any():
             continue
+        target_c = values_c if truth_c is None else np.where(known, truth_c[name], np.nan)
         centre_c, quantiles_c = forecast.centre(name), forecast.quantiles(name)
         coverage = half_width_k = interval_score_k = None
         if quantiles_c is None:
             crps_k = float(np.nanmean(np.abs(centre_c - values_c)))
         else:
             lower_c, upper_c = quantiles_c[0], quantiles_c[-1]
-            known = np.isfinite(values_c)
             coverage = scores.coverage(lower_c, upper_c, values_c)
             half_width_k = float(np.mean((upper_c - lower_c)[known]) / 2.0)
             interval_score_k = scores.interval_score(lower_c, upper_c, values_c)
@@ -122,8 +130,8 @@ def score(
             ForecastScore(
                 method,
                 name,
-                scores.max_error(centre_c, values_c),
-                scores.rms(centre_c, values_c),
+                scores.max_error(centre_c, target_c),
+                scores.rms(centre_c, target_c),
                 coverage,
                 half_width_k,
                 interval_score_k,

@@ -57,6 +57,15 @@ def test_scores_of_a_band_and_of_a_path_alone() -> None:
     assert band.crps_k < path.crps_k
 
 
+def test_errors_are_against_the_truth_where_it_is_known() -> None:
+    measured = {"t_inner_ring_c": np.array([20.0, 22.0, np.nan])}
+    truth = {"t_inner_ring_c": np.array([21.0, 21.0, 50.0])}
+    (found,) = score("band", made([21.0, 21.0, 21.0], 0.1), measured, truth)
+    assert found.max_error_k == 0.0
+    assert found.coverage == 0.0
+    assert score("band", made([21.0], 0.1), {"t_inner_ring_c": np.array([np.nan])}) == ()
+
+
 def test_the_twin_comes_first_and_the_naive_ones_beside_it() -> None:
     rows = staircase()
     training, ahead_rows = rows.take(slice(0, 120)), rows.take(slice(119, 180))
