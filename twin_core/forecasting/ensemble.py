@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.labels import forecast_labels
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
@@ -177,9 +178,9 @@ def forecast(
         raise ValueError(f"members is {members}, expected an even number of at least 2")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
-    z = np.clip(_parameters(rng, members, posterior), parameters.z_lower, parameters.z_upper)
+    z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
     start = np.asarray(state_c, np.float64) + rng.permutation(
-        _normal(rng, members, np.asarray(state_covariance, np.float64))
+        normal_draws(rng, members, np.asarray(state_covariance, np.float64))
     )
     temperatures = simulate_batch(
         model,
@@ -197,7 +198,7 @@ def forecast(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
     readings += _deviation(rng, members, profile.time_s, len(sensors))
-    readings += SENSOR_OFFSET_K * _paired(rng, members, (1, len(sensors)))
+    readings += SENSOR_OFFSET_K * paired_draws(rng, members, (1, len(sensors)))
     nodes = temperatures + _deviation(rng, members, profile.time_s, temperatures.shape[2])
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
@@ -226,29 +227,6 @@ def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:
     return np.asarray((1.0 - share) * paths[:, before] + share * paths[:, after])
 
 
-def _parameters(rng: np.random.Generator, members: int, posterior: Posterior) -> FloatArray:
-    """Standard coordinates (members, p): the posterior's samples, or the normal distribution."""
-    count = len(posterior.samples)
-    if count == 0:
-        return posterior.z + _normal(rng, members, posterior.covariance)
-    # Whole rounds through the samples before any is used once more than another.
-    order = np.concatenate([rng.permutation(count) for _ in range(-(-members // count))])
-    return np.asarray(posterior.samples[order[:members]])
-
-
-def _paired(rng: np.random.Generator, members: int, shape: tuple[int, ...]) -> FloatArray:
-    """Standard normal numbers (members, ...) in antithetic pairs."""
-    half = rng.standard_normal((members // 2, *shape))
-    return np.concatenate((half, -half))
-
-
-def _normal(rng: np.random.Generator, members: int, covariance: FloatArray) -> FloatArray:
-    """Antithetic draws (members, k) of N(0, covariance); the covariance may be singular."""
-    variance, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    factor = directions * np.sqrt(np.maximum(variance, 0.0))
-    return np.asarray(_paired(rng, members, (len(covariance),)) @ factor.T)
-
-
 def _deviation(
     rng: np.random.Generator, members: int, time_s: FloatArray, count: int
 ) -> FloatArray:
@@ -256,7 +234,7 @@ def _deviation(
     deviation = np.zeros((members, time_s.size, count))
     keep = np.exp(-np.diff(time_s) / DEVIATION_S)
     shocks = DEVIATION_K * np.sqrt(1.0 - keep**2)
-    normal = _paired(rng, members, (keep.size, count))
+    normal = paired_draws(rng, members, (keep.size, count))
     for row in range(keep.size):
         deviation[:, row + 1] = keep[row] * deviation[:, row] + shocks[row] * normal[:, row]
     return deviation

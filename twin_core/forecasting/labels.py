@@ -6,6 +6,7 @@ heavy load although a moderate load looks normal, and nothing in low-risk data s
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.identification.posterior import Posterior
 from twin_core.operating_points import STANDING_RPM
@@ -62,7 +63,27 @@ def forecast_labels(
             labels.append(LOAD_LAW)
         if trained.distinct_speeds < 2 and speed_rpm > _BEYOND * trained.speed_rpm_max:
             labels.append(SPEED_LAW)
-    heavy = posterior.identified and load_n > _LOAD_STEP * trained.load_n_max
-    if hottest_c > _HOT_C or heavy or runaway_probability > _RUNAWAY_PROBABILITY:
+    if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability)):
         labels.append(RUNAWAY)
     return tuple(labels)
+
+
+def runaway_not_excluded(
+    posterior: Posterior,
+    load_n: ArrayLike,
+    hottest_c: ArrayLike,
+    runaway_probability: ArrayLike,
+) -> NDArray[np.bool_]:
+    """Tell where a thermal runaway cannot be excluded; see `forecast_labels`.
+
+    Parameters
+    ----------
+    posterior
+        What the forecast rests on.
+    load_n, hottest_c, runaway_probability
+        Heaviest load, highest upper edge of any sensor and share of the members that run away;
+        arrays of one shape, or scalars.
+    """
+    heavy = posterior.identified & (np.asarray(load_n) > _LOAD_STEP * posterior.trained.load_n_max)
+    hot = np.asarray(hottest_c) > _HOT_C
+    return np.asarray(heavy | hot | (np.asarray(runaway_probability) > _RUNAWAY_PROBABILITY))
