@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -13,18 +13,25 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from service.offline.interruption import exit_on_signals
-
-if TYPE_CHECKING:
-    from service.studies.common import Progress, Report
+from service.studies.common import Options, Progress, Report, prepare
+from service.studies.registry import ALL, STUDIES, chosen
 
 
 def study(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="simple-network, noa-vs-pso, or all.")
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help=f"{', '.join(STUDIES)}, or all.")],
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write figures, tables and plots into this folder."),
+    ] = None,
+    benches: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Random virtual benches; each study has its own default."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="S", help="Seed of the first bench, by default 200.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder with recorded field data.")
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")
@@ -34,17 +41,15 @@ def study(
 
     With "all" the JSON document holds one document per study, by name.
     """
-    from service.studies.common import prepare  # the numerical libraries take seconds to load
-    from service.studies.registry import ALL, chosen
-
-    studies = chosen(name)
+    options = Options(benches, seed, data)
+    studies = chosen(name, options)
     if out is not None:
         prepare(out)
     documents = {}
     with exit_on_signals():
-        for title, run in studies.items():
+        for title, one in studies.items():
             with _progress_bar(title) as tell:
-                report = run(tell)
+                report = one.run(tell, options)
             written = report.write(out) if out is not None else []
             documents[title] = report.document
             if not as_json:
@@ -54,7 +59,7 @@ def study(
 
 
 @contextmanager
-def _progress_bar(title: str) -> "Iterator[Progress]":
+def _progress_bar(title: str) -> Iterator[Progress]:
     """Yield what to call with the progress; nothing is shown where nobody watches."""
     console = Console(stderr=True)
     columns = (
@@ -72,7 +77,7 @@ def _progress_bar(title: str) -> "Iterator[Progress]":
         yield tell
 
 
-def _print(report: "Report", written: list[Path]) -> None:
+def _print(report: Report, written: list[Path]) -> None:
     console = Console(highlight=False)
     for table in report.tables:
         shown = Table(*table.columns, title=table.title)

@@ -6,7 +6,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+FIRST_SEED = 200
+"""Seed of a study's first bench. No constant of the twin was chosen by looking at these benches."""
+
 _DOTS_PER_INCH = 150
 
 
@@ -26,6 +29,45 @@ class StudyError(ValueError):
 
 Progress = Callable[[float, str], None]
 """Told how far a study has come: a fraction from 0 to 1, and what has been done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a user may ask of a study; None where nothing was asked.
+
+    Parameters
+    ----------
+    benches
+        How many random benches.
+    seed
+        Seed of the first bench; the others follow it.
+    data
+        Folder with recorded data.
+
+    Raises
+    ------
+    StudyError
+        If a number is out of range.
+    """
+
+    benches: int | None = None
+    seed: int | None = None
+    data: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.benches is not None and self.benches < 1:
+            raise StudyError(f"--benches {self.benches}: expected 1 or more")
+        if self.seed is not None and self.seed < 0:
+            raise StudyError(f"--seed {self.seed}: expected 0 or more")
+
+    def given(self) -> set[str]:
+        """Names of the fields that were asked for."""
+        return {field.name for field in fields(self) if getattr(self, field.name) is not None}
+
+    def seeds(self, benches: int) -> range:
+        """Seeds of the benches, where a study by itself takes so many."""
+        first = FIRST_SEED if self.seed is None else self.seed
+        return range(first, first + (self.benches or benches))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from service.studies.common import Plot, Progress, Report, Table, figure, in_processes, require
+from service.studies.common import (
+    Options,
+    Plot,
+    Progress,
+    Report,
+    Table,
+    figure,
+    in_processes,
+    require,
+)
 from service.studies.inverse import (
     TOLERANCE,
     CountedSearch,
@@ -76,7 +85,7 @@ class Run:
     k4: FloatArray
 
 
-def run(progress: Progress) -> Report:
+def run(progress: Progress, _: Options) -> Report:
     """Compare all methods from twenty seeds each."""
     require("pymoo", "cma")
     # The longest first, so that no processor waits long for the last one.

@@ -1,28 +1,59 @@
-"""The studies by name."""
+"""The studies by name, without the libraries that they need."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
 
-from service.studies import noa_vs_pso, simple_network
-from service.studies.common import Progress, Report, StudyError
+from service.studies.common import Options, Progress, Report, StudyError
 
-STUDIES: dict[str, Callable[[Progress], Report]] = {
-    "simple-network": simple_network.run,
-    "noa-vs-pso": noa_vs_pso.run,
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study and what it understands.
+
+    Parameters
+    ----------
+    module
+        Where its ``run(progress, options)`` is.
+    takes
+        The fields of `Options` that it heeds.
+    needs
+        Those without which it cannot run.
+    """
+
+    module: str
+    takes: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+
+    def run(self, progress: Progress, options: Options) -> Report:
+        """Run it; its module and the numerical libraries are loaded now."""
+        report: Report = import_module(self.module).run(progress, options)
+        return report
+
+
+STUDIES = {
+    "simple-network": Study("service.studies.simple_network"),
+    "noa-vs-pso": Study("service.studies.noa_vs_pso"),
 }
 
 ALL = "all"
 
 
-def chosen(name: str) -> dict[str, Callable[[Progress], Report]]:
-    """The study of that name, or all of them.
+def chosen(name: str, options: Options) -> dict[str, Study]:
+    """The study of that name; or all of them, but for those that need what is not given.
 
     Raises
     ------
     StudyError
-        If there is no such study; names those there are.
+        If there is no such study (names those there are), or an option does not go with it.
     """
+    given = options.given()
     if name == ALL:
-        return STUDIES
+        return {title: study for title, study in STUDIES.items() if given.issuperset(study.needs)}
     if name not in STUDIES:
         raise StudyError(f"study {name!r}: expected one of {', '.join(STUDIES)}, {ALL}")
-    return {name: STUDIES[name]}
+    study = STUDIES[name]
+    for field in sorted(given.difference(study.takes)):
+        raise StudyError(f"--{field}: the study {name} takes no such option")
+    for field in sorted(set(study.needs) - given):
+        raise StudyError(f"--{field}: the study {name} needs it")
+    return {name: study}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.studies.common import Plot, Progress, Report, Table, figure
+from service.studies.common import Options, Plot, Progress, Report, Table, figure
 from service.studies.inverse import (
     TOLERANCE,
     Best,
@@ -33,7 +33,7 @@ _NOISE_K = 0.1
 _DIFFERENCE = 1e-4
 
 
-def run(progress: Progress) -> Report:
+def run(progress: Progress, _: Options) -> Report:
     """Identify with the default method and, as the paper does, with NOA alone."""
     problem = simple_network_problem()
     found = _search(problem, "noa+refine")

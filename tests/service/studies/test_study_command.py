@@ -51,6 +51,22 @@ def test_an_unknown_study_names_the_known_ones(tmp_path: Path) -> None:
     assert line == (f"bearing-twin: study 'simple': expected one of {', '.join(STUDIES)}, all")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("simple-network", "--benches", "3"), "--benches: the study simple-network takes no"),
+        (("all", "--benches", "0"), "--benches 0: expected 1 or more"),
+        (("all", "--seed", "-1"), "--seed -1: expected 0 or more"),
+    ],
+)
+def test_options_that_do_not_fit(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    ended = _study(tmp_path, *arguments)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith(f"bearing-twin: {message}")
+
+
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     ended = _study(tmp_path, "simple-network", "--out", "file/plots")
