@@ -8,9 +8,11 @@ from adapters.virtual_bench.can_sender import dbc_path
 from adapters.virtual_bench.controller import scenario_profile
 from adapters.virtual_bench.modbus_server import PortInUseError
 from adapters.virtual_bench.parameters import BenchParameters
-from adapters.virtual_bench.plant import BenchProfile, Truth, simulate
+from adapters.virtual_bench.plant import BenchProfile, Condition, Truth, simulate
+from adapters.virtual_bench.reference import friction_moment_nmm
 from adapters.virtual_bench.run import run
 from adapters.virtual_bench.scenarios import (
+    Change,
     Scenario,
     UnknownScenarioError,
     find_scenario,
@@ -21,6 +23,8 @@ from adapters.virtual_bench.sensors import Measured, SensorParameters, measure
 __all__ = [
     "BenchParameters",
     "BenchProfile",
+    "Change",
+    "Condition",
     "Measured",
     "PortInUseError",
     "Scenario",
@@ -29,6 +33,7 @@ __all__ = [
     "UnknownScenarioError",
     "dbc_path",
     "find_scenario",
+    "friction_moment_nmm",
     "list_scenarios",
     "measure",
     "run",

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.virtual_bench.parameters import BenchParameters
-from adapters.virtual_bench.plant import BenchProfile
-from adapters.virtual_bench.scenarios import Scenario, Step
+from adapters.virtual_bench.plant import BenchProfile, Condition
+from adapters.virtual_bench.scenarios import Changing, Scenario, Step
 
 
 class RunState(IntEnum):
@@ -85,7 +85,7 @@ class Controller:
         self._starts: list[float] = [float(start) for start in starts]
         self._steps = [*scenario.steps, Step("stand still", math.inf, 0.0, 0.0, "low")]
         self._tripped = False
-        self._ambient_phases = np.random.default_rng([seed, 0xA1B]).uniform(0, 2 * math.pi, 2)
+        self._ambient_phases = np.random.default_rng([seed, 0xA1B]).uniform(0, 2 * math.pi, 3)
         self._compile()
 
     def _compile(self) -> None:
@@ -135,15 +135,32 @@ class Controller:
         reach = inside * self.scenario.load_ramp_n_per_s
         setpoint = setpoint + np.clip(target_load - setpoint, -reach, reach)
         play = self._parameters.load_play_n
-        return speed, np.clip(load, setpoint - play, setpoint + play)
+        load = np.clip(load, setpoint - play, setpoint + play)
+        return speed, load * self._changed("load", time_s)
+
+    def condition(self, time_s: NDArray[np.float64]) -> Condition:
+        """What the scenario does to the machine at process times in seconds since the start."""
+        return Condition(
+            self.scenario.oil_loss * self._changed("oil loss", time_s),
+            self._changed("cooling", time_s),
+        )
+
+    def _changed(self, quantity: Changing, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        factor = np.ones_like(time_s)
+        for change in self.scenario.changes:
+            if change.quantity == quantity:
+                factor *= change.at(time_s)
+        return factor
 
     def ambient_c(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Air temperature in degC: a level with two slow swings (2 h and 7.3 h)."""
-        first, second = self._ambient_phases
+        """Air temperature in degC: a level, slow swings (2 h and 7.3 h), the course of a day."""
+        first, second, third = self._ambient_phases
         swing = 0.6 * np.sin(2 * math.pi * time_s / 7200.0 + first) + 0.8 * np.sin(
             2 * math.pi * time_s / 26300.0 + second
         )
-        return np.asarray(self._parameters.ambient_c + self._parameters.ambient_swing_k * swing)
+        daily = self.scenario.ambient_daily_k * np.sin(2 * math.pi * time_s / 86400.0 + third)
+        level = self._parameters.ambient_c + daily
+        return np.asarray(level + self._parameters.ambient_swing_k * swing)
 
     def state(self, time_s: float) -> ControllerState:
         """Tell what the controller shows at a process time in seconds since the start."""
@@ -204,4 +221,10 @@ def scenario_profile(
     controller = Controller(scenario, parameters, seed)
     time_s = np.arange(0.0, scenario.duration_s + 0.5 * step_s, step_s)
     speed, load = controller.true_point(time_s + 0.5 * step_s)
-    return BenchProfile(time_s, speed, load, controller.ambient_c(time_s))
+    return BenchProfile(
+        time_s,
+        speed,
+        load,
+        controller.ambient_c(time_s),
+        controller.condition(time_s + 0.5 * step_s),
+    )

@@ -16,6 +16,8 @@ from adapters.virtual_bench.parameters import BenchParameters
 _GEOMETRY_K_Z = 3.1  # single row deep groove ball bearings
 _BOUNDARY_FRICTION = 0.12  # mu_bl while running
 _FULL_FILM_FRICTION = 0.05  # mu_EHL, mineral oil
+_OIL_THAT_FEEDS = 0.4
+_DRY_FRICTION = 0.15  # where no oil is left; the catalogue's value for starting
 
 
 class FrictionConstants(NamedTuple):
@@ -76,7 +78,11 @@ def oil_viscosity(temperature_c: float, walther_a: float, walther_b: float) -> f
 
 @njit(cache=True)
 def frictional_moment(
-    speed_rpm: float, load_n: float, viscosity: float, constants: FrictionConstants
+    speed_rpm: float,
+    load_n: float,
+    viscosity: float,
+    constants: FrictionConstants,
+    dry_share: float = 0.0,
 ) -> tuple[float, float]:
     """Compute rolling and sliding frictional moment of the whole bearing in N.m.
 
@@ -95,6 +101,8 @@ def frictional_moment(
         Kinematic viscosity of the base oil at the contact in mm2/s.
     constants : FrictionConstants
         See `friction_constants`.
+    dry_share : float
+        Share of the sliding contacts that the oil no longer reaches.
     """
     load = max(load_n, 1.0)
     shear = 1.0 / (1.0 + 1.84e-9 * (speed_rpm * constants.pitch_mm) ** 1.28 * viscosity**0.64)
@@ -110,5 +118,25 @@ def frictional_moment(
     )
     boundary = math.exp(-2.6e-8 * (speed_rpm * viscosity) ** 1.4 * constants.pitch_mm)
     coefficient = boundary * _BOUNDARY_FRICTION + (1.0 - boundary) * _FULL_FILM_FRICTION
+    coefficient += dry_share * (_DRY_FRICTION - coefficient)
     sliding = constants.sliding_geometry * load ** (5.0 / 3.0) * coefficient
     return 1e-3 * rolling, 1e-3 * sliding
+
+
+@njit(cache=True)
+def grease_condition(oil: float, thickening: float) -> tuple[float, float]:
+    """What a grease that has lost oil does: factor on the viscosity, share of dry contacts.
+
+    What is left is thicker: the light fractions go first. While the thickener still feeds the
+    contacts nothing runs dry; that changes below two fifths of the oil (the usual figure for the
+    end of a grease's life is half).
+
+    Parameters
+    ----------
+    oil : float
+        Oil left in the grease, 1 when fresh.
+    thickening : float
+        Relative rise of the viscosity when all oil is gone.
+    """
+    dry_share = max(_OIL_THAT_FEEDS - oil, 0.0) / _OIL_THAT_FEEDS
+    return 1.0 + thickening * (1.0 - oil), dry_share

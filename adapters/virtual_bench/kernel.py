@@ -13,6 +13,7 @@ from adapters.virtual_bench.friction import (
     FrictionConstants,
     friction_constants,
     frictional_moment,
+    grease_condition,
     oil_viscosity,
 )
 from adapters.virtual_bench.network import (
@@ -35,6 +36,8 @@ _AIR_CONDUCTIVITY = 0.026
 _AIR_VISCOSITY = 1.6e-5  # m2/s
 _AIR_PRANDTL_THIRD = 0.89
 _STEFAN_BOLTZMANN = 5.670e-8
+_LIFE_C = 60.0  # temperature at which a grease's life is stated
+_LIFE_HALVES_K = 15.0
 
 
 class PlantConstants(NamedTuple):
@@ -52,6 +55,8 @@ class PlantConstants(NamedTuple):
     pocket_area_m2: float
     run_in_amplitude: float
     run_in_revolutions: float
+    grease_life_s: float
+    thickening: float
 
 
 class Model(NamedTuple):
@@ -83,6 +88,8 @@ def build_model(parameters: BenchParameters) -> Model:
             pocket_area_m2=0.3 * bearing.ball_count * math.pi * bearing.ball_m**2,
             run_in_amplitude=parameters.run_in_amplitude,
             run_in_revolutions=parameters.run_in_revolutions,
+            grease_life_s=3600.0 * parameters.grease_life_h,
+            thickening=parameters.thickening,
         ),
     )
 
@@ -119,17 +126,18 @@ def friction_heat(
     temperature: NDArray[np.float64],
     speed_rpm: float,
     load_n: float,
-    run_in: float,
+    grease: NDArray[np.float64],
     model: Model,
     heat: NDArray[np.float64],
 ) -> float:
     """Add the friction heat of one operating point to `heat` (W per node); returns its sum.
 
     Every contact works at the oil temperature of its own inlet: raceway, ball and surrounding
-    grease mixed.
+    grease mixed. `grease` is its running-in state and the oil left in it.
     """
     plant = model.plant
     omega = math.pi / 30.0 * speed_rpm
+    thicker, dry_share = grease_condition(grease[1], plant.thickening)
     total = 0.0
     for contact in range(2):
         raceway = INNER_RACEWAY if contact == 0 else OUTER_RACEWAY
@@ -137,9 +145,13 @@ def friction_heat(
         inlet_c = (
             0.4 * temperature[raceway] + 0.3 * temperature[BALL_SURFACE] + 0.3 * temperature[GREASE]
         )
-        viscosity = oil_viscosity(inlet_c, model.friction.walther_a, model.friction.walther_b)
-        rolling, sliding = frictional_moment(speed_rpm, load_n, viscosity, model.friction)
-        rolling *= share * (1.0 + plant.run_in_amplitude * run_in) * omega
+        viscosity = thicker * oil_viscosity(
+            inlet_c, model.friction.walther_a, model.friction.walther_b
+        )
+        rolling, sliding = frictional_moment(
+            speed_rpm, load_n, viscosity, model.friction, dry_share
+        )
+        rolling *= share * (1.0 + plant.run_in_amplitude * grease[0]) * omega
         sliding *= share * omega
         at_contact = (1.0 - plant.mixture_share) * rolling + sliding
         heat[GREASE] += plant.mixture_share * rolling
@@ -192,20 +204,28 @@ def _add_air(
     temperature: NDArray[np.float64],
     speed_rpm: float,
     ambient_c: float,
+    cooling: float,
     model: Model,
     matrix: NDArray[np.float64],
     right: NDArray[np.float64],
 ) -> None:
-    """Heat given to the air by standing surfaces and by the rotating shaft (Becker 1963)."""
+    """Heat given to the air by standing surfaces and by the rotating shaft (Becker 1963).
+
+    `cooling` is a factor on the whole film of housing and base plate, radiation included.
+    """
     plant, network = model.plant, model.network
     for k in range(network.outside_node.size):
         node = network.outside_node[k]
-        conductance = network.outside_area_m2[k] * _still_air(
-            temperature[node],
-            ambient_c,
-            network.outside_length_m[k],
-            plant.outside_scale,
-            plant.emissivity,
+        conductance = (
+            cooling
+            * network.outside_area_m2[k]
+            * _still_air(
+                temperature[node],
+                ambient_c,
+                network.outside_length_m[k],
+                plant.outside_scale,
+                plant.emissivity,
+            )
         )
         matrix[node, node] += conductance
         right[node] += conductance * ambient_c
@@ -233,19 +253,24 @@ def _add_air(
 @njit(cache=True, nogil=True)
 def integrate(
     temperature: NDArray[np.float64],
-    run_in: float,
+    grease: NDArray[np.float64],
     duration_s: NDArray[np.float64],
     speed_rpm: NDArray[np.float64],
     load_n: NDArray[np.float64],
     ambient_c: NDArray[np.float64],
+    oil_loss: NDArray[np.float64],
+    cooling: NDArray[np.float64],
     max_step_s: float,
     model: Model,
     out_temperature: NDArray[np.float64],
+    out_grease: NDArray[np.float64],
     out_power_w: NDArray[np.float64],
     out_preload: NDArray[np.float64],
-) -> float:
+) -> None:
     """Integrate rows; row k of the outputs is the state at the end of row k.
 
+    `temperature` and `grease` (running-in state, oil left) begin with the present state and end
+    with the last.
     Linearly implicit Euler: conductances and heat at the start of a step, temperatures at its end.
     """
     network, plant = model.network, model.plant
@@ -277,14 +302,20 @@ def integrate(
             _join(matrix, BALL_SURFACE, INNER_RACEWAY, inner)
             _join(matrix, BALL_SURFACE, OUTER_RACEWAY, outer)
             _add_films(temperature, speed_rpm[row], model, matrix)
-            _add_air(temperature, speed_rpm[row], ambient_c[row], model, matrix, right)
+            _add_air(
+                temperature, speed_rpm[row], ambient_c[row], cooling[row], model, matrix, right
+            )
             power = friction_heat(
-                temperature, speed_rpm[row], load_n[row] * preload, run_in, model, right
+                temperature, speed_rpm[row], load_n[row] * preload, grease, model, right
             )
             _solve(matrix, right)
             temperature[:] = right
-            run_in *= math.exp(-speed_rpm[row] * step / 60.0 / plant.run_in_revolutions)
+            grease[0] *= math.exp(-speed_rpm[row] * step / 60.0 / plant.run_in_revolutions)
+            if oil_loss[row] > 0.0 and speed_rpm[row] > 0.0:
+                faster = 2.0 ** ((temperature[GREASE] - _LIFE_C) / _LIFE_HALVES_K)
+                lost = oil_loss[row] * faster * step / plant.grease_life_s
+                grease[1] = max(grease[1] - lost, 0.0)
         out_temperature[row] = temperature
+        out_grease[row] = grease
         out_power_w[row] = power
         out_preload[row] = preload
-    return run_in

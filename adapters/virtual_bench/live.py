@@ -24,6 +24,11 @@ TRUTH_COLUMNS = (
     *(f"t_node_{number}_c" for number in range(1, 14)),
     *(f"{name}_c" for name in NODE_NAMES),
     "friction_w",
+    "run_in",
+    "oil",
+    "oil_loss",
+    "cooling",
+    "load_setpoint_n",
 )
 
 
@@ -89,9 +94,14 @@ class LiveBench:
     def _step(self, until: int) -> None:
         start = np.arange(self._seconds, until, dtype=np.float64)
         speed, load = self.controller.true_point(start + 0.5)
-        temperatures, power, _ = self._plant.advance(
-            np.ones(start.size), speed, load, self.controller.ambient_c(start)
+        rows = self._plant.advance(
+            np.ones(start.size),
+            speed,
+            load,
+            self.controller.ambient_c(start),
+            self.controller.condition(start + 0.5),
         )
+        temperatures = rows.temperatures_c
         ambient = self.controller.ambient_c(start + 1.0)
         true = (temperatures[:, INNER_BORE], temperatures[:, OUTER_SURFACE], ambient)
         self._readings = [
@@ -102,11 +112,12 @@ class LiveBench:
         if until % TRUTH_PERIOD_S == 0:
             if temperatures[-1, INNER_BORE] > TRIP_C:
                 self.controller.trip(float(until))
-            self._note_truth(float(ambient[-1]), float(power[-1]))
+            self._note_truth(float(ambient[-1]), float(rows.power_w[-1]))
 
     def _note_truth(self, ambient_c: float, friction_w: float) -> None:
         time_s = float(self._seconds)
         speed, load = self.controller.true_point(np.array([time_s]))
+        condition = self.controller.condition(np.array([time_s]))
         nodes = self._plant.temperatures_c
         self._truth.append(
             (
@@ -119,6 +130,10 @@ class LiveBench:
                 *(float(value) for value in self._plant.weights @ nodes),
                 *(float(value) for value in nodes),
                 friction_w,
+                *(float(value) for value in self._plant.grease),
+                float(condition.oil_loss[0]),
+                float(condition.cooling[0]),
+                self.controller.state(time_s).load_setpoint_n,
             )
         )
 

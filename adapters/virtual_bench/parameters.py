@@ -51,6 +51,11 @@ class BenchParameters:
         given number of revolutions.
     load_play_n : float
         Half width of the hysteresis of the hydraulic loading in newtons.
+    grease_life_h : float
+        Hours at 60 degC in which the grease loses all its oil at an oil loss of 1; half as many
+        15 K above. Scenarios of hours run without oil loss.
+    thickening : float
+        Relative rise of the viscosity of what is left when all oil is gone.
     """
 
     bearing: str = "6311"
@@ -82,6 +87,8 @@ class BenchParameters:
     run_in_state: float = 0.1
     run_in_revolutions: float = 1.08e6
     load_play_n: float = 20.0
+    grease_life_h: float = 3000.0
+    thickening: float = 0.5
 
     def __post_init__(self) -> None:
         if self.bearing not in BEARINGS:
@@ -147,4 +154,6 @@ class BenchParameters:
             run_in_state=abs(float(rng.normal(0.0, 0.14))),
             run_in_revolutions=spread(base.run_in_revolutions, 0.4),
             load_play_n=spread(base.load_play_n, 0.3),
+            grease_life_h=spread(base.grease_life_h, 0.3),
+            thickening=spread(base.thickening, 0.3),
         )

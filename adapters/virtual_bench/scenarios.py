@@ -1,13 +1,19 @@
-"""What the bench controller runs: named sequences of operating points and sensor faults."""
+"""What the bench controller runs: named operating points, sensor faults, changes."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 Risk = Literal["low", "high"]
 FaultKind = Literal["wire break", "short circuit", "over-range", "not available"]
+Changing = Literal["oil loss", "cooling", "load"]
 
 _MINUTE = 60.0
+_HOUR = 3600.0
 
 
 class UnknownScenarioError(ValueError):
@@ -43,6 +49,36 @@ class SensorFault:
 
 
 @dataclass(frozen=True, slots=True)
+class Change:
+    """Something about the machine that changes while it runs, unknown to its controller.
+
+    Attributes
+    ----------
+    quantity : str
+        ``oil loss`` of the grease, ``cooling`` of housing and base plate by the air, ``load`` that
+        the hydraulics really bring, beside what the set-point says.
+    start_s, ramp_s : float
+        When it begins, and over how long it grows (evenly in the logarithm).
+    factor : float
+        By what the quantity is multiplied in the end.
+    end_s : float
+        When it begins to go back, as fast as it came; default never.
+    """
+
+    quantity: Changing
+    start_s: float
+    ramp_s: float
+    factor: float
+    end_s: float = math.inf
+
+    def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Factor at process times in seconds; same shape."""
+        grown = np.clip((time_s - self.start_s) / self.ramp_s, 0.0, 1.0)
+        gone = np.clip((time_s - self.end_s) / self.ramp_s, 0.0, 1.0)
+        return np.asarray(self.factor ** (grown - gone))
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """A test plan.
 
@@ -58,6 +94,12 @@ class Scenario:
         Sensor faults on the way.
     speed_ramp_rpm_per_s, load_ramp_n_per_s : float
         How fast drive and hydraulics follow a new set-point.
+    changes : tuple of Change
+        What becomes of the machine itself.
+    oil_loss : float
+        How fast the grease ages, in multiples of the rate that its life is stated for.
+    ambient_daily_k : float
+        Amplitude of the hall's daily course in K, beside its faster swings.
     """
 
     name: str
@@ -67,6 +109,9 @@ class Scenario:
     faults: tuple[SensorFault, ...] = ()
     speed_ramp_rpm_per_s: float = 100.0
     load_ramp_n_per_s: float = 200.0
+    changes: tuple[Change, ...] = ()
+    oil_loss: float = 0.0
+    ambient_daily_k: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -87,6 +132,22 @@ def _staircase(speeds: Sequence[float], minutes: float) -> tuple[Step, ...]:
         _point(speed, 2650.0, minutes, "low" if speed <= 4300.0 else "high") for speed in speeds
     )
 
+
+def _days(count: int) -> tuple[Step, ...]:
+    """Days of low and medium points, every day the same, with two hours of standstill."""
+    day = (
+        _point(2400.0, 2650.0, 300.0, "low"),
+        _point(3600.0, 2650.0, 300.0, "low"),
+        _point(4200.0, 2650.0, 300.0, "low"),
+        _point(4200.0, 3300.0, 180.0, "low"),
+        _point(3000.0, 2000.0, 240.0, "low"),
+        Step("stop", 2 * _HOUR, 0.0, 2000.0, "low"),
+    )
+    return (_rest(), *(day * count))
+
+
+_ONSET_S = 36 * _HOUR
+_AGEING = 5.0
 
 _SCENARIOS = (
     Scenario(
@@ -133,6 +194,39 @@ _SCENARIOS = (
             SensorFault("speed_rpm", "not available", 48 * _MINUTE, 3 * _MINUTE),
             SensorFault("t_outer_ring_c", "short circuit", 65 * _MINUTE, 4 * _MINUTE),
         ),
+    ),
+    Scenario(
+        name="durability",
+        description="five equal days at changing low points; the grease runs in and ages slowly",
+        bearing="6311",
+        steps=_days(5),
+        oil_loss=_AGEING,
+        ambient_daily_k=1.5,
+    ),
+    Scenario(
+        name="grease-degradation",
+        description="days as in durability; from 36 h the grease bleeds and friction grows",
+        bearing="6311",
+        steps=_days(4),
+        changes=(Change("oil loss", _ONSET_S, 2 * _HOUR, 20.0),),
+        oil_loss=_AGEING,
+        ambient_daily_k=1.5,
+    ),
+    Scenario(
+        name="cooling-loss",
+        description="days as in durability; at 36 h the housing is covered, heat cannot leave",
+        bearing="6311",
+        steps=_days(3),
+        changes=(Change("cooling", _ONSET_S, 2 * _HOUR, 0.5),),
+        oil_loss=_AGEING,
+        ambient_daily_k=1.5,
+    ),
+    Scenario(
+        name="overload",
+        description="a calm run; at 150 min the load doubles beyond its set-point for an hour",
+        bearing="6311",
+        steps=(_rest(), _point(2400.0, 2650.0, 60.0, "low"), _point(4200.0, 2650.0, 210.0, "low")),
+        changes=(Change("load", 150 * _MINUTE, 2 * _MINUTE, 2.0, end_s=210 * _MINUTE),),
     ),
     Scenario(
         name="demo",
