@@ -11,7 +11,6 @@ from service.cli.errors import BadInputError
 from service.cli.signals import stop_on_signals
 from service.logs import configure_logging
 
-
 # The bench itself is imported later, see below; a test holds the two together.
 SCENARIO_NAMES = (
     "staircase",
