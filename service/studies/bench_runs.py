@@ -2,8 +2,7 @@
 
 The data come from the virtual bench's physics, which share nothing with the twin's. A bench starts
 cold and at rest; the twin is identified from the first rows, its observer follows the machine to
-the present, and the forecast over the rest is compared with what the sensors read (coverage) and
-with the noise-free temperatures (errors).
+the present and forecasts the rest.
 """
 
 import time
@@ -24,7 +23,6 @@ from adapters.virtual_bench import (
 )
 from adapters.virtual_bench.scenarios import Step
 from adapters.virtual_bench.sensors import Pt100
-from twin_core import scores
 from twin_core.bearings import bearing
 from twin_core.forecasting import Forecast, forecast
 from twin_core.identification import (
@@ -46,7 +44,7 @@ NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 MINUTE_S = 60.0
 SECONDS = 60
 STEADY_ROWS = 30
-"""The steady phase of a stage is its last half hour, what comes before is its rise."""
+"""The steady phase of a stage is its last half hour; what comes before is its rise."""
 RAN_AWAY_C = 110.0
 """A bench whose inner ring passes this temperature has run away thermally."""
 
@@ -87,6 +85,15 @@ class BenchRun:
         """Row at which a stage begins; the number of stages gives the end."""
         return sum(one.minutes for one in self.stages[:stage])
 
+    def _stage_of(self, first: int, end: int) -> NDArray[np.intp]:
+        ends = np.cumsum([one.minutes for one in self.stages])
+        return np.searchsorted(ends, np.arange(first, end), side="right")
+
+    def steady(self, first: int, end: int) -> NDArray[np.bool_]:
+        """Which of the rows from ``first`` to before ``end`` belong to a steady phase."""
+        ends = np.cumsum([one.minutes for one in self.stages])[self._stage_of(first, end)]
+        return np.asarray(np.minimum(ends, end) - np.arange(first, end) <= STEADY_ROWS)
+
     def ran_away(self, first: int, end: int) -> bool:
         """Whether the inner ring truly passed 110 degC within rows."""
         return bool(np.any(self.truth_c["t_inner_ring_c"][first:end] > RAN_AWAY_C))
@@ -94,9 +101,7 @@ class BenchRun:
     def planned(self, first: int, end: int) -> OperatingProfile:
         """The plan from a row on, as known at that row: set-points, and the ambient of now."""
         rows = slice(first, end)
-        stage = np.searchsorted(
-            np.cumsum([one.minutes for one in self.stages]), np.arange(first, end), side="right"
-        )
+        stage = self._stage_of(first, end)
         ambient = np.full(end - first, self.minutes.ambient_c[first])
         return OperatingProfile(
             self.minutes.time_s[rows] - self.minutes.time_s[first],
@@ -311,89 +316,3 @@ def _follow(twin: Twin, run: BenchRun, last: int) -> Observer:
         )
         observer.update(readings[row + 1])
     return observer
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """How good a forecast of one sensor was over some rows.
-
-    Parameters
-    ----------
-    max_error_k, rms_error_k
-        Median against the noise-free temperature.
-    rise_max_k
-        Largest error before the steady phase; 0 where there is no such row.
-    steady_error_k, steady_bias_k
-        Mean of the absolute and of the signed error over the steady phase.
-    coverage_95, rise_coverage_95, steady_coverage_95
-        Share of the readings inside the 95 % band: of all, and of the two phases (that of a phase
-        without rows is that of all).
-    half_width_k
-        Half the mean width of the band.
-    interval_score_k, crps_k
-        Of the readings.
-    r_squared
-        Of the median against the readings.
-    """
-
-    max_error_k: float
-    rms_error_k: float
-    rise_max_k: float
-    steady_error_k: float
-    steady_bias_k: float
-    coverage_95: float
-    rise_coverage_95: float
-    steady_coverage_95: float
-    half_width_k: float
-    interval_score_k: float
-    crps_k: float
-    r_squared: float
-
-
-def score(made: Forecast, run: BenchRun, sensor: str, begun: int, first: int, end: int) -> Score:
-    """Score a forecast of one ring sensor over the rows from ``first`` to before ``end``.
-
-    Parameters
-    ----------
-    made
-        A forecast whose first row is row ``begun`` of the run.
-    run
-        What then happened.
-    sensor
-        One of `RINGS`.
-    begun, first, end
-        Rows of the run; the last half hour before ``end`` is the steady phase.
-    """
-    ahead = slice(first - begun, end - begun)
-    low, _, median, _, high = made.quantile(sensor)[:, ahead]
-    truth = run.truth_c[sensor][first:end]
-    measured = run.minutes.temperatures_c[sensor][first:end]
-    error = median - truth
-    rise = slice(0, max(error.size - STEADY_ROWS, 0))
-    steady = slice(rise.stop, None)
-
-    def covered(rows: slice) -> float:
-        return scores.coverage(low[rows], high[rows], measured[rows])
-
-    whole = covered(slice(None))
-    return Score(
-        max_error_k=float(np.max(np.abs(error))),
-        rms_error_k=float(np.sqrt(np.mean(error**2))),
-        rise_max_k=float(np.max(np.abs(error[rise]), initial=0.0)),
-        steady_error_k=float(np.mean(np.abs(error[steady]))),
-        steady_bias_k=float(np.mean(error[steady])),
-        coverage_95=whole,
-        rise_coverage_95=covered(rise) if rise.stop else whole,
-        steady_coverage_95=covered(steady),
-        half_width_k=float(0.5 * np.mean(high - low)),
-        interval_score_k=scores.interval_score(low, high, measured),
-        crps_k=scores.crps_from_members(
-            made.members_c[:, ahead, made.sensors.index(sensor)], measured
-        ),
-        r_squared=scores.r_squared(median, measured),
-    )
-
-
-def mean_of(found: Sequence[Score], name: str) -> float:
-    """Mean of one figure over benches; NaN without any."""
-    return float(np.mean([getattr(one, name) for one in found])) if found else float("nan")

@@ -13,8 +13,8 @@ from service.studies.bench_runs import (
     forecast_from,
     identify_twin,
     run_bench,
-    score,
 )
+from service.studies.bench_scores import beside, figures, node_coverage, node_errors, score_rings
 from twin_core import scores
 from twin_core.forecasting import Forecast
 
@@ -97,10 +97,9 @@ def test_what_comes_later_is_unknown_to_twin_and_forecast(
     assert np.array_equal(again.quantiles, made.quantiles)
 
 
-def test_scores_are_those_of_the_scored_rows(run: BenchRun, twin: Twin, made: Forecast) -> None:
-    assert twin.may_forecast
-    name = "t_inner_ring_c"
-    found = score(made, run, name, LAST, LAST + 1, 120)
+@pytest.mark.parametrize("name", RINGS)
+def test_scores_are_those_of_the_scored_rows(run: BenchRun, made: Forecast, name: str) -> None:
+    found = score_rings(made, run, LAST, LAST + 1, 120)[name]
     low, _, median, _, high = made.quantile(name)[:, 1:]
     error = median - run.truth_c[name][80:]
     readings = run.minutes.temperatures_c[name][80:]
@@ -113,9 +112,60 @@ def test_scores_are_those_of_the_scored_rows(run: BenchRun, twin: Twin, made: Fo
         (10 * found.rise_coverage_95 + 30 * found.steady_coverage_95) / 40
     )
     assert found.half_width_k == pytest.approx(0.5 * (high - low).mean())
-    # From 3000 to 4200 rpm the twin is far better than half of the temperature's own rise.
-    assert found.max_error_k < 0.5 * np.ptp(run.truth_c[name][LAST:])
-    assert found.coverage_95 > 0.8
+
+
+def test_steady_are_the_last_half_hours_of_all_stages(run: BenchRun) -> None:
+    steady = run.steady(30, 120)
+    assert np.flatnonzero(steady).tolist() == [
+        *range(10),
+        *range(20, 50),
+        *range(60, 90),
+    ]
+    assert np.flatnonzero(run.steady(80, 100)).tolist() == list(range(20))
+
+
+def test_the_forecast_is_far_better_than_none(run: BenchRun, twin: Twin, made: Forecast) -> None:
+    assert twin.may_forecast
+    found = score_rings(made, run, LAST, LAST + 1, 120)
+    for name in RINGS:
+        assert found[name].max_error_k < 0.5 * np.ptp(run.truth_c[name][LAST:])
+        assert found[name].coverage_95 > 0.8
+    rows = beside(twin, run, made, run.measured(LAST, 120), LAST, LAST + 1, 120)
+    by_key = {(row.method, row.sensor): row for row in rows}
+    for name in RINGS:
+        own = by_key["twin", name]
+        assert own.rms_k == pytest.approx(found[name].rms_error_k)
+        assert own.max_error_k == pytest.approx(found[name].max_error_k)
+        assert own.coverage == found[name].coverage_95
+        assert own.rms_k < by_key["persistence", name].rms_k
+
+
+def test_nodes_are_scored_against_the_benchs_own(run: BenchRun, made: Forecast) -> None:
+    errors = node_errors(made, run, LAST, 100, 120)
+    assert errors.shape == (13, 20)
+    expected = made.quantile("t_node_12_c")[2, 100 - LAST :] - run.truth_c["t_node_12_c"][100:]
+    assert np.array_equal(errors[11], expected)
+    covered = node_coverage(made, run, LAST, 100, 120)
+    assert covered.shape == (13,)
+    assert ((covered >= 0.0) & (covered <= 1.0)).all()
+
+
+def test_figures_over_benches(run: BenchRun, made: Forecast) -> None:
+    whole = score_rings(made, run, LAST, LAST + 1, 120)
+    late = score_rings(made, run, LAST, 110, 120)
+    both = figures([whole, late])
+    assert both["benches"] == 2
+    for ring in RINGS:
+        values = [one[ring].max_error_k for one in (whole, late)]
+        assert both["max_error_c"][ring] == pytest.approx(np.mean(values))
+        assert both["worst_max_error_c"][ring] == max(values)
+        shares = [one[ring].coverage_95 for one in (whole, late)]
+        assert both["worst_coverage_95"][ring] == min(shares)
+        assert both["benches_covered_below_80_percent"][ring] == sum(x < 0.8 for x in shares)
+    none = figures([])
+    assert none["benches"] == 0
+    assert none["coverage_95"] is None
+    assert none["max_error_c"] == dict.fromkeys(RINGS)
 
 
 def test_a_bench_that_passes_110_degrees_has_run_away(run: BenchRun) -> None:
