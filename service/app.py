@@ -20,7 +20,7 @@ from service.alarms import AlarmBook, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ProcessClock
-from service.ingest import Ingest
+from service.ingest import Ingest, Spool
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
@@ -64,7 +64,8 @@ class Service:
         self.registry = CollectorRegistry()
         self.bus = Bus(clock)
         self.alarms = AlarmBook(store, clock, self._alarm_changed)
-        self.ingest = Ingest(store, clock, self._take, registry=self.registry)
+        self.spool = Spool.open(settings.data_dir, settings.service.spool_mib)
+        self.ingest = Ingest(store, self.spool, clock, self._take, registry=self.registry)
         self.drivers: list[Driver] = [source.create(clock) for source in wiring.sources]
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
@@ -216,6 +217,7 @@ class Service:
         finally:
             await asyncio.gather(*closing)
             self._executor.shutdown(wait=False, cancel_futures=True)
+            self.spool.close()
 
     async def _web(self, listener: socket.socket) -> None:
         config = uvicorn.Config(

@@ -47,6 +47,8 @@ class ServiceSection(_Section):
     port: int = Field(8080, ge=0, le=65535)
     data_dir: Path = Path("var")
     database_url: str = ""
+    #: Disk that samples may take while they wait for a store that is away.
+    spool_mib: int = Field(512, ge=1)
 
 
 class ClockSection(_Section):

@@ -1,5 +1,6 @@
 """Ingest: from the drivers to the live twins and the store, losing nothing."""
 
 from service.ingest.ingest import Ingest
+from service.ingest.spool import Spool
 
-__all__ = ["Ingest"]
+__all__ = ["Ingest", "Spool"]

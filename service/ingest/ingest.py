@@ -8,7 +8,8 @@ from prometheus_client import CollectorRegistry
 
 from adapters.drivers import Clock, Driver
 from adapters.samples import Batch, Quality, Sample
-from service.ingest.metrics import SampleLedger, SourceMetrics
+from service.ingest.metrics import SampleLedger, SourceMetrics, watch_spool
+from service.ingest.spool import Spool
 from service.ingest.writer import SampleWriter
 from service.store import Store, WriteCounts
 
@@ -25,12 +26,15 @@ class Ingest:
     """Takes samples from everywhere, hands them to the live twins and stores them.
 
     Storing happens in a thread of its own behind a bounded queue, so a slow disk delays neither
-    the drivers nor the twins. Every accepted sample is accounted for, see `counts`.
+    the drivers nor the twins. While the store is away samples wait in the spool on the disk.
+    Every accepted sample is accounted for, see `counts`.
 
     Parameters
     ----------
     store : Store
         Where the samples go.
+    spool : Spool
+        Where they wait on the disk while the store is away.
     clock : Clock
         Process time.
     on_batch : callable
@@ -43,23 +47,36 @@ class Ingest:
     def __init__(
         self,
         store: Store,
+        spool: Spool,
         clock: Clock,
         on_batch: Callable[[Batch], None],
         *,
         registry: CollectorRegistry,
     ) -> None:
         self._store = store
+        self._spool = spool
         self._clock = clock
         self._on_batch = on_batch
         self._ledger = SampleLedger(registry)
         self._source_metrics = SourceMetrics(registry)
-        self._writer = SampleWriter(store, self._ledger)
+        watch_spool(spool, clock, registry)
+        self._writer = SampleWriter(store, spool, self._ledger)
         self._unmarked_gaps: dict[tuple[str, str], int] = {}
 
     @property
     def problem(self) -> str | None:
         """Why the store takes no samples at the moment; None while all is well."""
         return self._writer.problem
+
+    @property
+    def spool_problem(self) -> str | None:
+        """Why the spool takes none either while the store is away; None while all is well."""
+        return self._writer.spool_problem
+
+    @property
+    def spooled(self) -> int:
+        """Samples that wait in the spool."""
+        return len(self._spool)
 
     def counts(self) -> Mapping[str, int]:
         """Count the samples accepted, and of those the stored, duplicate, skipped and waiting."""
@@ -75,7 +92,7 @@ class Ingest:
         drivers : sequence of Driver
             Not entered yet. May be empty when samples are only pushed.
         """
-        self._unmarked_gaps = await asyncio.to_thread(self._store.open_ends)
+        self._unmarked_gaps = await asyncio.to_thread(self._open_ends)
         self._writer.start()
         try:
             async with asyncio.TaskGroup() as group:
@@ -109,6 +126,16 @@ class Ingest:
         """Have the twins' own samples stored; returns at once."""
         if samples:
             self._writer.put(samples)
+
+    def _open_ends(self) -> dict[tuple[str, str], int]:
+        """Channels that were recorded when the last run ended, in the store or on the spool."""
+        ends = self._store.open_ends()
+        for channel, time_us in self._spool.newest().items():
+            if time_us is None:
+                ends.pop(channel, None)
+            else:
+                ends[channel] = max(time_us, ends.get(channel, time_us))
+        return ends
 
     async def _pump(self, driver: Driver) -> None:
         wait_s = RESTART_FIRST_S

@@ -1,15 +1,17 @@
 """What ingest tells Prometheus."""
 
+import math
 import threading
 from collections.abc import Iterable, Mapping
 
 from prometheus_client import CollectorRegistry, Gauge, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from adapters.drivers import Driver
+from adapters.drivers import Clock, Driver
+from service.ingest.spool import Spool, SpoolUnavailableError
 
 #: Why an accepted sample may not reach the store.
-SKIP_REASONS = ("queue_full", "refused", "store_unavailable")
+SKIP_REASONS = ("queue_full", "refused", "spool_full", "store_unavailable")
 
 _PREFIX = "bearing_twin_samples"
 
@@ -94,10 +96,38 @@ class SampleLedger:
             skipped,
             GaugeMetricFamily(
                 "bearing_twin_spool_samples",
-                "Accepted samples that wait to be stored.",
+                "Accepted samples that wait to be stored, in memory or on the disk.",
                 counts["waiting"],
             ),
         ]
+
+
+def watch_spool(spool: Spool, clock: Clock, registry: CollectorRegistry) -> None:
+    """Show how much the spool holds and how long its oldest sample has waited."""
+
+    def age_s() -> float:
+        try:
+            oldest_us = spool.oldest_received_us() if len(spool) else None
+        except SpoolUnavailableError:
+            return math.nan
+        return 0.0 if oldest_us is None else max(clock.now_us() - oldest_us, 0) / 1e6
+
+    def size_bytes() -> float:
+        try:
+            return float(spool.size_bytes if len(spool) else 0)
+        except SpoolUnavailableError:
+            return math.nan
+
+    Gauge(
+        "bearing_twin_spool_bytes",
+        "Size of the samples on the disk that wait for the store.",
+        registry=registry,
+    ).set_function(size_bytes)
+    Gauge(
+        "bearing_twin_spool_age_seconds",
+        "Process seconds since the oldest sample of the spool was received.",
+        registry=registry,
+    ).set_function(age_s)
 
 
 class SourceMetrics:

@@ -1,16 +1,18 @@
-"""The one thread that writes samples into the store."""
+"""The one thread that writes samples into the store, or on the spool while the store is away."""
 
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from itertools import groupby
+from operator import itemgetter
 
 import structlog
 
 from adapters.samples import Sample
 from service.ingest.metrics import SampleLedger
+from service.ingest.spool import Spool, SpoolUnavailableError
 from service.store import Store, StoreUnavailableError, WriteCounts
 
 #: A transaction holds at least so many samples, or those of so many wall seconds.
@@ -21,28 +23,43 @@ QUEUE_SAMPLES = 200_000
 #: The store is given so long per try, and is left alone so long in between.
 _PATIENCE_S = 1.0
 _RETRY_S = 0.2
+#: The spool is emptied in portions of so many samples, for so long before new ones have a turn.
+_DRAIN_SAMPLES = 20_000
+_DRAIN_S = 0.5
 
 _log = structlog.get_logger(__name__)
 
 _Parcel = tuple[Sequence[Sample], "Future[WriteCounts] | None"]
+_Write = Callable[[Sequence[Sample]], WriteCounts]
 
 
 class SampleWriter:
     """A bounded queue of samples in front of the store, and the thread that empties it.
 
-    Putting samples in never waits for the store. While the store does not answer, the writer
-    tries again until it does.
+    Putting samples in never waits for the store. While the store does not answer, samples go on
+    the spool; when it answers again, it first gets what is on the spool, so that their order is
+    kept.
 
     Parameters
     ----------
     store : Store
         Where the samples go.
+    spool : Spool
+        Where they wait while the store is away. What an earlier run left in it is stored first.
     ledger : SampleLedger
         Where every sample is accounted for.
+
+    Attributes
+    ----------
+    problem : str or None
+        Why the store takes no samples at the moment; None while all is well.
+    spool_problem : str or None
+        Why the spool does not take them either: samples wait in memory only. None while it does.
     """
 
-    def __init__(self, store: Store, ledger: SampleLedger) -> None:
+    def __init__(self, store: Store, spool: Spool, ledger: SampleLedger) -> None:
         self._store = store
+        self._spool = spool
         self._ledger = ledger
         self._parcels: deque[_Parcel] = deque()
         self._queued = 0
@@ -51,7 +68,10 @@ class SampleWriter:
         self._condition = threading.Condition()
         self._give_up_at: float | None = None
         self._thread: threading.Thread | None = None
+        self._store_asked_at = 0.0
         self.problem: str | None = None
+        self.spool_problem: str | None = None
+        self._ledger.accept(len(spool))
 
     def start(self) -> None:
         """Begin to write; what was put in before waits until then."""
@@ -73,6 +93,9 @@ class SampleWriter:
     def put_and_tell(self, samples: Sequence[Sample]) -> "Future[WriteCounts]":
         """Queue samples, all or none; the future ends when they are on the disk.
 
+        On the spool a sample that is known already cannot be told from a new one; there all
+        count as stored.
+
         Raises
         ------
         StoreUnavailableError
@@ -93,13 +116,13 @@ class SampleWriter:
         return future
 
     def close(self, timeout_s: float) -> None:
-        """Write everything that is queued, then stop.
+        """Write everything that is queued, into the store or on the spool, then stop.
 
         Parameters
         ----------
         timeout_s : float
-            Wall seconds for a store that does not answer; then what is left is given up, counted
-            and logged.
+            Wall seconds for a store and a spool that do not answer; then what is left in memory
+            is given up, counted and logged. What is on the spool stays there.
         """
         with self._condition:
             self._give_up_at = time.monotonic() + timeout_s
@@ -117,12 +140,13 @@ class SampleWriter:
             self._condition.notify()
 
     def _run(self) -> None:
-        while parcels := self._next():
-            for future, group in groupby(parcels, key=lambda parcel: parcel[1]):
-                samples = [sample for part, _ in group for sample in part]
-                # False when nobody waits any more; the samples were accepted all the same.
+        while (parcels := self._next()) is not None:
+            self._drain()
+            # Neighbours for whom nobody waits share a transaction; the others get their own counts.
+            for future, group in groupby(parcels, key=itemgetter(1)):
+                samples = [one for parcel, _ in group for one in parcel]
                 awaited = future is not None and future.set_running_or_notify_cancel()
-                counts = self._write(samples)
+                counts = self._keep(samples)
                 with self._condition:
                     self._queued -= len(samples)
                 if future is None or not awaited:
@@ -132,12 +156,20 @@ class SampleWriter:
                 else:
                     future.set_result(counts)
 
-    def _next(self) -> list[_Parcel]:
-        """Wait for the next batch; empty when the writer has been stopped and all is done."""
+    def _next(self) -> list[_Parcel] | None:
+        """Wait for the next batch; it may be empty while the spool is not.
+
+        None when the writer has been stopped and all is done.
+        """
         with self._condition:
             while not self._due():
                 rest_s = self._waiting_since + BATCH_S - time.monotonic()
-                self._condition.wait(max(rest_s, 0.0) if self._parcels else None)
+                wait_s = max(rest_s, 0.0) if self._parcels else None
+                if len(self._spool):
+                    due_s = max(self._store_asked_at + _RETRY_S - time.monotonic(), 0.0)
+                    wait_s = due_s if wait_s is None else min(wait_s, due_s)
+                if not self._condition.wait(wait_s) and len(self._spool):
+                    break
             batch: list[_Parcel] = []
             count = 0
             while self._parcels and count < BATCH_SAMPLES:
@@ -145,6 +177,8 @@ class SampleWriter:
                 count += len(batch[-1][0])
             if not self._parcels:
                 self._urgent = False
+            if not batch and self._give_up_at is not None:
+                return None
             return batch
 
     def _due(self) -> bool:
@@ -155,38 +189,98 @@ class SampleWriter:
         waited_s = time.monotonic() - self._waiting_since
         return self._urgent or self._queued >= BATCH_SAMPLES or waited_s >= BATCH_S
 
-    def _write(self, samples: Sequence[Sample]) -> WriteCounts | None:
-        """Store samples, however long that takes; None when that is not to be."""
+    def _keep(self, samples: Sequence[Sample]) -> WriteCounts | None:
+        """Put samples into the store or on the spool; None when nothing was kept."""
+        kept: list[WriteCounts] = []
         while True:
+            if not len(self._spool):
+                counts, samples = self._write(samples, self._into_store)
+                kept += counts
+            if samples:
+                counts, samples = self._write(samples, self._on_spool)
+                kept += counts
+            if not samples:
+                break
+            if self._give_up_at is not None and time.monotonic() > self._give_up_at:
+                _log.error("samples_lost", count=len(samples), error=self.spool_problem)
+                self._ledger.skip(len(samples), "store_unavailable")
+                return None
+            time.sleep(_RETRY_S)
+            self._drain()
+        if not kept:
+            return None
+        return WriteCounts(sum(one.stored for one in kept), sum(one.duplicates for one in kept))
+
+    def _drain(self) -> None:
+        """Move samples from the spool into the store, for a while, if the store takes them."""
+        if time.monotonic() < self._store_asked_at + _RETRY_S:
+            return
+        until = time.monotonic() + _DRAIN_S
+        while len(self._spool) and time.monotonic() < until:
+            settled = 0
             try:
-                counts = self._store.write_samples(samples, _PATIENCE_S)
+                chunk = self._spool.first(_DRAIN_SAMPLES)
+                if chunk is None:
+                    return
+                _, rest = self._write(chunk.samples, self._into_store)
+                settled = len(chunk.samples) - len(rest)
+                if not rest:
+                    self._spool.remove(chunk)
+                    continue
+            except SpoolUnavailableError as error:
+                _log.warning("spool_unavailable", error=str(error), waiting=len(self._spool))
+                self._store_asked_at = time.monotonic()
+            # What is stored but still on the spool is read once more, and a duplicate then.
+            self._ledger.accept(settled)
+            return
+
+    def _write(
+        self, samples: Sequence[Sample], write: _Write
+    ) -> tuple[list[WriteCounts], list[Sample]]:
+        """Write samples; return the counts of what was written, and what could not be.
+
+        A sample that is refused for what it is must not take its neighbours with it, nor end this
+        thread: the batch is halved until it is found; it is skipped and counted.
+        """
+        written: list[WriteCounts] = []
+        parts = [samples]
+        while parts:
+            part = parts.pop()
+            try:
+                written.append(write(part))
             except StoreUnavailableError as error:
                 if self.problem is None:
-                    _log.warning("store_unavailable", error=str(error), samples=len(samples))
+                    _log.warning("store_unavailable", error=str(error), waiting=self._queued)
                 self.problem = str(error)
-                if self._give_up_at is not None and time.monotonic() > self._give_up_at:
-                    _log.error("samples_lost", count=len(samples), error=str(error))
-                    self._ledger.skip(len(samples), "store_unavailable")
-                    return None
-                time.sleep(_RETRY_S)
+                self._store_asked_at = time.monotonic()
+                return written, [one for rest in (part, *reversed(parts)) for one in rest]
+            except SpoolUnavailableError as error:
+                if self.spool_problem is None:
+                    _log.error("spool_unavailable", error=str(error), waiting=self._queued)
+                self.spool_problem = str(error)
+                return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except Exception:
-                # A sample that the store refuses must not take its neighbours with it, nor end
-                # this thread: halve the batch until it is found.
-                if len(samples) == 1:
-                    _log.exception("sample_refused", sample=samples[0])
+                # Whatever the reason, see above.
+                if len(part) == 1:
+                    _log.exception("sample_refused", sample=part[0])
                     self._ledger.skip(1, "refused")
-                    return None
-                middle = len(samples) // 2
-                halves = [self._write(samples[:middle]), self._write(samples[middle:])]
-                parts = [part for part in halves if part is not None]
-                if not parts:
-                    return None
-                return WriteCounts(
-                    sum(part.stored for part in parts), sum(part.duplicates for part in parts)
-                )
-            else:
-                if self.problem is not None:
-                    _log.info("store_available", waiting=self._queued)
-                    self.problem = None
-                self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
-                return counts
+                else:
+                    middle = len(part) // 2
+                    parts += [part[middle:], part[:middle]]
+        return written, []
+
+    def _into_store(self, samples: Collection[Sample]) -> WriteCounts:
+        counts = self._store.write_samples(samples, _PATIENCE_S)
+        if self.problem is not None:
+            _log.info("store_available", waiting=self._queued + len(self._spool))
+        self.problem = self.spool_problem = None
+        self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
+        return counts
+
+    def _on_spool(self, samples: Collection[Sample]) -> WriteCounts:
+        given_up = self._spool.append(samples)
+        self.spool_problem = None
+        if given_up:
+            _log.error("spool_full", samples_given_up=given_up, waiting=len(self._spool))
+            self._ledger.skip(given_up, "spool_full")
+        return WriteCounts(len(samples), 0)

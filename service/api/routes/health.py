@@ -102,14 +102,17 @@ async def metrics(context: Context, request: Request, keys: Keys) -> Response:
 
 
 async def _store(context: ServiceContext) -> Check:
+    ingest = context.ingest
+    problem = ingest.problem
     try:
         await to_thread.run_sync(context.store.unfinished_jobs)
     except StoreUnavailableError as error:
-        return Check("store", "failed", str(error))
-    problem = context.ingest.problem
-    if problem is not None:
-        return Check("store", "failed", problem)
-    return Check("store", "ok", "reads and writes")
+        problem = problem or str(error)
+    if problem is None:
+        return Check("store", "ok", "reads and writes")
+    if ingest.spool_problem is not None:
+        return Check("store", "failed", f"{problem}; spool: {ingest.spool_problem}")
+    return Check("store", "degraded", f"{problem}; {ingest.spooled} samples wait on the spool")
 
 
 def _twins(context: ServiceContext) -> Iterator[Check]:

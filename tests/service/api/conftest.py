@@ -30,7 +30,7 @@ from service.api.context import (
     ServiceContext,
 )
 from service.clock import ProcessClock, rfc3339
-from service.ingest import Ingest
+from service.ingest import Ingest, Spool
 from service.live.bus import Bus
 from service.security import create_key
 from service.settings import Settings
@@ -268,7 +268,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
         alarms = AlarmBook(
             store, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
         )
-        ingest = Ingest(store, clock, take, registry=registry)
+        ingest = Ingest(store, Spool.open(tmp_path, 16), clock, take, registry=registry)
         now_us = clock.now_us()
         wired = {
             "speed_rpm": "drive",

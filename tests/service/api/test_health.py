@@ -1,8 +1,12 @@
+import asyncio
+import contextlib
+import sqlite3
 from typing import Any
 
 import pytest
 from prometheus_client import Counter
 
+from adapters.samples import Sample
 from service.api.bodies import Ready
 from service.settings import SecuritySection
 
@@ -52,14 +56,30 @@ async def test_twin_that_does_not_run_fails(world: Any) -> None:
     assert (status, document.status) == (503, "not ready")
 
 
-async def test_store_that_does_not_answer_fails(world: Any) -> None:
+async def test_store_that_does_not_answer_degrades_while_the_spool_takes_samples(
+    world: Any,
+) -> None:
     world.store.close()
     database = world.data_dir / "bearing-twin.db"
     database.rename(world.data_dir / "elsewhere.db")
     database.mkdir()  # nothing can be opened there
     status, document = await ready(world)
-    assert (status, document.status) == (503, "not ready")
-    assert next(check for check in document.checks if check.name == "store").status == "failed"
+    assert (status, document.status) == (200, "degraded")
+    assert next(check for check in document.checks if check.name == "store").status == "degraded"
+    now_us = world.clock.now_us()
+    sample = Sample("rig-2", "ambient_c", now_us, 21.0, 192, now_us)
+    with contextlib.closing(sqlite3.connect(world.data_dir / "spool.db")) as intruder:
+        intruder.isolation_level = None
+        intruder.execute("BEGIN EXCLUSIVE")
+        world.context.ingest.submit([sample])
+        for _ in range(100):
+            status, document = await ready(world)
+            if status == 503:
+                break
+            await asyncio.sleep(0.1)
+        assert document.status == "not ready"
+        check = next(check for check in document.checks if check.name == "store")
+        assert check.status == "failed"
 
 
 async def test_keys_cannot_be_checked_without_the_store(world: Any) -> None:

@@ -16,8 +16,9 @@ from prometheus_client import CollectorRegistry
 from adapters.drivers import SourceHealth
 from adapters.samples import Batch, PlannedProfile, PlanStep, Quality, Sample
 from service.clock import ProcessClock
-from service.ingest import Ingest
+from service.ingest import Ingest, Spool
 from service.ingest.metrics import SampleLedger
+from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.ingest.writer import QUEUE_SAMPLES, SampleWriter
 from service.store import Store, StoreUnavailableError, WriteCounts
 from service.store.database import FILE_NAME
@@ -64,9 +65,12 @@ class Hall:
     def __init__(self, data_dir: Path) -> None:
         self.path = data_dir / FILE_NAME
         self.store = Store.open("", data_dir)
+        self.spool = Spool.open(data_dir, 16)
         self.registry = CollectorRegistry()
         self.taken: list[tuple[float, Batch]] = []
-        self.ingest = Ingest(self.store, ProcessClock(), self._take, registry=self.registry)
+        self.ingest = Ingest(
+            self.store, self.spool, ProcessClock(), self._take, registry=self.registry
+        )
 
     def _take(self, batch: Batch) -> None:
         self.taken.append((time.monotonic(), batch))
@@ -88,6 +92,20 @@ class Hall:
     def metric(self, name: str, **labels: str) -> float | None:
         return self.registry.get_sample_value(f"bearing_twin_{name}", labels)
 
+    def stored_outside(self) -> int:
+        with contextlib.closing(sqlite3.connect(f"file:{self.path}?mode=ro", uri=True)) as outside:
+            return int(outside.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
+
+    def on_spool(self) -> list[int]:
+        """Times of what somebody else finds in the spool's file."""
+        file = self.path.with_name(SPOOL_FILE)
+        with contextlib.closing(sqlite3.connect(file)) as outside:
+            return [t for (t,) in outside.execute("SELECT time_us FROM samples ORDER BY id")]
+
+    def close(self) -> None:
+        self.store.close()
+        self.spool.close()
+
     async def until(self, **counts: int) -> None:
         await self.until_true(lambda: counts.items() <= self.ingest.counts().items())
 
@@ -97,9 +115,9 @@ class Hall:
                 await asyncio.sleep(0.001)
 
     @contextlib.contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(self, file: str = FILE_NAME) -> Iterator[None]:
         """Somebody else holds the right to write."""
-        intruder = sqlite3.connect(self.path, isolation_level=None)
+        intruder = sqlite3.connect(self.path.with_name(file), isolation_level=None)
         intruder.execute("BEGIN EXCLUSIVE")
         try:
             yield
@@ -112,7 +130,7 @@ class Hall:
 def hall(tmp_path: Path) -> Iterator[Hall]:
     hall = Hall(tmp_path)
     yield hall
-    hall.store.close()
+    hall.close()
 
 
 def sample(time_us: int, value: float = 1.0, quality: int = 192, channel: str = "x") -> Sample:
@@ -220,7 +238,9 @@ async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
         raise RuntimeError("a twin with a fault")
 
     with Store.open("", tmp_path) as store:
-        ingest = Ingest(store, ProcessClock(), fail, registry=CollectorRegistry())
+        ingest = Ingest(
+            store, Spool.open(tmp_path, 16), ProcessClock(), fail, registry=CollectorRegistry()
+        )
         source = ScriptedSource()
         task = asyncio.create_task(ingest.run([source]))
         for number in range(3):
@@ -251,18 +271,26 @@ async def test_pushed_samples_are_on_the_disk_when_the_answer_comes(hall: Hall) 
     assert len(hall.taken) == 52
 
 
-async def test_a_push_waits_for_a_locked_store_and_survives_its_caller(hall: Hall) -> None:
+async def test_a_push_survives_its_caller_and_is_on_the_spool_while_the_store_is_locked(
+    hall: Hall,
+) -> None:
     async with hall.running():
         with hall.locked():
             gone = asyncio.create_task(hall.ingest.accept([sample(1)]))
             patient = asyncio.create_task(hall.ingest.accept([sample(2)]))
             await asyncio.sleep(0.3)
-            assert not patient.done()
+            assert not patient.done()  # the store has a second
             gone.cancel()
-            await asyncio.sleep(0)
-        assert await patient == (1, 0)
-        assert await hall.ingest.accept([sample(3)]) == (1, 0)
-    assert [time_us for _, time_us, _, _ in hall.stored()] == [1, 2, 3]
+            assert await patient == (1, 0)
+            assert hall.stored_outside() == 0
+            assert hall.on_spool() == [1, 2]
+            started = time.monotonic()
+            assert await hall.ingest.accept([sample(3)]) == (1, 0)
+            assert time.monotonic() - started < 2.0
+        await hall.until(stored=3)
+        assert hall.on_spool() == []
+        assert await hall.ingest.accept([sample(3), sample(4)]) == (1, 1)
+    assert [time_us for _, time_us, _, _ in hall.stored()] == [1, 2, 3, 4]
 
 
 async def test_a_push_to_a_stopped_service_is_refused(hall: Hall) -> None:
@@ -285,7 +313,7 @@ async def test_the_gap_while_the_service_was_away_is_marked_once(tmp_path: Path)
                 await asyncio.sleep(0.1)
                 await hall.ingest.accept([sample(900, channel="pushed")])
             stored = hall.stored()
-            hall.store.close()
+            hall.close()
             return stored
 
         return asyncio.run(run())
@@ -308,7 +336,7 @@ async def test_the_gap_while_the_service_was_away_is_marked_once(tmp_path: Path)
 
 def test_a_full_queue_skips_the_newest_and_says_so(hall: Hall) -> None:
     ledger = SampleLedger(CollectorRegistry())
-    writer = SampleWriter(hall.store, ledger)
+    writer = SampleWriter(hall.store, hall.spool, ledger)
     writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10)])
     writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10, QUEUE_SAMPLES + 20)])
     with pytest.raises(StoreUnavailableError, match=f"{QUEUE_SAMPLES} samples already wait"):
@@ -321,9 +349,9 @@ def test_a_full_queue_skips_the_newest_and_says_so(hall: Hall) -> None:
     assert len(hall.stored()) == QUEUE_SAMPLES
 
 
-def test_a_store_that_stays_away_cannot_hold_up_the_stop(hall: Hall) -> None:
+def test_a_store_that_stays_away_cannot_hold_up_the_stop_nor_cost_a_sample(hall: Hall) -> None:
     ledger = SampleLedger(CollectorRegistry())
-    writer = SampleWriter(hall.store, ledger)
+    writer = SampleWriter(hall.store, hall.spool, ledger)
     writer.start()
     with hall.locked():
         promised = writer.put_and_tell([sample(1)])
@@ -331,15 +359,42 @@ def test_a_store_that_stays_away_cannot_hold_up_the_stop(hall: Hall) -> None:
         started = time.monotonic()
         writer.close(timeout_s=0.5)
         assert time.monotonic() - started < 5
+        assert promised.result(timeout=0) == (1, 0)
+    assert ledger.counts()["skipped"] == 0
+    assert ledger.counts()["waiting"] == 3
+    next_run = SampleLedger(CollectorRegistry())
+    writer = SampleWriter(hall.store, hall.spool, next_run)
+    assert next_run.counts()["waiting"] == 3
+    writer.start()
+    writer.put([sample(4)])
+    writer.close(timeout_s=5)
+    assert next_run.counts()["stored"] == 4
+    assert [time_us for _, time_us, _, _ in hall.stored()] == [1, 2, 3, 4]
+
+
+def test_with_store_and_spool_away_samples_wait_in_memory_until_the_stop(hall: Hall) -> None:
+    ledger = SampleLedger(CollectorRegistry())
+    writer = SampleWriter(hall.store, hall.spool, ledger)
+    writer.start()
+    with hall.locked(), hall.locked(SPOOL_FILE):
+        promised = writer.put_and_tell([sample(1)])
+        time.sleep(4.0)  # a second each for the store and the spool
+        assert writer.problem is not None
+        assert writer.spool_problem is not None
+        assert "locked" in writer.spool_problem
+        assert not promised.done()
+    assert promised.result(timeout=30) == (1, 0)
+    with hall.locked(), hall.locked(SPOOL_FILE):
+        promised = writer.put_and_tell([sample(2)])
+        writer.close(timeout_s=0.5)
         with pytest.raises(StoreUnavailableError):
             promised.result(timeout=0)
-    assert ledger.counts()["skipped"] == 3
-    assert ledger.counts()["waiting"] == 0
+    assert (ledger.counts()["stored"], ledger.counts()["skipped"]) == (1, 1)
 
 
 def test_a_refused_sample_takes_no_other_with_it(hall: Hall) -> None:
     ledger = SampleLedger(CollectorRegistry())
-    writer = SampleWriter(hall.store, ledger)
+    writer = SampleWriter(hall.store, hall.spool, ledger)
     samples = [sample(time_us) for time_us in range(100)]
     samples[37] = sample(-1)
     samples[80] = sample(80, math.pi, 300)
@@ -353,7 +408,7 @@ def test_a_refused_sample_takes_no_other_with_it(hall: Hall) -> None:
 
 def test_every_scrape_adds_up(hall: Hall) -> None:
     registry = CollectorRegistry()
-    writer = SampleWriter(hall.store, SampleLedger(registry))
+    writer = SampleWriter(hall.store, hall.spool, SampleLedger(registry))
     writer.start()
     stop = threading.Event()
     wrong: list[dict[str, float]] = []
