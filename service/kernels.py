@@ -4,6 +4,7 @@ import numpy as np
 
 from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
+from twin_core.forecasting.envelope import envelope
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import prior_posterior
@@ -38,6 +39,9 @@ def compile_kernels() -> None:
     forecast(
         model, posterior, observer.temperatures_c, observer.covariance, 0.0, profile, members=4
     )
+    limits = {name: (90.0,) for name in model.sensor_names}
+    state = (observer.temperatures_c, observer.covariance, 0.0, 22.0)
+    envelope(model, posterior, *state, [1500.0], [2650.0], limits, members=2)
     minutes = MinuteData(
         time_s, speed_rpm, load_n, ambient_c, measured, np.ones(time_s.size, dtype=np.bool_)
     )

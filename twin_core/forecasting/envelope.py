@@ -1,0 +1,297 @@
+"""Safe operating envelope: what would become of each point of the (speed, load) plane.
+
+For every point of a grid the machine is held there from its present state, by every member of an
+ensemble over the parameter posterior, the present state and what the model leaves out. From the
+members follow the steady temperature with its interval, and when and how probably each limit is
+passed on the way. A point where a member has no steady state, or a sensor beyond 130 degC, counts
+as run away in that member.
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import config as numba_config
+from numpy.typing import ArrayLike, NDArray
+
+from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
+from twin_core.forecasting.ensemble import (
+    DEVIATION_K,
+    RUNAWAY_C,
+    SENSOR_OFFSET_K,
+    SENSOR_RESOLUTION_K,
+    SENSOR_WHITE_K,
+)
+from twin_core.forecasting.labels import runaway_not_excluded
+from twin_core.identification.posterior import Posterior
+from twin_core.models import ThermalModel
+from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.simulation import kernels
+
+FloatArray = NDArray[np.float64]
+
+ENVELOPE_LEVELS = (0.025, 0.5, 0.975)
+HORIZON_S = 8 * 3600.0
+MEMBERS = 80
+_EARLIEST = 0.025
+# What a member without a steady state counts as: over every limit, and finite.
+_CEILING_C = 500.0
+_CHUNKS_PER_THREAD = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimitMap:
+    """When and how probably a sensor reaches a limit, held at each point from the present state.
+
+    Attributes
+    ----------
+    limit_c
+        The limit in degC.
+    probability
+        (loads, speeds) share of the members that reach it within the horizon.
+    steady_probability
+        (loads, speeds) share of the members whose steady temperature is at or over it.
+    median_s, earliest_s
+        (loads, speeds) times at which half and 2.5 % of the members have reached it; infinite
+        where fewer do.
+    """
+
+    limit_c: float
+    probability: FloatArray
+    steady_probability: FloatArray
+    median_s: FloatArray
+    earliest_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Envelope:
+    """The safe operating envelope over a grid.
+
+    Attributes
+    ----------
+    speed_rpm, load_n
+        Axes of the grid, (speeds,) and (loads,).
+    ambient_c, horizon_s
+        Ambient temperature that was assumed; how long each point is held for the times.
+    members
+        Number of members.
+    sensors
+        Names, the keys of the maps.
+    steady_c
+        Per sensor (3, loads, speeds): 2.5, 50 and 97.5 % of what the sensor will read when
+        temperatures no longer change, in degC; 500 stands for a member that has run away.
+    limits
+        Per sensor, one map for each of its limits.
+    runaway_probability
+        (loads, speeds) share of the members that run away.
+    runaway_not_excluded
+        (loads, speeds) verdict by the rule of `twin_core.forecasting.labels`.
+    """
+
+    speed_rpm: FloatArray
+    load_n: FloatArray
+    ambient_c: float
+    horizon_s: float
+    members: int
+    sensors: tuple[str, ...]
+    steady_c: Mapping[str, FloatArray]
+    limits: Mapping[str, tuple[LimitMap, ...]]
+    runaway_probability: FloatArray
+    runaway_not_excluded: NDArray[np.bool_]
+
+
+def envelope(
+    model: ThermalModel,
+    posterior: Posterior,
+    state_c: ArrayLike,
+    state_covariance: ArrayLike,
+    revolutions: float,
+    ambient_c: float,
+    speed_rpm: ArrayLike,
+    load_n: ArrayLike,
+    limits: Mapping[str, Sequence[float]],
+    *,
+    disturbance_w: ArrayLike | None = None,
+    horizon_s: float = HORIZON_S,
+    members: int = MEMBERS,
+    seed: int = 0,
+) -> Envelope:
+    """Compute the safe operating envelope.
+
+    All points share the same members, so that the maps are smooth over the grid.
+
+    Parameters
+    ----------
+    model, posterior
+        What is known of the machine; they must belong together.
+    state_c, state_covariance
+        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the present node temperatures.
+    revolutions
+        Revolutions since the grease was fresh.
+    ambient_c
+        Ambient temperature, held.
+    speed_rpm, load_n
+        (speeds,) and (loads,) axes of the grid, increasing, not negative.
+    limits
+        Limits in degC per sensor; sensors without limits have steady temperatures all the same.
+    disturbance_w
+        (nodes,) heat in W that the model lacks at present; it fades as in the observer.
+    horizon_s
+        How long each point is held for the times to the limits. Steady temperatures are those of
+        grease run in until then.
+    members
+        Even number of members.
+    seed
+        Same seed, same envelope.
+
+    Raises
+    ------
+    ValueError
+        If posterior and model do not belong together, an axis is not increasing or negative, a
+        limit names no sensor, or a number is out of range.
+    """
+    posterior.check(model)
+    speeds, loads = _axis("speed_rpm", speed_rpm), _axis("load_n", load_n)
+    if members < 2 or members % 2:
+        raise ValueError(f"members is {members}, expected an even number of at least 2")
+    if not (horizon_s > 0.0 and np.isfinite(horizon_s)):
+        raise ValueError(f"horizon_s is {horizon_s}, expected a positive number of seconds")
+    sensors = model.sensor_names
+    for name in limits:
+        if name not in sensors:
+            raise ValueError(f"limits: no sensor {name!r}, expected one of {', '.join(sensors)}")
+    rng = np.random.default_rng(seed)
+    parameters = model.parameters
+    z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
+    start = np.asarray(state_c, np.float64) + rng.permutation(
+        normal_draws(rng, members, np.asarray(state_covariance, np.float64))
+    )
+    deviation = np.hypot(DEVIATION_K, SENSOR_OFFSET_K) * paired_draws(rng, members, (len(sensors),))
+    noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
+    noise = noise_k * rng.permutation(paired_draws(rng, members, (len(sensors),)))
+
+    # One table of limits for the kernel: each sensor's own, then where it counts as run away.
+    most = max((len(values) for values in limits.values()), default=0)
+    table = np.full((len(sensors), most + 1), np.inf)
+    for row, name in enumerate(sensors):
+        table[row, : len(limits.get(name, ()))] = limits.get(name, ())
+    table[:, most] = RUNAWAY_C
+    steady, crossing = _hold(
+        model,
+        parameters.values_from_z(z),
+        start,
+        max(float(revolutions), 0.0),
+        np.zeros(len(model.node_names)) if disturbance_w is None else disturbance_w,
+        float(ambient_c),
+        np.tile(speeds, loads.size),
+        np.repeat(loads, speeds.size),
+        # A sensor that reads too high by its deviation reaches its limit that much earlier.
+        table - deviation[:, :, None],
+        horizon_s,
+    )
+    readings = np.where(np.isfinite(steady), steady + deviation[:, None], _CEILING_C)
+    away = np.any((readings > RUNAWAY_C) | np.isfinite(crossing[..., most]), axis=2)
+    shape = (loads.size, speeds.size)
+    quantiles = np.quantile(readings + noise[:, None], ENVELOPE_LEVELS, axis=0)
+    probability = np.mean(away, axis=0)
+    hottest = np.max(quantiles[-1], axis=1)
+    heavy = np.repeat(loads, speeds.size)
+    return Envelope(
+        speed_rpm=speeds,
+        load_n=loads,
+        ambient_c=float(ambient_c),
+        horizon_s=horizon_s,
+        members=members,
+        sensors=sensors,
+        steady_c={
+            name: np.ascontiguousarray(quantiles[:, :, row]).reshape(3, *shape)
+            for row, name in enumerate(sensors)
+        },
+        limits={
+            name: tuple(
+                _limit_map(limit_c, readings[..., row], crossing[..., row, level], shape)
+                for level, limit_c in enumerate(limits.get(name, ()))
+            )
+            for row, name in enumerate(sensors)
+        },
+        runaway_probability=probability.reshape(shape),
+        runaway_not_excluded=runaway_not_excluded(posterior, heavy, hottest, probability).reshape(
+            shape
+        ),
+    )
+
+
+def _limit_map(
+    limit_c: float, readings: FloatArray, times: FloatArray, shape: tuple[int, int]
+) -> LimitMap:
+    """Map of a limit from steady readings and crossing times (members, points)."""
+    ordered = np.sort(times, axis=0)
+    members = len(ordered)
+
+    def time_of(share: float) -> FloatArray:
+        needed = max(int(np.ceil(share * members)), 1)
+        return np.asarray(ordered[needed - 1].reshape(shape))
+
+    return LimitMap(
+        limit_c=float(limit_c),
+        probability=np.mean(np.isfinite(times), axis=0).reshape(shape),
+        steady_probability=np.mean(readings >= limit_c, axis=0).reshape(shape),
+        median_s=time_of(0.5),
+        earliest_s=time_of(_EARLIEST),
+    )
+
+
+def _hold(
+    model: ThermalModel,
+    values: FloatArray,
+    start: FloatArray,
+    revolutions: float,
+    disturbance_w: ArrayLike,
+    ambient_c: float,
+    speed_rpm: FloatArray,
+    load_n: FloatArray,
+    limit_c: FloatArray,
+    horizon_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Steady temperatures (B, points, sensors) and crossing times (B, points, sensors, limits)."""
+    members, sensors, limits = limit_c.shape
+    steady = np.empty((members, speed_rpm.size, sensors))
+    crossing = np.empty((members, speed_rpm.size, sensors, limits))
+    heat = np.ascontiguousarray(disturbance_w, np.float64)
+
+    def run(first: int, last: int) -> None:
+        kernels.hold_points_range(
+            model.compiled,
+            values,
+            start,
+            revolutions,
+            heat,
+            1.0 / DISTURBANCE_TIME_S,
+            ambient_c,
+            speed_rpm,
+            load_n,
+            model.sensor_matrix(model.sensor_names),
+            limit_c,
+            horizon_s,
+            first,
+            last,
+            steady,
+            crossing,
+        )
+
+    threads = min(int(numba_config.NUMBA_NUM_THREADS), members)
+    chunks = np.linspace(0, members, threads * _CHUNKS_PER_THREAD + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(run, chunks[:-1].tolist(), chunks[1:].tolist()):
+            pass
+    return steady, crossing
+
+
+def _axis(name: str, values: ArrayLike) -> FloatArray:
+    axis = np.ascontiguousarray(values, np.float64)
+    if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
+        raise ValueError(f"{name} is {axis.tolist()}, expected a list of finite numbers")
+    if axis[0] < 0.0 or np.any(np.diff(axis) <= 0.0):
+        raise ValueError(f"{name} is {axis.tolist()}, expected increasing numbers from 0 up")
+    return axis
