@@ -16,6 +16,7 @@ ALLOWED = {"numpy", "scipy", "numba", "twin_core"}
 PURE = {
     "collections",
     "concurrent",
+    "contextlib",
     "dataclasses",
     "enum",
     "functools",

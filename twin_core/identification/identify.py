@@ -1,17 +1,21 @@
 """Identification from start to end: global search, refinement, posterior, verdict on the fit."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.checkpoint import Checkpoint
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.noa import Nutcracker
 from twin_core.identification.posterior import Posterior, posterior_at
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, refine
+from twin_core.identification.searching import IdentificationSpace, Search, SearchEnd
+from twin_core.identification.stopping import BUDGET_ONLY, StoppingCriteria, run_search
 from twin_core.models import ThermalModel
 
 FloatArray = NDArray[np.float64]
@@ -25,8 +29,9 @@ DEFAULT_BUDGET = 1000
 DEFAULT_SAMPLES = 200
 """Posterior samples, as many as a forecast has members."""
 
-# The global search looks where the prior has practically all its mass.
-_SEARCH_Z = 3.0
+Save = Callable[[Callable[[], dict[str, Any]]], None]
+"""Called with a function that returns the checkpoint, so that what is not kept costs nothing."""
+
 _RANDOM_START_SD = 0.5
 _WORST_RMS_K = 0.5
 _WORST_COST = 2.0
@@ -98,8 +103,12 @@ def identify(
     seed: int = 0,
     guess_z: FloatArray | None = None,
     samples: int = DEFAULT_SAMPLES,
+    search: Search | None = None,
+    stopping: StoppingCriteria = BUDGET_ONLY,
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    save: Save | None = None,
+    resume: Mapping[str, Any] | None = None,
 ) -> IdentificationResult:
     """Identify a model's parameters from low-risk windows.
 
@@ -121,52 +130,86 @@ def identify(
         (p,) a known good guess, such as the active model's; a further start of the refinement.
     samples
         Even number of posterior samples; 0 for none, where only the optimum matters.
+    search
+        Another global search in NOA's place.
+    stopping
+        What ends the nutcracker search before its budget is used up.
     progress
         Called at every sweep and iteration.
     cancelled
         Asked at every sweep and iteration.
+    save
+        Called after every sweep of the nutcracker search and every refined start.
+    resume
+        A checkpoint that `save` was given: the identification goes on from there and ends as if it
+        had not been interrupted, bit for bit.
 
     Raises
     ------
     IdentificationCancelled
         When ``cancelled`` says so.
+    CheckpointMismatchError
+        If the checkpoint belongs to another identification.
     ValueError
         For an unknown method, too small a budget, or a sensor that the model does not have.
     """
     if method not in get_args(Method):
         raise ValueError(f"method is {method!r}, expected one of {', '.join(get_args(Method))}")
-    run = _Run(IdentificationProblem(model, data, guess_z), progress, cancelled)
+    problem = IdentificationProblem(model, data, guess_z)
+    state = Checkpoint(
+        {
+            "method": method,
+            "budget": budget,
+            "seed": seed,
+            "model": model.name,
+            "bearing": model.bearing.designation,
+            "guess": None if guess_z is None else guess_z.tolist(),
+            "search": None if search is None else getattr(search, "__name__", "other"),
+            "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
+            "data_or_model": [problem.measurement_count, *_prior_costs(problem)],
+        }
+    )
+    if resume is not None:
+        state = Checkpoint.from_dict(resume, state.order)
+        problem.evaluations = state.evaluations
+    run = _Run(problem, state, progress, cancelled, save)
     rng = np.random.default_rng(seed)
     p = model.parameters.size
     starts: dict[str, FloatArray] = {}
     if method != "refine":
-        starts["search"] = _search(
-            run, budget, seed, _SEARCH_SHARE if "+" in method else _REFINED_SHARE
-        )
+        share = _SEARCH_SHARE if "+" in method else _REFINED_SHARE
+        starts["search"] = _searched(run, budget, seed, share, search, stopping)
     starts["prior"] = np.zeros(p)
     if guess_z is not None:
         starts["guess"] = guess_z
     for number in range(2 if method == "refine" else 1):
         starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
     if method == "noa":
-        best = run.problem.with_nuisance(starts["search"])
-        costs = {"search": run.best}
+        best = problem.with_nuisance(starts["search"])
+        costs = {"search": state.best_fitness}
     else:
         best, costs = _refine_all(run, starts)
-    run.tell(run.fraction, "sampling")
-    posterior = posterior_at(run.problem, best, samples, seed)
+    run.tell(state.fraction, "sampling")
+    posterior = posterior_at(problem, best, samples, seed)
     reason = fit_problem(posterior)
     run.tell(1.0, "done")
     return IdentificationResult(
         posterior=posterior,
         status="failed fit" if reason else "converged",
         reason=reason or _describe(posterior),
-        history=tuple(run.history),
-        evaluations=run.problem.evaluations,
-        best_fitness=run.best,
+        history=tuple(state.history),
+        evaluations=problem.evaluations,
+        best_fitness=state.best_fitness,
         starts=costs,
         unknowns=best,
     )
+
+
+def _prior_costs(problem: IdentificationProblem) -> list[float | None]:
+    """Costs at the prior's centre and beside it: other data or another model give other ones."""
+    p = problem.parameter_count
+    costs = problem.costs(np.stack((np.zeros(p), np.full(p, 0.1))))
+    return [float(cost) if np.isfinite(cost) else None for cost in costs]
 
 
 def fit_problem(posterior: Posterior) -> str:
@@ -190,47 +233,104 @@ def _describe(posterior: Posterior) -> str:
     )
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """Book-keeping of one identification: best cost, history, progress, cancellation."""
+    """One identification: its state, and who is told of it."""
 
     problem: IdentificationProblem
+    state: Checkpoint
     progress: Callable[[Progress], None] | None
     cancelled: Callable[[], bool] | None
-    best: float = float("inf")
-    fraction: float = 0.0
-    history: list[tuple[int, float]] = field(default_factory=list)
+    save: Save | None
 
     def tell(self, fraction: float, phase: Phase, cost: float = float("inf")) -> None:
-        if cost < self.best or not self.history:
-            self.best = min(self.best, cost)
-            self.history.append((self.problem.evaluations, self.best))
-        self.fraction = max(self.fraction, min(fraction, 1.0))
+        """Note a cost and the progress, pass it on, and stop if that is wanted."""
+        self.note(fraction, cost)
+        state = self.state
         if self.progress is not None:
-            self.progress(Progress(self.fraction, phase, self.problem.evaluations, self.best))
+            self.progress(
+                Progress(state.fraction, phase, self.problem.evaluations, state.best_fitness)
+            )
         if phase != "done" and self.cancelled is not None and self.cancelled():
             raise IdentificationCancelled
 
+    def note(self, fraction: float, cost: float) -> None:
+        """Add a new best cost to the history; the progress never falls."""
+        state = self.state
+        if cost < state.best_fitness or not state.history:
+            state.best_fitness = min(state.best_fitness, cost)
+            state.history.append((self.problem.evaluations, state.best_fitness))
+        state.fraction = max(state.fraction, min(fraction, 1.0))
 
-def _search(run: _Run, budget: int, seed: int, share: float) -> FloatArray:
+    def keep(self, search: Nutcracker | None = None) -> None:
+        """Offer the state to be saved, with that of a search under way."""
+        state = self.state
+        state.evaluations = self.problem.evaluations
+        if self.save is not None:
+            self.save(
+                lambda: (
+                    state.to_dict() | {"search": None if search is None else search.state_dict()}
+                )
+            )
+
+
+def _searched(
+    run: _Run,
+    budget: int,
+    seed: int,
+    share: float,
+    search: Search | None,
+    stopping: StoppingCriteria,
+) -> FloatArray:
     """Global search in the unit box over the prior's coordinates; returns the best (p,)."""
-    problem = run.problem
-    p = problem.parameter_count
-    lower = np.maximum(problem.lower[:p], -_SEARCH_Z)
-    width = np.minimum(problem.upper[:p], _SEARCH_Z) - lower
-    search = Nutcracker(np.zeros(p), np.ones(p), budget=budget, seed=seed)
-    while not search.finished:
-        search.tell(problem.costs(lower + width * search.ask()))
-        run.tell(share * search.evaluations / budget, "search", search.best_fitness)
-    return np.asarray(lower + width * search.best_position)
+    if run.state.found_z is not None:
+        return run.state.found_z
+    if search is not None:
+        found = _other_search(run, budget, seed, share, search)
+    else:
+        found = _nutcracker_search(run, budget, seed, share, stopping)
+    run.state.found_z = found
+    run.keep()
+    return found
+
+
+def _nutcracker_search(
+    run: _Run, budget: int, seed: int, share: float, stopping: StoppingCriteria
+) -> FloatArray:
+    p = run.problem.parameter_count
+    space = IdentificationSpace(run.problem, budget)
+    if run.state.search is None:
+        nutcracker = Nutcracker(np.zeros(p), np.ones(p), budget=budget, seed=seed)
+    else:
+        nutcracker = Nutcracker.from_state(run.state.search)
+
+    def after_sweep(nutcracker: Nutcracker) -> None:
+        fraction = share * nutcracker.evaluations / budget
+        run.note(fraction, nutcracker.best_fitness)
+        run.keep(nutcracker)
+        run.tell(fraction, "search")
+
+    run_search(nutcracker, lambda unit: run.problem.costs(space.z(unit)), stopping, after_sweep)
+    return space.z(nutcracker.best_position)
+
+
+def _other_search(run: _Run, budget: int, seed: int, share: float, search: Search) -> FloatArray:
+    def after_batch(space: IdentificationSpace) -> None:
+        run.tell(share * space.evaluations / budget, "search", space.best_cost)
+
+    space = IdentificationSpace(run.problem, budget, after_batch)
+    with contextlib.suppress(SearchEnd):
+        search(space, seed)
+    return space.best_z
 
 
 def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, dict[str, float]]:
     """Refine from every start; returns the best unknowns and the cost that each reached."""
-    problem = run.problem
-    begun = run.fraction
-    best, costs = np.zeros(0), {}
+    problem, refined = run.problem, run.state.refined
+    begun = _SEARCH_SHARE if "search" in starts else 0.0
     for number, (name, z) in enumerate(starts.items()):
+        if name in refined:
+            continue
         done = 0
 
         def on_iteration(cost: float, number: int = number) -> None:
@@ -243,16 +343,19 @@ def _refine_all(run: _Run, starts: dict[str, FloatArray]) -> tuple[FloatArray, d
                 cost,
             )
 
-        refined = refine(
+        end = refine(
             problem,
             problem.with_nuisance(z),
             on_iteration=on_iteration,
             cancelled=run.cancelled,
         )
-        costs[name] = float("inf") if refined is None else refined.cost
-        if refined is not None and (best.size == 0 or refined.cost <= min(costs.values())):
-            best = refined.unknowns
-            run.tell(run.fraction, "refinement", refined.cost)
-    if best.size == 0:
+        refined[name] = None if end is None else (end.cost, end.unknowns)
+        if end is not None:
+            run.note(run.state.fraction, end.cost)
+        run.keep()
+        run.tell(run.state.fraction, "refinement")
+    ends = [end for end in refined.values() if end is not None]
+    if not ends:
         raise ValueError("the simulation fails at every start: are speed, load and ambient sound?")
-    return best, costs
+    costs = {name: float("inf") if end is None else end[0] for name, end in refined.items()}
+    return min(ends, key=lambda end: end[0])[1], costs

@@ -165,6 +165,13 @@ class Nutcracker:
         """The members' best positions, (N, d), a copy."""
         return self._positions.copy()
 
+    @property
+    def spread(self) -> float:
+        """Largest extent of the members' best positions as a share of the box; 1 before any."""
+        if self.evaluations == 0:
+            return 1.0
+        return float(np.max(np.ptp(self._positions, axis=0) / (self.upper - self.lower)))
+
     def ask(self) -> FloatArray:
         """Return the (n, d) candidates of the next sweep; the same ones until they are told.
 

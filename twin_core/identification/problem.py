@@ -262,6 +262,30 @@ class IdentificationProblem:
         total = np.sum(residuals**2, axis=1) - explained
         return np.where(np.isfinite(total), total, np.inf)
 
+    def reduced_residuals(self, z: FloatArray) -> FloatArray:
+        """Residuals whose sums of squares are `costs`: lag and initial states at their best.
+
+        Parameters
+        ----------
+        z
+            (B, p).
+
+        Returns
+        -------
+        ndarray
+            (B, m + d), the m measurements first. NaN where a simulation failed.
+        """
+        p, m = self.parameter_count, self.measurement_count
+        batch = np.zeros((len(z), self.unknown_count))
+        batch[:, :p] = z
+        residuals = self.residuals(batch)
+        sensitivity = self._nuisance()
+        information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
+        nuisance = -np.linalg.solve(information, (residuals[:, :m] @ sensitivity).T).T
+        residuals[:, :m] += nuisance @ sensitivity.T
+        residuals[:, m + p :] = nuisance
+        return residuals
+
     def with_nuisance(self, z: FloatArray) -> FloatArray:
         """Unknowns (d,) with the given parameters, lag and initial states linearly regressed."""
         unknowns = np.zeros(self.unknown_count)
