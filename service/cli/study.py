@@ -16,6 +16,9 @@ from service.offline.interruption import exit_on_signals
 from service.studies.common import Options, Progress, Report, prepare
 from service.studies.registry import ALL, STUDIES, chosen
 
+# Columns of a table that no terminal limits.
+_FILE_WIDTH = 140
+
 
 def study(
     name: Annotated[str, typer.Argument(metavar="NAME", help=f"{', '.join(STUDIES)}, or all.")],
@@ -79,6 +82,8 @@ def _progress_bar(title: str) -> Iterator[Progress]:
 
 def _print(report: Report, written: list[Path]) -> None:
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _FILE_WIDTH)
     for table in report.tables:
         shown = Table(*table.columns, title=table.title)
         for row in table.rows:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.studies.bench_runs import NODES, RINGS, BenchRun, Twin, with_sensors
+from service.studies.common import Table
 from service.studies.forecasters import ForecastScore, compare
 from twin_core import scores
 from twin_core.forecasting import Forecast
@@ -225,14 +226,61 @@ def pair(by_sensor: Mapping[str, float | None] | None, digits: int = 2) -> str:
     """Both rings' figures as they stand in the tables, inner ring first."""
     if by_sensor is None:
         return "–"
-    return " / ".join(
+    return "/".join(
         "–" if by_sensor[ring] is None else f"{by_sensor[ring]:.{digits}f}" for ring in RINGS
     )
 
 
 def percent(by_sensor: Mapping[str, float | None]) -> str:
     """Both rings' shares in percent, inner ring first."""
-    return " / ".join(
+    return "/".join(
         "–" if value is None else f"{100.0 * value:.0f}"
         for value in (by_sensor[ring] for ring in RINGS)
+    )
+
+
+def text(value: float | None, digits: int = 2) -> str:
+    """A figure as it stands in the tables."""
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def methods_tables(
+    title: str, conditions: Mapping[str, Sequence[ForecastScore]]
+) -> tuple[Table, Table]:
+    """The twin and the methods beside it, one row each: largest errors, and scores.
+
+    Parameters
+    ----------
+    title
+        Of the tables.
+    conditions
+        Mean scores by condition.
+    """
+    methods = dict.fromkeys(one.method for found in conditions.values() for one in found)
+
+    def table(what: str, figure: str, note: str) -> Table:
+        rows = []
+        for method in methods:
+            cells = [method]
+            for found in conditions.values():
+                own = {one.sensor: getattr(one, figure) for one in found if one.method == method}
+                cells.append(pair({ring: own.get(ring) for ring in RINGS}))
+            rows.append(tuple(cells))
+        return Table(
+            f"{title}: {what}, K, T_ir/T_or", ("method", *conditions), tuple(rows), (note,)
+        )
+
+    return (
+        table(
+            "largest error",
+            "max_error_k",
+            "Means over the benches. All methods learn from the same rows and know the same "
+            "operation ahead.",
+        ),
+        table(
+            "CRPS",
+            "crps_k",
+            "Continuous ranked probability score of the readings; for a method without a band its "
+            "mean absolute error.",
+        ),
     )

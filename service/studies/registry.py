@@ -30,9 +30,12 @@ class Study:
         return report
 
 
+BENCH_OPTIONS = ("benches", "seed")
+
 STUDIES = {
     "simple-network": Study("service.studies.simple_network"),
     "noa-vs-pso": Study("service.studies.noa_vs_pso"),
+    "sample-size": Study("service.studies.sample_size", takes=BENCH_OPTIONS),
 }
 
 ALL = "all"
