@@ -39,7 +39,7 @@ def compile_kernels() -> None:
     forecast(
         model, posterior, observer.temperatures_c, observer.covariance, 0.0, profile, members=4
     )
-    limits = {name: (90.0,) for name in model.sensor_names}
+    limits = dict.fromkeys(model.sensor_names, (90.0,))
     state = (observer.temperatures_c, observer.covariance, 0.0, 22.0)
     envelope(model, posterior, *state, [1500.0], [2650.0], limits, members=2)
     minutes = MinuteData(
