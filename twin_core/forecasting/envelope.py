@@ -27,7 +27,7 @@ from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
-from twin_core.simulation import kernels
+from twin_core.simulation import holding
 
 FloatArray = NDArray[np.float64]
 
@@ -261,7 +261,7 @@ def _hold(
     heat = np.ascontiguousarray(disturbance_w, np.float64)
 
     def run(first: int, last: int) -> None:
-        kernels.hold_points_range(
+        holding.hold_points_range(
             model.compiled,
             values,
             start,

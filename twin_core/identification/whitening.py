@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.simulation.kernels import compiled
+from twin_core.simulation.compiling import compiled
 
 FloatArray = NDArray[np.float64]
 

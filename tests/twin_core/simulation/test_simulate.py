@@ -17,6 +17,7 @@ from twin_core.simulation import (
     simulate_batch,
     steady_state,
 )
+from twin_core.simulation.compiling import compiled
 
 AMBIENT = 22.6
 STAIRCASE = (1500.0, 2400.0, 4200.0, 4900.0, 5600.0, 6200.0)
@@ -348,4 +349,4 @@ def test_kernels_compile_where_no_cache_folder_exists() -> None:
     """A function without a source file cannot be cached, as on a read-only installation."""
     scope: dict[str, Callable[[float], float]] = {}
     exec("def twice(x):\n    return 2.0 * x\n", scope)
-    assert kernels.compiled(scope["twice"])(21.0) == 42.0
+    assert compiled(scope["twice"])(21.0) == 42.0

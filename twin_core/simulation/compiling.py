@@ -1,0 +1,40 @@
+"""How the numerical kernels are compiled and cached."""
+
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+# What a compiler may do to floating-point code beyond the letter: contract and reorder sums, so
+# that they run on vectors. Not among them: "nnan" and "ninf", a failed simulation is found by them.
+_FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile without the GIL, cached on disk where any cache folder is writable.
+
+    numba notices a change of the file in which a function stands, but not of the functions that
+    it calls nor of the constants that it takes from elsewhere. The name under which the code is
+    cached therefore carries a digest of all of them, which makes it safe to call across modules
+    (by the function's own name, not through a module's).
+    """
+    function.__qualname__ += f"_{_digest(function)}"
+    try:
+        return njit(nogil=True, cache=True, error_model="numpy", fastmath=_FAST_MATH)(function)
+    except RuntimeError:
+        # Neither the package folder nor the user's cache folder can be written.
+        return njit(nogil=True, error_model="numpy", fastmath=_FAST_MATH)(function)
+
+
+def _digest(function: Callable[..., Any]) -> str:
+    """Digest of a function's code, of the numbers it names and of the kernels it calls."""
+    code = function.__code__
+    parts = [code.co_code, repr(code.co_consts).encode(), repr(code.co_names).encode()]
+    for name in code.co_names:
+        value: Any = function.__globals__.get(name)
+        if isinstance(value, int | float):
+            parts.append(repr(value).encode())
+        elif hasattr(value, "py_func"):  # compiled before, its name carries its own digest
+            parts.append(value.py_func.__qualname__.encode())
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]

@@ -1,0 +1,283 @@
+"""Many operating points held for many candidates: steady temperatures, times to limits."""
+
+import math
+
+import numpy as np
+
+from twin_core.simulation.assembly import (
+    bind_network,
+    conductance_matrix,
+    decompose,
+    film_edges,
+    step_functions,
+)
+from twin_core.simulation.compiling import compiled
+from twin_core.simulation.kernels import FRESH_STEP_S
+from twin_core.simulation.laws import (
+    LINEAR,
+    TEMPERATURE_LIMIT_C,
+    film_excess_w,
+    friction_at_point,
+    friction_heat_w,
+)
+
+HOLD_GROWTH = 0.1
+HOLD_LONGEST_STEP_S = 960.0
+"""Steps of FRESH_STEP_S double whenever the doubled step is at most this share of the time since
+the start, up to the longest one."""
+STEADY_BALANCE_W = 1e-6
+STEADY_ITERATIONS = 20
+
+
+@compiled
+def hold_points_range(  # type: ignore[no-untyped-def]
+    net,
+    values,
+    initial,
+    revolutions,
+    disturbance,
+    fading,
+    ambient,
+    speed,
+    load,
+    rows,
+    limit,
+    horizon,
+    start,
+    stop,
+    steady,
+    crossing,
+):
+    """Hold each of many operating points, for candidates start..stop-1 of a batch.
+
+    `rows` (sensors, nodes) are the sensors' weights, `limit` (B, sensors, limits) what their
+    temperatures are compared with. Fills `steady` (B, points, sensors) with the steady
+    temperatures and `crossing` (B, points, sensors, limits) with the times in s at which they
+    first reach the limits, infinite if not within the horizon. NaN steady temperatures mean that
+    there is no steady state within TEMPERATURE_LIMIT_C; what had been crossed by then stays.
+
+    Steps grow with the time since the start: nothing but slow modes is left then.
+    """
+    sensors = rows.shape[0]
+    limits = limit.shape[2]
+    now = np.empty(sensors)
+    for member in range(start, stop):
+        capacity, coefficient, friction, share = bind_network(net, values[member])
+        film_node, film_law = film_edges(net, coefficient)
+        for cell in range(speed.size):
+            n, f = speed[cell], load[cell]
+            point = friction_at_point(net.friction_kind, friction, n, f)
+            temperature = initial[member].copy()
+            turned = revolutions
+            for s in range(sensors):
+                now[s] = dot(rows[s], temperature)
+                for k in range(limits):
+                    over = now[s] >= limit[member, s, k]
+                    crossing[member, cell, s, k] = 0.0 if over else math.inf
+            rate, modes, inverse, ambient_input = decompose(net, capacity, coefficient, n, f)
+            alive = hold_point(
+                net.friction_kind,
+                net.temperature_node,
+                friction,
+                point,
+                share,
+                film_node,
+                film_law,
+                rate,
+                modes,
+                inverse,
+                ambient_input * ambient,
+                ambient,
+                disturbance,
+                fading,
+                n,
+                turned,
+                horizon,
+                rows,
+                limit[member],
+                temperature,
+                crossing[member, cell],
+            )
+            turned += n * horizon / 60.0
+            if alive:
+                matrix, to_ambient = conductance_matrix(net, coefficient, n, f)
+                alive = polish_steady_state(
+                    net.friction_kind,
+                    net.temperature_node,
+                    friction,
+                    point,
+                    share,
+                    film_node,
+                    film_law,
+                    matrix,
+                    to_ambient,
+                    ambient,
+                    turned,
+                    temperature,
+                )
+            for s in range(sensors):
+                steady[member, cell, s] = dot(rows[s], temperature) if alive else math.nan
+
+
+@compiled
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Sum of products of two vectors."""
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
+
+
+@compiled
+def hold_point(  # type: ignore[no-untyped-def]
+    kind,
+    lubricant,
+    friction,
+    point,
+    share,
+    film_node,
+    film_law,
+    rate,
+    modes,
+    inverse,
+    ambient_input,
+    ambient,
+    disturbance,
+    fading,
+    speed,
+    revolutions,
+    horizon,
+    rows,
+    limit,
+    temperature,
+    crossing,
+):
+    """Advance `temperature` over the horizon at one point and note when limits are crossed.
+
+    As `simulate_kernel`, but only the temperatures that matter on the way are computed.
+    """
+    count = rate.size
+    sensors, limits = limit.shape
+    films = film_node.size
+    y = inverse @ temperature
+    heat_input = modes.T @ share
+    disturbed = modes.T @ disturbance
+    # What is looked at on the way: the lubricant, the nodes with a film, the sensors.
+    watched = 1 + films + sensors
+    view = np.empty((count, watched))
+    for k in range(count):
+        view[k, 0] = modes[lubricant, k]
+        for j in range(films):
+            view[k, 1 + j] = modes[film_node[j], k]
+        for s in range(sensors):
+            view[k, 1 + films + s] = dot(rows[s], modes[:, k])
+    now = np.empty(watched)
+    later = np.empty(watched)
+    predicted = np.empty(count)
+    b = np.empty(count)
+    decay = np.empty(count)
+    first = np.empty(count)
+    second = np.empty(count)
+    slope = np.empty(films)
+    watch(view, y, now)
+    top = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    time, turned, grown, last_step = 0.0, revolutions, FRESH_STEP_S, math.nan
+    while time < horizon:
+        if 2.0 * grown <= min(HOLD_GROWTH * time, HOLD_LONGEST_STEP_S):
+            grown *= 2.0
+        step = min(grown, horizon - time)
+        if step != last_step:
+            step_functions(rate, step, decay, first, second)
+            last_step = step
+        left = math.exp(-fading * (time + 0.5 * step))
+        heat = friction_heat_w(kind, friction, point, now[0], turned)
+        for k in range(count):
+            b[k] = ambient_input[k] + heat_input[k] * heat + disturbed[k] * left
+        for j in range(films):
+            excess, slope[j] = film_excess_w(film_law[j, 0], film_law[j, 1], now[1 + j] - ambient)
+            for k in range(count):
+                b[k] -= view[k, 1 + j] * excess
+        for k in range(count):
+            predicted[k] = decay[k] * y[k] + first[k] * b[k]
+        turned += speed * step / 60.0
+        watch(view, predicted, later)
+        change = friction_heat_w(kind, friction, point, later[0], turned) - heat
+        for k in range(count):
+            b[k] = heat_input[k] * change
+        for j in range(films):
+            change = slope[j] * (later[1 + j] - now[1 + j])
+            for k in range(count):
+                b[k] -= view[k, 1 + j] * change
+        for k in range(count):
+            y[k] = predicted[k] + second[k] * b[k]
+        watch(view, y, later)
+        for s in range(sensors):
+            old, new = now[1 + films + s], later[1 + films + s]
+            for k in range(limits):
+                if new >= limit[s, k] and crossing[s, k] == math.inf:
+                    part = min(max((limit[s, k] - old) / (new - old), 0.0), 1.0)
+                    crossing[s, k] = time + step * part
+        now[:] = later
+        time += step
+        if not abs(now[0]) < top:
+            return False
+    for i in range(count):
+        temperature[i] = dot(modes[i], y)
+    return True
+
+
+@compiled
+def watch(view, y, out):  # type: ignore[no-untyped-def]
+    """Fill out with y @ view, the loop arranged so that it runs on vector units."""
+    out[:] = 0.0
+    for k in range(y.size):
+        for r in range(out.size):
+            out[r] += view[k, r] * y[k]
+
+
+@compiled
+def polish_steady_state(  # type: ignore[no-untyped-def]
+    kind,
+    lubricant,
+    friction,
+    point,
+    share,
+    film_node,
+    film_law,
+    matrix,
+    to_ambient,
+    ambient,
+    revolutions,
+    temperature,
+):
+    """Newton from temperatures near the steady state; tells whether they closed the balance."""
+    count = temperature.size
+    top = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    flow = np.empty(count)
+    for _ in range(STEADY_ITERATIONS):
+        heat = friction_heat_w(kind, friction, point, temperature[lubricant], revolutions)
+        warmer = friction_heat_w(kind, friction, point, temperature[lubricant] + 1e-4, revolutions)
+        jacobian = matrix.copy()
+        for i in range(count):
+            flow[i] = share[i] * heat - to_ambient[i] * (temperature[i] - ambient)
+            for j in range(count):
+                flow[i] += matrix[i, j] * (temperature[i] - temperature[j])
+            jacobian[i, lubricant] -= share[i] * (warmer - heat) / 1e-4
+        for j in range(film_node.size):
+            node = film_node[j]
+            excess, slope = film_excess_w(
+                film_law[j, 0], film_law[j, 1], temperature[node] - ambient
+            )
+            flow[node] -= excess
+            jacobian[node, node] += slope
+        worst = 0.0
+        for i in range(count):
+            worst = max(worst, abs(flow[i]))
+        if worst < STEADY_BALANCE_W:
+            return True
+        move = np.linalg.solve(jacobian, flow)
+        for i in range(count):
+            temperature[i] += move[i]
+            if not abs(temperature[i]) < top:
+                return False
+    return False
