@@ -1,0 +1,241 @@
+"""How much a step of operation would teach: Bayesian experimental design, linearised.
+
+With the sensors' sensitivities over a step, whitened by their error model, as the rows of G, the
+parameters' covariance C becomes C' = (C^-1 + G'G)^-1 once the step has been identified from, and
+the variance of a forecast with the gradient g falls from g'Cg to g'C'g. Nothing of it depends on
+what the step will measure, so steps can be compared before any of them is run.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.forecasting.ensemble import (
+    DEVIATION_K,
+    SENSOR_OFFSET_K,
+    SENSOR_RESOLUTION_K,
+    SENSOR_WHITE_K,
+)
+from twin_core.identification.posterior import Posterior
+from twin_core.identification.whitening import whitening
+from twin_core.models import ThermalModel
+from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch
+
+FloatArray = NDArray[np.float64]
+
+FRICTION_SHIFT = 0.05
+"""By how much the friction of a machine may differ between one stage and the next though nothing
+was done to it (the grease has moved): standard deviation, relative. Assumed, not measured."""
+_DIFFERENCE_Z = 0.02
+_LEAST_STATE_K = 0.02
+_NOISE_VARIANCE_K2 = (
+    DEVIATION_K**2 + SENSOR_OFFSET_K**2 + SENSOR_WHITE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Present:
+    """The machine now.
+
+    Attributes
+    ----------
+    state_c, state_covariance
+        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the node temperatures.
+    revolutions
+        Revolutions since the grease was fresh.
+    ambient_c
+        Ambient temperature.
+    disturbance_w
+        (nodes,) heat in W that the model lacks at present, or None.
+    """
+
+    state_c: FloatArray
+    state_covariance: FloatArray
+    revolutions: float
+    ambient_c: float
+    disturbance_w: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A span at constant speed and load."""
+
+    speed_rpm: float
+    load_n: float
+    duration_s: float
+
+
+class Design:
+    """Compares steps by what they would teach about a forecast.
+
+    Parameters
+    ----------
+    model, posterior
+        What is known of the machine; they must belong together.
+    present
+        Where steps and forecast begin.
+    sensors
+        The temperature sensors of the machine.
+    target
+        What is to be forecast: the reading of every sensor at the end of this level.
+
+    Attributes
+    ----------
+    std_k
+        (sensors,) present standard deviation of that forecast, by the linearisation.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        posterior: Posterior,
+        present: Present,
+        sensors: Sequence[str],
+        target: Level,
+    ) -> None:
+        posterior.check(model)
+        self._model = model
+        self._present = present
+        self._rows = model.sensor_matrix(sensors)
+        self._z = posterior.z
+        variance, directions = np.linalg.eigh(present.state_covariance)
+        kept = variance > _LEAST_STATE_K**2
+        self._state_factor = directions[:, kept] * np.sqrt(variance[kept])
+        spread = _covariance(posterior)
+        known = np.linalg.inv(spread + 1e-9 * np.eye(len(spread)))
+        # Parameters, directions of the present state, a shift of the friction during the step.
+        count = len(spread) + self._state_factor.shape[1]
+        self._information: FloatArray = np.eye(count + 1)
+        self._information[: len(spread), : len(spread)] = known
+        _, gradient = self._sensitivities((target,))
+        self._target = np.zeros((count + 1, len(sensors)))
+        self._target[:count] = gradient[:, -1]
+        self.std_k: FloatArray = self._std_k(self._information)
+
+    def after(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What a step would bring.
+
+        Parameters
+        ----------
+        levels
+            The step, from the present state.
+
+        Returns
+        -------
+        std_k : ndarray
+            (sensors,) standard deviation of the forecast after the step.
+        shifted_std_k : ndarray
+            (sensors,) the same if the machine's friction during the step may differ by
+            `FRICTION_SHIFT` from what it was before and will be.
+        upper_c : ndarray
+            (sensors,) highest upper edge (97.5 %) of the readings during the step.
+        """
+        path, gradient = self._sensitivities(levels)
+        count = len(gradient)
+        time_s = self._profile(levels).time_s[1:]
+        white = np.zeros((count + 1, path[1:].size))
+        whiten = whitening(time_s)
+        shift = self._shift_k(levels, path)
+        for sensor in range(path.shape[1]):
+            span = slice(sensor * time_s.size, (sensor + 1) * time_s.size)
+            white[:count, span] = whiten.apply(gradient[:, 1:, sensor])
+            white[count, span] = whiten.apply(shift[1:, sensor])
+        plain = white.copy()
+        plain[count] = 0.0
+        covariance = np.linalg.inv(self._information[:count, :count])
+        variance = np.einsum("kns,kl,lns->ns", gradient, covariance, gradient, optimize=True)
+        upper = path + 1.96 * np.sqrt(variance + _NOISE_VARIANCE_K2)
+        return (
+            self._std_k(self._information + plain @ plain.T),
+            self._std_k(self._information + white @ white.T),
+            np.asarray(np.max(upper, axis=0)),
+        )
+
+    def _std_k(self, information: FloatArray) -> FloatArray:
+        variance = np.sum(self._target * np.linalg.solve(information, self._target), axis=0)
+        return np.asarray(np.sqrt(variance + _NOISE_VARIANCE_K2))
+
+    def _profile(self, levels: Sequence[Level]) -> OperatingProfile:
+        return held_profile(levels, self._present.ambient_c)
+
+    def _sensitivities(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray]:
+        """Readings (n, sensors), and their derivatives (d, n, sensors) by central differences."""
+        parameters, p, q = self._model.parameters, self._z.size, self._state_factor.shape[1]
+        z = np.tile(self._z, (1 + 2 * (p + q), 1))
+        start = np.tile(self._present.state_c, (1 + 2 * (p + q), 1))
+        for k in range(p):
+            z[1 + 2 * k, k] += _DIFFERENCE_Z
+            z[2 + 2 * k, k] -= _DIFFERENCE_Z
+        for k in range(q):
+            start[1 + 2 * (p + k)] += self._state_factor[:, k]
+            start[2 + 2 * (p + k)] -= self._state_factor[:, k]
+        z = np.clip(z, parameters.z_lower, parameters.z_upper)
+        paths = self._simulate(levels, z, start)
+        if not np.all(np.isfinite(paths[0])):
+            nowhere = np.full_like(paths[0], np.inf)
+            return nowhere, np.zeros((p + q, *nowhere.shape))
+        high, low = paths[1::2], paths[2::2]
+        # A neighbour that fails says nothing; nor does a parameter that cannot move.
+        width = np.full(p + q, 2.0)
+        width[:p] = z[1 : 2 * p : 2].diagonal() - z[2 : 2 * p + 1 : 2].diagonal()
+        difference = np.where(np.isfinite(high - low), high - low, 0.0)
+        return paths[0], difference / np.maximum(width, 1e-9)[:, None, None]
+
+    def _simulate(
+        self,
+        levels: Sequence[Level],
+        z: FloatArray,
+        start: FloatArray,
+        disturbance_w: FloatArray | None = None,
+    ) -> FloatArray:
+        temperatures = simulate_batch(
+            self._model,
+            self._model.parameters.values_from_z(z),
+            self._profile(levels),
+            start,
+            self._present.revolutions,
+            disturbance_w=disturbance_w,
+        )
+        return np.asarray(temperatures @ self._rows.T)
+
+    def _shift_k(self, levels: Sequence[Level], path: FloatArray) -> FloatArray:
+        """Change of the readings (n, sensors) by a little more friction throughout the step."""
+        values = self._model.parameters.values_from_z(self._z)
+        _, _, _, share = kernels.bind_network(self._model.compiled, values)
+        first = levels[0]
+        _, friction_w = heat_balance_w(
+            self._model,
+            values,
+            self._present.state_c,
+            first.speed_rpm,
+            first.load_n,
+            self._present.ambient_c,
+            self._present.revolutions,
+        )
+        start = self._present.state_c[None]
+        moved = self._simulate(
+            levels, self._z[None], start, FRICTION_SHIFT * friction_w * np.asarray(share)
+        )[0]
+        return np.where(np.isfinite(moved - path), moved - path, 0.0)
+
+
+def held_profile(levels: Sequence[Level], ambient_c: float) -> OperatingProfile:
+    """Rows of one minute over levels held one after the other, from now."""
+    ends = np.cumsum([level.duration_s for level in levels])
+    time_s = np.unique(np.concatenate((np.arange(0.0, ends[-1], 60.0), ends)))
+    index = np.minimum(np.searchsorted(ends, time_s, side="right"), len(levels) - 1)
+    return OperatingProfile(
+        time_s,
+        np.array([level.speed_rpm for level in levels])[index],
+        np.array([level.load_n for level in levels])[index],
+        np.full(time_s.size, ambient_c),
+    )
+
+
+def _covariance(posterior: Posterior) -> FloatArray:
+    """The samples' covariance where there are enough of them; they know the curved valleys."""
+    if len(posterior.samples) >= 4 * posterior.z.size:
+        return np.asarray(np.cov(posterior.samples.T))
+    return posterior.covariance
