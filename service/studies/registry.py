@@ -36,6 +36,7 @@ STUDIES = {
     "simple-network": Study("service.studies.simple_network"),
     "noa-vs-pso": Study("service.studies.noa_vs_pso"),
     "sample-size": Study("service.studies.sample_size", takes=BENCH_OPTIONS),
+    "variable-load": Study("service.studies.variable_load", takes=BENCH_OPTIONS),
 }
 
 ALL = "all"
