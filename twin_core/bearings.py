@@ -175,7 +175,10 @@ def bearing_from_dimensions(
     *,
     ball_count: int | None = None,
     ball_diameter_mm: float | None = None,
+    inner_shoulder_mm: float | None = None,
+    outer_shoulder_mm: float | None = None,
     static_load_rating_n: float | None = None,
+    cage_kg: float | None = None,
 ) -> Bearing:
     """Describe any deep groove ball bearing by its boundary dimensions.
 
@@ -190,8 +193,10 @@ def bearing_from_dimensions(
         Name, free.
     bore_mm, outer_mm, width_mm
         d, D, B.
-    ball_count, ball_diameter_mm, static_load_rating_n
-        Z, Dw and C0 where the catalogue gives them.
+    ball_count, ball_diameter_mm, inner_shoulder_mm, outer_shoulder_mm, static_load_rating_n
+        Z, Dw, d1, D1 or D2 and C0 where the catalogue gives them.
+    cage_kg
+        Mass of the cage where it is known.
 
     Raises
     ------
@@ -208,7 +213,10 @@ def bearing_from_dimensions(
     if not ball_mm > 0.0:
         raise ValueError(f"bearing {designation!r}: ball_diameter_mm is {ball_mm}, expected > 0")
     balls = round(0.6 * math.pi * pitch_mm / ball_mm) if ball_count is None else ball_count
-    rating_n = 14.0 * balls * ball_mm**2 if static_load_rating_n is None else static_load_rating_n
+
+    def given(value: float | None, estimate: float) -> float:
+        return estimate if value is None else value
+
     return Bearing(
         designation=designation,
         bore_mm=bore_mm,
@@ -216,8 +224,8 @@ def bearing_from_dimensions(
         width_mm=width_mm,
         ball_count=balls,
         ball_diameter_mm=ball_mm,
-        inner_shoulder_mm=pitch_mm - 0.6 * ball_mm,
-        outer_shoulder_mm=pitch_mm + 0.86 * ball_mm,
-        static_load_rating_n=rating_n,
-        cage_kg=2.25e-4 * pitch_mm * ball_mm,
+        inner_shoulder_mm=given(inner_shoulder_mm, pitch_mm - 0.6 * ball_mm),
+        outer_shoulder_mm=given(outer_shoulder_mm, pitch_mm + 0.86 * ball_mm),
+        static_load_rating_n=given(static_load_rating_n, 14.0 * balls * ball_mm**2),
+        cage_kg=given(cage_kg, 2.25e-4 * pitch_mm * ball_mm),
     )

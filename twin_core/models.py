@@ -40,15 +40,15 @@ ModelName = Literal["default", "paper"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalModel(NetworkModel):
-    """The model of a bearing in its test drum.
+    """The model of a machine, such as a bearing in its test drum.
 
     Parameters
     ----------
-    bearing
-        The bearing it was built for.
+    machine
+        What it was built for: the bearing's designation, or the name of a network of one's own.
     """
 
-    bearing: Bearing
+    machine: str
 
 
 def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
@@ -76,7 +76,7 @@ def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
     else:
         raise ValueError(f"unknown model {name!r}, expected one of default, paper")
     return ThermalModel(
-        name, network, parameters, compile_network(network, parameters.names), bearing
+        name, network, parameters, compile_network(network, parameters.names), bearing.designation
     )
 
 

@@ -1,13 +1,56 @@
 """What can be simulated: any thermal network together with its parameters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.network import CompiledNetwork, Network
 from twin_core.parameters import ParameterSet
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """How far a sensor is from what a model says even with the right parameters.
+
+    The defaults are those of a bearing on its bench. A coarse network of a machine in the field,
+    with inputs that nobody measures, is wrong by kelvins for hours.
+
+    Parameters
+    ----------
+    white_k
+        Standard deviation of white noise.
+    slow_k, slow_s
+        Standard deviation and correlation time of what the network cannot express.
+    offset_k
+        Standard deviation of a constant offset.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not a positive number.
+    """
+
+    white_k: float = 0.15
+    slow_k: float = 0.30
+    slow_s: float = 1800.0
+    offset_k: float = 0.10
+
+    def __post_init__(self) -> None:
+        for name in ("white_k", "slow_k", "slow_s", "offset_k"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected a number > 0")
+
+    @property
+    def total_k(self) -> float:
+        """Standard deviation of a single reading."""
+        return float(np.sqrt(self.white_k**2 + self.slow_k**2 + self.offset_k**2))
+
+    @property
+    def scale(self) -> float:
+        """How much larger than on a bench errors are to be expected."""
+        return self.total_k / ErrorModel().total_k
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,12 +67,18 @@ class NetworkModel:
         What is identified, with priors.
     compiled
         The network as flat arrays.
+    errors
+        What is left between a sensor and the model.
+    reference_point
+        A usual operating point, speed in rpm and load in N.
     """
 
     name: str
     network: Network
     parameters: ParameterSet
     compiled: CompiledNetwork
+    errors: ErrorModel = field(default=ErrorModel(), kw_only=True)
+    reference_point: tuple[float, float] = field(default=(4000.0, 2650.0), kw_only=True)
 
     @property
     def node_names(self) -> tuple[str, ...]:

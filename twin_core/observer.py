@@ -451,8 +451,9 @@ def _possible_states(
     model: ThermalModel, values: ArrayLike, ambient_c: float, speed_rpm: float, load_n: float
 ) -> NDArray[np.float64]:
     """States on the way to an operating point from cold and from hot, shape (members, nodes)."""
-    hot_speed = 1.3 * max(abs(speed_rpm), 3000.0)
-    hot_load = 1.5 * max(load_n, 2000.0)
+    usual_speed, usual_load = model.reference_point
+    hot_speed = 1.3 * max(abs(speed_rpm), 0.75 * usual_speed)
+    hot_load = 1.5 * max(load_n, 0.75 * usual_load)
     minutes = np.concatenate(([0.0], np.geomspace(1.0, 600.0, 24)))
     heating_s = 4.0 * 3600.0
     cold = np.full(len(model.node_names), float(ambient_c))

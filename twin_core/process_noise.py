@@ -19,11 +19,10 @@ RESISTANCE_ERROR = {
     EdgeKind.SPEED_POWER: 0.5,
 }
 NODE_ERROR = 0.01
-REFERENCE_POINT = (4000.0, 2650.0)
 """Standard deviations of the heat disturbances: of the friction heat as a whole; of each node's
 share of it; of the heat through an edge, by its kind; of any node's heat, as a part of the
 friction heat. They are those of a model that has met its bench, somewhat less than the priors.
-Heat flows are taken in the steady state of the reference point (rpm, N)."""
+Heat flows are taken in the steady state of the model's reference point."""
 
 LONG_RUN_IN = 1e9
 """Revolutions of a bearing whose running-in is over, assumed where they are not known."""
@@ -49,7 +48,7 @@ def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> N
     """
     compiled = model.compiled
     nodes, edges = len(model.node_names), compiled.edge_kind.size
-    speed, load = REFERENCE_POINT
+    speed, load = model.reference_point
     rise = steady_state(model, values, speed, load, 0.0, LONG_RUN_IN)
     _, friction = heat_balance_w(model, values, rise, speed, load, 0.0, LONG_RUN_IN)
     _, coefficient, _, share = kernels.bind_network(compiled, values)

@@ -78,7 +78,7 @@ def forecast(
         "out": str(out),
         "seconds": seconds,
         "model": identified.model.name,
-        "bearing": identified.model.bearing.designation,
+        "bearing": identified.model.machine,
         "sensors": result.highest(),
         "labels": list(result.labels),
         "runaway_probability": result.runaway_probability,

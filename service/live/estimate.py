@@ -148,7 +148,7 @@ class LiveEstimate:
         if self._observer is None or self.point is None:
             return None
         return {
-            "bearing": self.active.model.bearing.designation,
+            "bearing": self.active.model.machine,
             "time_us": self.time_us,
             "observer": self._observer.to_dict(),
             "speed_rpm": self.point.speed_rpm,
@@ -166,7 +166,7 @@ class LiveEstimate:
             If it is not one of this kind of model, or of another bearing; the estimate then
             starts anew.
         """
-        bearing = self.active.model.bearing.designation
+        bearing = self.active.model.machine
         if kept.get("bearing") != bearing:
             raise ValueError(f"kept estimate: of bearing {kept.get('bearing')}, not {bearing}")
         try:

@@ -73,7 +73,7 @@ class Identified:
         posterior = self.model.posterior
         return {
             "model": self.model.model.name,
-            "bearing": self.model.model.bearing.designation,
+            "bearing": self.model.model.machine,
             "parameters": self.parameters,
             "rms_error_k": self.rms_k,
             "rms_error_by_sensor_k": self.rms_by_sensor_k,

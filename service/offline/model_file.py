@@ -176,7 +176,7 @@ class IdentifiedModel:
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "model": self.model.name,
-            "bearing": self.model.bearing.designation,
+            "bearing": self.model.machine,
             "posterior": self.posterior.to_dict(),
             "run_in": self.run_in.to_dict(),
         }

@@ -19,6 +19,7 @@ from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_dr
 from twin_core.forecasting.labels import forecast_labels
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
+from twin_core.network_model import ErrorModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
 
@@ -29,7 +30,6 @@ RUNAWAY_C = 130.0
 """A member in which any sensor passes this temperature has run away: no grease survives it."""
 
 DEVIATION_K = 0.25
-DEVIATION_S = 1800.0
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -197,9 +197,11 @@ def forecast(
     readings = _lagging(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
-    readings += _deviation(rng, members, profile.time_s, len(sensors))
+    readings += _deviation(rng, members, profile.time_s, len(sensors), model.errors)
     readings += SENSOR_OFFSET_K * paired_draws(rng, members, (1, len(sensors)))
-    nodes = temperatures + _deviation(rng, members, profile.time_s, temperatures.shape[2])
+    nodes = temperatures + _deviation(
+        rng, members, profile.time_s, temperatures.shape[2], model.errors
+    )
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
     quantiles = _quantiles(np.concatenate((noisy, nodes), axis=2))
@@ -228,12 +230,12 @@ def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:
 
 
 def _deviation(
-    rng: np.random.Generator, members: int, time_s: FloatArray, count: int
+    rng: np.random.Generator, members: int, time_s: FloatArray, count: int, errors: ErrorModel
 ) -> FloatArray:
     """First-order random deviation (members, n, count) in K that begins at zero."""
     deviation = np.zeros((members, time_s.size, count))
-    keep = np.exp(-np.diff(time_s) / DEVIATION_S)
-    shocks = DEVIATION_K * np.sqrt(1.0 - keep**2)
+    keep = np.exp(-np.diff(time_s) / errors.slow_s)
+    shocks = DEVIATION_K * errors.scale * np.sqrt(1.0 - keep**2)
     normal = paired_draws(rng, members, (keep.size, count))
     for row in range(keep.size):
         deviation[:, row + 1] = keep[row] * deviation[:, row] + shocks[row] * normal[:, row]

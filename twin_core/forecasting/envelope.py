@@ -167,7 +167,8 @@ def envelope(
     start = np.asarray(state_c, np.float64) + rng.permutation(
         normal_draws(rng, members, np.asarray(state_covariance, np.float64))
     )
-    deviation = np.hypot(DEVIATION_K, SENSOR_OFFSET_K) * paired_draws(rng, members, (len(sensors),))
+    deviation_k = np.hypot(DEVIATION_K * model.errors.scale, SENSOR_OFFSET_K)
+    deviation = deviation_k * paired_draws(rng, members, (len(sensors),))
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noise = noise_k * rng.permutation(paired_draws(rng, members, (len(sensors),)))
 

@@ -17,6 +17,7 @@ from twin_core.identification.refinement import IdentificationCancelled, refine
 from twin_core.identification.searching import IdentificationSpace, Search, SearchEnd
 from twin_core.identification.stopping import BUDGET_ONLY, StoppingCriteria, run_search
 from twin_core.models import ThermalModel
+from twin_core.network_model import ErrorModel
 
 FloatArray = NDArray[np.float64]
 Method = Literal["noa+refine", "noa", "refine"]
@@ -162,7 +163,7 @@ def identify(
             "budget": budget,
             "seed": seed,
             "model": model.name,
-            "bearing": model.bearing.designation,
+            "bearing": model.machine,
             "guess": None if guess_z is None else guess_z.tolist(),
             "search": None if search is None else getattr(search, "__name__", "other"),
             "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
@@ -191,7 +192,7 @@ def identify(
         best, costs = _refine_all(run, starts)
     run.tell(state.fraction, "sampling")
     posterior = posterior_at(problem, best, samples, seed)
-    reason = fit_problem(posterior)
+    reason = fit_problem(posterior, model.errors)
     run.tell(1.0, "done")
     return IdentificationResult(
         posterior=posterior,
@@ -212,11 +213,12 @@ def _prior_costs(problem: IdentificationProblem) -> list[float | None]:
     return [float(cost) if np.isfinite(cost) else None for cost in costs]
 
 
-def fit_problem(posterior: Posterior) -> str:
+def fit_problem(posterior: Posterior, errors: ErrorModel) -> str:
     """Say why a fit must not forecast; empty if nothing is wrong with it."""
+    worst_k = _WORST_RMS_K * errors.scale
     for name, rms in posterior.train_rms_k.items():
-        if not rms <= _WORST_RMS_K:
-            return f"{name} is met with {rms:.2f} K rms only, expected at most {_WORST_RMS_K} K"
+        if not rms <= worst_k:
+            return f"{name} is met with {rms:.2f} K rms only, expected at most {worst_k:.2g} K"
     if not posterior.cost_per_residual <= _WORST_COST:
         return (
             f"mean squared whitened residual is {posterior.cost_per_residual:.2f}, expected at "

@@ -74,7 +74,7 @@ class Posterior:
     Attributes
     ----------
     model_name, bearing
-        Which model it belongs to.
+        Which model it belongs to; *bearing* names its machine.
     z
         (p,) most probable standard coordinates.
     covariance
@@ -159,7 +159,7 @@ class Posterior:
 
     def check(self, model: ThermalModel) -> None:
         """Raise ValueError unless this posterior belongs to the model."""
-        if (model.name, model.bearing.designation, model.parameters.size) != (
+        if (model.name, model.machine, model.parameters.size) != (
             self.model_name,
             self.bearing,
             self.z.size,
@@ -167,7 +167,7 @@ class Posterior:
             raise ValueError(
                 f"posterior of model {self.model_name!r} on bearing {self.bearing!r} with "
                 f"{self.z.size} parameters does not belong to model {model.name!r} on bearing "
-                f"{model.bearing.designation!r} with {model.parameters.size}"
+                f"{model.machine!r} with {model.parameters.size}"
             )
 
     def to_dict(self) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def prior_posterior(model: ThermalModel) -> Posterior:
     p = model.parameters.size
     return Posterior(
         model.name,
-        model.bearing.designation,
+        model.machine,
         np.zeros(p),
         np.eye(p),
         np.empty((0, p)),
@@ -270,7 +270,7 @@ def posterior_at(
     smallest = max(float(singular[-1]), largest * 1e-16, 1e-300)
     return Posterior(
         model_name=problem.model.name,
-        bearing=problem.model.bearing.designation,
+        bearing=problem.model.machine,
         z=unknowns[:p].copy(),
         covariance=0.5 * (covariance + covariance.T),
         samples=posterior_samples(problem, unknowns, sample_count, seed),

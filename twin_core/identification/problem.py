@@ -8,7 +8,7 @@ sum of their squares is the negative log posterior.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -380,7 +380,7 @@ def _prepare(
                     model.sensor_row(name),
                     index,
                     measured[index],
-                    whitening(rows.time_s[index]),
+                    whitening(rows.time_s[index], *astuple(model.errors)),
                     np.diff(rows.time_s, prepend=rows.time_s[0] - 60.0)[index],
                 )
             )

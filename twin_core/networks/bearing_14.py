@@ -26,9 +26,11 @@ NODE_NAMES = tuple(f"t_node_{number}_c" for number in range(1, NODE_COUNT + 1))
 """In the paper's order: house, outer ring, balls, inner ring, shaft left, cage, grease-oil-air
 mixture, end caps (2), sleeves (2), shaft centre, bench."""
 
-# Bench geometry in m.
+# Bench geometry in m. The drum is the bench's, or as large as the bearing needs.
 _DRUM_OUTER = 0.200
+_DRUM_WALL = 0.020
 _DRUM_LENGTH = 0.080
+_DRUM_LENGTH_IN_WIDTHS = 2.5
 _CAP_THICKNESS = 0.020
 _CAP_CLEARANCE = 0.003
 _SHAFT_LEFT_LENGTH = 0.150
@@ -87,7 +89,11 @@ class Bearing14:
 
 
 def bearing_14_data(bearing: Bearing) -> Bearing14:
-    """Compute the network's constant data from the bearing's dimensions."""
+    """Compute the network's constant data from the bearing's dimensions.
+
+    The bench is that of the paper's bearings; only the drum grows with a bearing that would not
+    leave 20 mm of wall, or that is wider than two fifths of it.
+    """
     bore, outer, width = (
         length * 1e-3 for length in (bearing.bore_mm, bearing.outer_mm, bearing.width_mm)
     )
@@ -98,14 +104,11 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
     sleeve = bore + 2.0 * _SLEEVE_WALL
     centre = bore + _SHAFT_CENTRE_STEP
     cap_bore = inner_shoulder - _CAP_CLEARANCE
-    if not outer < _DRUM_OUTER - 0.02:
-        raise ValueError(
-            f"bearing {bearing.designation!r}: outer_mm is {bearing.outer_mm}, expected less than "
-            f"{1e3 * _DRUM_OUTER - 20.0:g} to fit the drum of the 14-node network"
-        )
+    drum = max(_DRUM_OUTER, outer + 2.0 * _DRUM_WALL)
+    drum_length = max(_DRUM_LENGTH, _DRUM_LENGTH_IN_WIDTHS * width)
 
-    drum_face = resistances.annulus(outer, _DRUM_OUTER)
-    cap_face = resistances.annulus(cap_bore, _DRUM_OUTER)
+    drum_face = resistances.annulus(outer, drum)
+    cap_face = resistances.annulus(cap_bore, drum)
     cavity_face = resistances.annulus(inner_shoulder, outer)
     outer_face = resistances.annulus(outer_shoulder, outer)
     inner_face = resistances.annulus(bore, inner_shoulder)
@@ -119,7 +122,7 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
     cap_heat = cap_face * _CAP_THICKNESS * steel_heat
     sleeve_heat = sleeve_face * _SLEEVE_LENGTH * steel_heat
     capacity = (
-        drum_face * _DRUM_LENGTH * steel_heat,
+        drum_face * drum_length * steel_heat,
         bearing.outer_ring_kg * materials.RING_STEEL.specific_heat_j_kgk,
         bearing.balls_kg * materials.BALL_STEEL.specific_heat_j_kgk,
         bearing.inner_ring_kg * materials.RING_STEEL.specific_heat_j_kgk,
@@ -144,7 +147,7 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
         k_ring,
         _HOUSE_GAP_FLUID,
     )
-    half_house = resistances.radial_shell(outer, (_DRUM_OUTER + outer) / 2.0, _DRUM_LENGTH, k)
+    half_house = resistances.radial_shell(outer, (drum + outer) / 2.0, drum_length, k)
     half_inner_ring = resistances.radial_shell(bore, (bore + inner_shoulder) / 2.0, width, k_ring)
     # The left and the centre shaft each take half of the ring's seat, hence the factor two.
     seat = 2.0 * (
@@ -165,7 +168,7 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
         + resistances.bar(width / 2.0, inner_face, k_ring)
     )
     house_to_cap = resistances.joint(_CAP_HOUSE_JOINT, drum_face) + resistances.bar(
-        (_DRUM_LENGTH / 2.0 + _CAP_THICKNESS) / 2.0, drum_face, k
+        (drum_length / 2.0 + _CAP_THICKNESS) / 2.0, drum_face, k
     )
     ring_to_cap = resistances.joint(_CAP_RING_JOINT, outer_face) + resistances.bar(
         (width + _CAP_THICKNESS) / 2.0, outer_face, k
@@ -176,10 +179,10 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
     )
     # Half of the foot's area is lost to the drum's free surface.
     drum_film = resistances.joint(
-        _OUTER_FILM, resistances.cylinder_side(_DRUM_OUTER, _DRUM_LENGTH) - _FOOT_AREA / 2.0
+        _OUTER_FILM, resistances.cylinder_side(drum, drum_length) - _FOOT_AREA / 2.0
     )
     cap_film = resistances.joint(
-        _OUTER_FILM, cap_face + resistances.cylinder_side(_DRUM_OUTER, _CAP_THICKNESS)
+        _OUTER_FILM, cap_face + resistances.cylinder_side(drum, _CAP_THICKNESS)
     )
     house_to_ring = half_outer_ring + house_joint + half_house
     ring_to_left = seat + left_bar / 3.0

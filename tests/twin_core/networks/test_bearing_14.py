@@ -4,6 +4,7 @@ import pytest
 from twin_core.bearings import bearing, bearing_from_dimensions
 from twin_core.models import build_model
 from twin_core.networks.bearing_14 import NODE_NAMES, bearing_14_data
+from twin_core.simulation import steady_state
 
 CAPACITY = {
     "6311": [5452, 272, 143, 177, 1208, 162, 118, 1851, 1851, 150, 150, 2396, 81349],
@@ -79,6 +80,30 @@ def test_any_deep_groove_ball_bearing_has_a_network() -> None:
     assert len(NODE_NAMES) == small.size == 13
 
 
-def test_a_bearing_that_does_not_fit_the_drum_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"outer_mm is 190.0, expected less than 180"):
-        bearing_14_data(bearing_from_dimensions("6221", 105.0, 190.0, 36.0))
+def test_the_drum_grows_with_a_large_bearing() -> None:
+    usual = bearing_14_data(bearing_from_dimensions("6218", 90.0, 160.0, 30.0))
+    large = bearing_14_data(bearing_from_dimensions("6324", 120.0, 260.0, 55.0))
+    steel_j_m3k = 7850.0 * 434.0
+    for data, outer_m, drum_m, length_m in (
+        (usual, 0.160, 0.200, 0.080),
+        (large, 0.260, 0.300, 0.1375),
+    ):
+        house = np.pi / 4.0 * (drum_m**2 - outer_m**2) * length_m * steel_j_m3k
+        assert data.capacity_j_k[0] == pytest.approx(house, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("bore_mm", "outer_mm", "width_mm"),
+    [(8.0, 22.0, 7.0), (40.0, 80.0, 18.0), (100.0, 215.0, 47.0), (120.0, 260.0, 55.0)],
+)
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_both_models_settle_for_deep_groove_ball_bearings_of_all_sizes(
+    name: str, bore_mm: float, outer_mm: float, width_mm: float
+) -> None:
+    part = bearing_from_dimensions("other", bore_mm, outer_mm, width_mm)
+    model = build_model(name, bearing=part)
+    speed_rpm = 1.0e5 / part.pitch_diameter_mm
+    load_n = 0.05 * part.static_load_rating_n
+    settled = steady_state(model, model.parameters.centre, speed_rpm, load_n, 20.0)
+    assert settled.min() > 20.0
+    assert settled.max() < 90.0
