@@ -285,7 +285,7 @@ def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile
     ahead
         n rows; the first is the present one.
     """
-    observer = _follow(twin, run, first)
+    observer = follow(twin, run, first)
     return forecast(
         twin.model,
         twin.posterior,
@@ -297,7 +297,7 @@ def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile
     )
 
 
-def _follow(twin: Twin, run: BenchRun, last: int) -> Observer:
+def follow(twin: Twin, run: BenchRun, last: int) -> Observer:
     """The observer after the readings of row ``last``."""
     values = twin.model.parameters.values_from_z(twin.posterior.z)
     point = run.measured(0, last + 1)
