@@ -1,13 +1,13 @@
 """Runs identification jobs in the background and switches the live twin to what passes the gates.
 
 A job is a row in the store. It survives a restart of the service: a job that was queued or running
-when the service stopped is taken up again. None takes effect twice: a row that has ended never
-changes, and one whose model version is stored already goes on from there.
+when the service stopped is taken up again where the worker's last checkpoint left it. None takes
+effect twice: a row that has ended never changes, and one whose model version is stored already
+goes on from there.
 """
 
 import asyncio
 import contextlib
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
@@ -30,7 +30,7 @@ from service.jobs.documents import job_json
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document
 from service.jobs.worker import JobOrder, JobResult, run_identification
-from service.jobs.workspace import JobFolder
+from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.store import ActiveJobError, Store, StoreUnavailableError
@@ -93,8 +93,10 @@ class IdentificationJobs:
     async def start(self) -> None:
         """Take up the jobs that an earlier run of the service left unfinished."""
         self._executor = self._make_executor()
-        await anyio.to_thread.run_sync(shutil.rmtree, self._folder, True)
-        for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
+        unfinished = await anyio.to_thread.run_sync(self._store.unfinished_jobs)
+        kept = {job.id for job in unfinished}
+        await anyio.to_thread.run_sync(clear_folders, self._folder, kept)
+        for job in unfinished:
             if job.asset not in self._assets:
                 continue
             if job.status == "running":

@@ -2,21 +2,29 @@
 
 import math
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from service.jobs.workspace import JobFolder, Progress
 from twin_core.bearings import bearing
+from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.gates import judge
-from twin_core.identification.identify import DEFAULT_BUDGET, Method, identify
+from twin_core.identification.identify import (
+    DEFAULT_BUDGET,
+    IdentificationResult,
+    Method,
+    identify,
+)
 from twin_core.identification.identify import Progress as FitProgress
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.refinement import IdentificationCancelled
-from twin_core.models import build_model
+from twin_core.models import ThermalModel, build_model
 from twin_core.windows import window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
+CHECKPOINT_EVERY_WALL_S = 0.5
 _FIT_SHARE = 0.8
 
 
@@ -27,7 +35,7 @@ class JobOrder:
     Attributes
     ----------
     folder : JobFolder
-        Where progress goes and the mark to stop appears.
+        Where progress and checkpoints go and the mark to stop appears.
     model_name, bearing : str
         Which model to identify.
     data : IdentificationData
@@ -70,19 +78,17 @@ class JobResult:
 
 
 def run_identification(order: JobOrder) -> JobResult:
-    """Identify, then let the gates decide whether the result may become active."""
+    """Identify, then let the gates decide whether the result may become active.
+
+    Goes on from the checkpoint that a worker left which was killed with the same order.
+    """
     model = build_model(order.model_name, bearing=bearing(order.bearing))
-    tell = _Teller(order.folder)
     try:
-        fit = identify(
-            model,
-            order.data,
-            method=order.method,
-            budget=order.budget or DEFAULT_BUDGET,
-            seed=order.seed,
-            progress=tell,
-            cancelled=lambda: order.folder.cancelled,
-        )
+        try:
+            fit = _fit(order, model, order.folder.read_checkpoint())
+        except CheckpointMismatchError:
+            # More data have come, or this is another version of the software.
+            fit = _fit(order, model, None)
         report = judge(
             model,
             order.data,
@@ -108,6 +114,35 @@ def run_identification(order: JobOrder) -> JobResult:
         naive=dict(report.naive),
         gates=report.to_dict(),
     )
+
+
+def _fit(
+    order: JobOrder, model: ThermalModel, resume: Mapping[str, Any] | None
+) -> IdentificationResult:
+    return identify(
+        model,
+        order.data,
+        method=order.method,
+        budget=order.budget or DEFAULT_BUDGET,
+        seed=order.seed,
+        progress=_Teller(order.folder),
+        cancelled=lambda: order.folder.cancelled,
+        save=_Saver(order.folder),
+        resume=resume,
+    )
+
+
+class _Saver:
+    """Writes checkpoints to the job's folder, not too often."""
+
+    def __init__(self, folder: JobFolder) -> None:
+        self._folder = folder
+        self._saved_at = time.monotonic()
+
+    def __call__(self, checkpoint: Callable[[], dict[str, Any]]) -> None:
+        if time.monotonic() - self._saved_at >= CHECKPOINT_EVERY_WALL_S:
+            self._folder.write_checkpoint(checkpoint())
+            self._saved_at = time.monotonic()
 
 
 class _Teller:

@@ -1,16 +1,19 @@
 """The folder through which a worker process and the service talk about one job.
 
 Files, because they work the same for a process pool on this machine and for a cluster that shares
-a folder, and because they outlive either side: the worker writes its progress, the service leaves
-a mark when the job is to stop.
+a folder, and because they outlive either side: the worker writes its progress and, now and then, a
+checkpoint from which another worker can go on; the service leaves a mark when the job is to stop.
 """
 
 import json
 import shutil
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 _PROGRESS = "progress.json"
+_CHECKPOINT = "checkpoint.json"
 _CANCEL = "cancel"
 
 
@@ -31,9 +34,10 @@ class JobFolder:
     path: Path
 
     def make(self) -> None:
-        """Begin with an empty folder."""
-        shutil.rmtree(self.path, ignore_errors=True)
-        self.path.mkdir(parents=True)
+        """Begin an attempt: of an earlier one only the checkpoint stays."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        for name in (_PROGRESS, _CANCEL):
+            (self.path / name).unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Clear away; the job's result is in the store."""
@@ -41,9 +45,7 @@ class JobFolder:
 
     def write_progress(self, progress: Progress) -> None:
         """Replace the progress in one step, so that no reader sees half of it."""
-        temporary = self.path / f"{_PROGRESS}.new"
-        temporary.write_text(json.dumps(asdict(progress)))
-        temporary.replace(self.path / _PROGRESS)
+        self._replace(_PROGRESS, asdict(progress))
 
     def read_progress(self) -> Progress | None:
         """Return the latest progress, or None before the first."""
@@ -51,6 +53,23 @@ class JobFolder:
             return Progress(**json.loads((self.path / _PROGRESS).read_text()))
         except FileNotFoundError:
             return None
+
+    def write_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Replace the checkpoint in one step: whenever the worker dies, there is a whole one."""
+        self._replace(_CHECKPOINT, checkpoint)
+
+    def read_checkpoint(self) -> dict[str, Any] | None:
+        """Return the latest checkpoint; None where there is none or it is not readable."""
+        try:
+            checkpoint = json.loads((self.path / _CHECKPOINT).read_text())
+        except (FileNotFoundError, ValueError):
+            return None
+        return checkpoint if isinstance(checkpoint, dict) else None
+
+    def _replace(self, name: str, document: dict[str, Any]) -> None:
+        temporary = self.path / f"{name}.new"
+        temporary.write_text(json.dumps(document, allow_nan=False))
+        temporary.replace(self.path / name)
 
     def cancel(self) -> None:
         """Ask the worker to stop."""
@@ -61,3 +80,14 @@ class JobFolder:
     def cancelled(self) -> bool:
         """Whether the job is to stop."""
         return (self.path / _CANCEL).exists()
+
+
+def clear_folders(parent: Path, kept: Collection[str]) -> None:
+    """Remove all folders of jobs but those of the jobs given, and their parent if it is empty."""
+    if not parent.is_dir():
+        return
+    for path in parent.iterdir():
+        if path.name not in kept:
+            shutil.rmtree(path, ignore_errors=True)
+    if not any(parent.iterdir()):
+        parent.rmdir()
