@@ -39,6 +39,16 @@ class Curves:
     ahead_h: FloatArray
     quantiles_c: dict[str, FloatArray]
 
+    def since(self, row: int) -> "Curves":
+        """The same without the readings before a row; time counts from there."""
+        start_h = float(self.time_h[row])
+        return Curves(
+            self.time_h[row:] - start_h,
+            {name: values[row:] for name, values in self.measured_c.items()},
+            self.ahead_h - start_h,
+            self.quantiles_c,
+        )
+
 
 def curves(run: BenchRun, made: Forecast, begun: int) -> Curves:
     """Curves of a forecast that was made at row ``begun`` of a run."""

@@ -35,8 +35,12 @@ BENCH_OPTIONS = ("benches", "seed")
 STUDIES = {
     "simple-network": Study("service.studies.simple_network"),
     "noa-vs-pso": Study("service.studies.noa_vs_pso"),
+    "variable-speed": Study("service.studies.variable_speed", takes=BENCH_OPTIONS),
+    "rapid-acceleration": Study("service.studies.rapid_acceleration", takes=BENCH_OPTIONS),
     "sample-size": Study("service.studies.sample_size", takes=BENCH_OPTIONS),
+    "reference-nodes": Study("service.studies.reference_nodes", takes=BENCH_OPTIONS),
     "variable-load": Study("service.studies.variable_load", takes=BENCH_OPTIONS),
+    "advice": Study("service.studies.advice", takes=BENCH_OPTIONS),
 }
 
 ALL = "all"
