@@ -2,24 +2,27 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.identifiability import (
+    Identifiability,
+    Verdict,
+    identifiability,
+    of_covariance,
+    verdict,
+)
 from twin_core.identification.problem import SENSOR_LAG_S, IdentificationProblem
 from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
 from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, distinct_values
 
 FloatArray = NDArray[np.float64]
-Verdict = Literal["informed", "weak", "prior only"]
 
-_INFORMED, _WEAK = 0.5, 0.9
 # An operating point must have lasted this long to have taught anything.
 _TAUGHT_S = 1200.0
-# Singular values below this share of the largest are noise of the finite differences.
-_RANK_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +92,10 @@ class Posterior:
     cost_per_residual
         Mean squared whitened residual; about 1 or less for a good fit.
     rank, condition
-        Numerical rank and condition number of the whitened sensitivities, lag and
-        initial states eliminated. 0 and 1 before any identification.
+        Of the whitened sensitivities, lag and initial states eliminated; see `Identifiability`.
+        0 and 1 before any identification.
     informed_combinations
-        Parameter combinations that the data determine better than the prior does.
+        Parameter combinations with the verdict ``"informed"``.
     trained
         The data.
     evaluations
@@ -125,13 +128,28 @@ class Posterior:
 
     def verdicts(self) -> list[Verdict]:
         """What the data say about each parameter, by posterior over prior standard deviation."""
-        return [
-            "informed" if ratio < _INFORMED else "weak" if ratio < _WEAK else "prior only"
-            for ratio in self.std
-        ]
+        return [verdict(float(ratio)) for ratio in self.std]
+
+    def identifiability(self, model: ThermalModel) -> Identifiability:
+        """Return the combinations of parameters that the data inform, and those they do not.
+
+        Raises
+        ------
+        ValueError
+            If the model is another one.
+        """
+        self.check(model)
+        return of_covariance(model.parameters.names, self.covariance)
+
+    def identifiability_document(self, model: ThermalModel) -> dict[str, Any]:
+        """Return `identifiability` as plain JSON types, with rank and condition as measured."""
+        document = self.identifiability(model).to_dict()
+        return document | {"rank": self.rank, "condition": self.condition}
 
     def parameters(self, model: ThermalModel) -> dict[str, dict[str, Any]]:
-        """Return value, unit, 95 % interval and verdict of every parameter.
+        """Return value, unit, 95 % interval, verdict and informed share of every parameter.
+
+        The informed share is how much of the prior's variance the data have taken away, 0 to 1.
 
         Raises
         ------
@@ -140,6 +158,7 @@ class Posterior:
         """
         self.check(model)
         half = 1.959964 * self.std
+        shares = np.clip(1.0 - self.std**2, 0.0, 1.0)
         value = model.parameters.values_from_z(self.z)
         low = model.parameters.values_from_z(self.z - half)
         high = model.parameters.values_from_z(self.z + half)
@@ -149,10 +168,11 @@ class Posterior:
                 "unit": parameter.unit,
                 "low": float(low[k]),
                 "high": float(high[k]),
-                "verdict": verdict,
+                "verdict": said,
+                "informed_share": float(shares[k]),
                 "description": parameter.description,
             }
-            for k, (parameter, verdict) in enumerate(
+            for k, (parameter, said) in enumerate(
                 zip(model.parameters.parameters, self.verdicts(), strict=True)
             )
         }
@@ -255,31 +275,20 @@ def posterior_at(
     """
     p, m = problem.parameter_count, problem.measurement_count
     residuals = problem.residuals(unknowns)[0]
-    jacobian = problem.jacobian(unknowns, residuals, central=True)
-    of_z, of_w = jacobian[:m, :p], jacobian[:m, p:]
-    # Sensitivities to the parameters with lag and initial states regressed out, priors included.
-    stacked = np.concatenate((of_w, np.eye(of_w.shape[1])))
-    basis, _ = np.linalg.qr(stacked)
-    free = np.concatenate((of_z, np.zeros((of_w.shape[1], p))))
-    free -= basis @ (basis.T @ free)
-    padded = np.concatenate((free, np.zeros((p, p))))  # with few data, directions without any
-    _, singular, directions = np.linalg.svd(padded, full_matrices=False)
-    covariance = (directions.T / (1.0 + singular**2)) @ directions
+    informed = identifiability(problem, unknowns)
     windows = problem.data.windows
-    largest = float(singular[0])
-    smallest = max(float(singular[-1]), largest * 1e-16, 1e-300)
     return Posterior(
         model_name=problem.model.name,
         bearing=problem.model.machine,
         z=unknowns[:p].copy(),
-        covariance=0.5 * (covariance + covariance.T),
+        covariance=informed.covariance,
         samples=posterior_samples(problem, unknowns, sample_count, seed),
         sensor_lag_s=problem.lag_s(unknowns),
         train_rms_k=problem.rms_k(unknowns),
         cost_per_residual=float(np.mean(residuals[:m] ** 2)),
-        rank=int(np.count_nonzero(singular > _RANK_TOLERANCE * largest)),
-        condition=largest / smallest if largest > 0.0 else 1.0,
-        informed_combinations=int(np.count_nonzero(singular > 1.0)),
+        rank=informed.rank,
+        condition=informed.condition,
+        informed_combinations=informed.count("informed"),
         trained=TrainedRange(
             problem.data.operating_points,
             sum(int(window.minutes.good.sum()) for window in windows),
