@@ -44,6 +44,8 @@ _LEAST_LOAD_RATIO = 1.15
 _ALIKE_WIDTHS = 1.03
 _WORTH_WHILE = 0.10
 _TAUGHT_S = 1200.0
+# A set-point at the edge of the region is measured with noise.
+_REGION_TOLERANCE = 1.02
 
 
 class NothingIdentifiedError(ValueError):
@@ -265,30 +267,22 @@ def candidates(
     six tenths of it. Loads: four levels of the region's highest, and those of the data. Each as a
     single level, and in pairs of loads at one speed that differ by 15 % or more.
     """
-    known_speeds = [p.speed_rpm for p in trained if p.duration_s >= _TAUGHT_S]
-    known_loads = [p.load_n for p in trained if p.duration_s >= _TAUGHT_S]
+    lasting = [point for point in trained if point.duration_s >= _TAUGHT_S]
+    known_speeds = [_within(point.speed_rpm, region.speed_rpm_max) for point in lasting]
+    known_loads = [_within(point.load_n, region.load_n_max) for point in lasting]
+    highest = [_rounded(part * region.speed_rpm_max, _ROUND_SPEED_RPM) for part in SPEED_FRACTIONS]
     speeds = distinct_values(
         [
             speed
-            for speed in (
-                target.speed_rpm,
-                *sorted(known_speeds, reverse=True),
-                *(_rounded(f * region.speed_rpm_max, _ROUND_SPEED_RPM) for f in SPEED_FRACTIONS),
-            )
+            for speed in (target.speed_rpm, *sorted(known_speeds, reverse=True), *highest)
             if 0.0 < speed <= region.speed_rpm_max
         ],
         NEW_SPEED,
     )
+    heaviest = [_rounded(part * region.load_n_max, _ROUND_LOAD_N) for part in LOAD_FRACTIONS]
     loads = sorted(
         distinct_values(
-            [
-                load
-                for load in (
-                    *known_loads,
-                    *(_rounded(f * region.load_n_max, _ROUND_LOAD_N) for f in LOAD_FRACTIONS),
-                )
-                if 0.0 < load <= region.load_n_max
-            ],
+            [load for load in (*known_loads, *heaviest) if 0.0 < load <= region.load_n_max],
             NEW_LOAD,
         )
     )
@@ -360,6 +354,12 @@ def _why(levels: Sequence[Level], trained: Sequence[OperatingPoint], narrower_by
     else:
         text = "only the speed moves: shows the speed law, not the load law"
     return text if narrower_by >= _WORTH_WHILE else f"{text}; hardly anything new for this point"
+
+
+def _within(value: float, highest: float) -> float:
+    """A measured set-point: without its noise, which may have led it out of the region."""
+    tidy = float(round(value, -1))
+    return highest if highest < tidy <= _REGION_TOLERANCE * highest else tidy
 
 
 def _rounded(value: float, to: float) -> float:

@@ -7,7 +7,7 @@ what the step will measure, so steps can be compared before any of them is run.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,7 +136,7 @@ class Design:
         count = len(gradient)
         time_s = self._profile(levels).time_s[1:]
         white = np.zeros((count + 1, path[1:].size))
-        whiten = whitening(time_s)
+        whiten = whitening(time_s, *astuple(self._model.errors))
         shift = self._shift_k(levels, path)
         for sensor in range(path.shape[1]):
             span = slice(sensor * time_s.size, (sensor + 1) * time_s.size)

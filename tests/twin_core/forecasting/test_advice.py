@@ -1,0 +1,305 @@
+"""Excitation advice: what it ranks first, what it refuses, and the numbers behind it."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from twin_core.bearings import bearing
+from twin_core.forecasting.advice import (
+    Advice,
+    NothingIdentifiedError,
+    advise,
+    candidates,
+    why_not,
+)
+from twin_core.forecasting.design import Design, Level, Present, held_profile
+from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
+from twin_core.identification.problem import IdentificationProblem
+from twin_core.models import ThermalModel, build_model
+from twin_core.operating_points import OperatingPoint
+from twin_core.simulation import simulate, steady_state
+from twin_core.windows import LowRiskRegion, MinuteData
+
+FloatArray = NDArray[np.float64]
+SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+TRAINED = (OperatingPoint(5801.0, 2648.0, 21600.0, 0.0),)
+TARGET = Level(5800.0, 5500.0, 7200.0)
+REGION = LowRiskRegion(speed_rpm_max=5900.0, load_n_max=3400.0)
+WARNING_C = {"t_inner_ring_c": 90.0, "t_outer_ring_c": 80.0}
+
+
+@pytest.fixture(scope="module")
+def model() -> ThermalModel:
+    return build_model(bearing=bearing("6311"))
+
+
+def rows_of(model: ThermalModel, levels: tuple[Level, ...]) -> IdentificationData:
+    """Noise-free data of the central machine, run from cold."""
+    profile = held_profile(levels, 22.0)
+    path = simulate(model, model.parameters.centre, profile, np.full(13, 22.0)).temperatures_c
+    minutes = MinuteData(
+        profile.time_s,
+        profile.speed_rpm,
+        profile.load_n,
+        profile.ambient_c,
+        {name: path @ model.sensor_row(name) for name in SENSORS},
+        np.ones(profile.size, dtype=np.bool_),
+    )
+    return IdentificationData((IdentificationWindow(minutes, at_rest=True),))
+
+
+def information_of(model: ThermalModel, data: IdentificationData) -> FloatArray:
+    """J'J of an identification at the prior's centre: data and priors."""
+    problem = IdentificationProblem(model, data)
+    jacobian = problem.jacobian(np.zeros(problem.unknown_count), central=True)
+    return np.asarray(jacobian.T @ jacobian)
+
+
+def trained_on(model: ThermalModel, points: tuple[OperatingPoint, ...]) -> Posterior:
+    """As after an identification of the central machine at some points, run from cold."""
+    levels = tuple(Level(p.speed_rpm, p.load_n, p.duration_s) for p in points)
+    p = model.parameters.size
+    return replace(
+        prior_posterior(model),
+        covariance=np.linalg.inv(information_of(model, rows_of(model, levels)))[:p, :p],
+        trained=TrainedRange(points, 360, True, 0.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def single_load(model: ThermalModel) -> Posterior:
+    return trained_on(model, TRAINED)
+
+
+@pytest.fixture(scope="module")
+def present(model: ThermalModel) -> Present:
+    values = model.parameters.centre
+    warm = steady_state(model, values, 5800.0, 2650.0, 22.0, 2.0e6)
+    return Present(warm, 0.2**2 * np.eye(13), 2.0e6, 22.0)
+
+
+@pytest.fixture(scope="module")
+def advice(model: ThermalModel, single_load: Posterior, present: Present) -> Advice:
+    return advise(model, single_load, present, TARGET, REGION, WARNING_C)
+
+
+# ---------------------------------------------------------------------------- the ranking
+def test_a_pair_of_loads_at_the_target_speed_comes_first(advice: Advice) -> None:
+    low, high = advice.steps[0].levels
+    assert low.speed_rpm == high.speed_rpm == 5800.0
+    assert 1300.0 <= low.load_n <= 2650.0
+    assert high.load_n == 3400.0
+    assert advice.steps[0].narrower_by > 0.3
+    assert advice.worth_while
+    assert "two loads at one speed" in advice.steps[0].why
+
+
+def test_a_repetition_of_the_data_comes_last_and_says_so(advice: Advice) -> None:
+    repeats = [step for step in advice.steps if "repeats a point" in step.why]
+    assert {step.levels[0].load_n for step in repeats} == {2650.0}
+    assert all("hardly anything new" in step.why for step in repeats)
+    best, worst = advice.steps[0], advice.steps[-1]
+    assert len(worst.levels) == 1
+    assert worst.levels[0].load_n == 2650.0
+    name = advice.sensor
+    assert worst.cautious_half_width_k[name] > 1.3 * best.cautious_half_width_k[name]
+
+
+def test_steps_are_ranked_by_the_cautious_interval(advice: Advice) -> None:
+    widths = [step.cautious_half_width_k[advice.sensor] for step in advice.steps]
+    # steps within three per cent are told apart by their length
+    assert all(after >= before / 1.03 for before, after in pairwise(widths))
+    for step in advice.steps:
+        for name in SENSORS:
+            assert step.half_width_k[name] <= step.cautious_half_width_k[name] + 1e-9
+            assert step.cautious_half_width_k[name] <= advice.now[name].half_width_k + 1e-9
+
+
+def test_a_possible_shift_takes_more_from_one_load_than_from_a_pair(advice: Advice) -> None:
+    """One load cannot be told from a shift of the friction, the difference of two can."""
+
+    def loss(levels: int) -> float:
+        steps = [
+            step
+            for step in advice.steps
+            if len(step.levels) == levels
+            and step.levels[0].speed_rpm == 5800.0
+            and step.levels[-1].load_n == 3400.0
+        ]
+        name = advice.sensor
+        return float(
+            np.mean([step.cautious_half_width_k[name] / step.half_width_k[name] for step in steps])
+        )
+
+    assert loss(1) > 1.05 * loss(2)
+
+
+def test_the_target_is_forecast_with_its_labels(advice: Advice) -> None:
+    assert advice.sensor == "t_inner_ring_c"
+    for name in SENSORS:
+        now = advice.now[name]
+        assert now.q025 < now.q50 < now.q975
+        assert now.half_width_k == pytest.approx(0.5 * (now.q975 - now.q025))
+    assert "load law from prior only" in advice.labels
+    assert "runaway not excluded" in advice.labels
+
+
+def test_beyond_the_regions_speed_the_load_moves_at_a_known_one(
+    model: ThermalModel, present: Present
+) -> None:
+    slow = trained_on(model, (OperatingPoint(4200.0, 2650.0, 21600.0, 0.0),))
+    region = LowRiskRegion(speed_rpm_max=4300.0, load_n_max=3400.0)
+    found = advise(model, slow, present, Level(6200.0, 5500.0, 7200.0), region, WARNING_C)
+    assert all(level.speed_rpm <= 4300.0 for step in found.steps for level in step.levels)
+    first, second = found.steps[0].levels
+    assert first.speed_rpm == second.speed_rpm
+    assert first.load_n != second.load_n
+
+
+def test_a_known_machine_has_nothing_left_to_learn(model: ThermalModel, present: Present) -> None:
+    known = replace(
+        trained_on(model, (*TRAINED, OperatingPoint(5800.0, 3400.0, 7200.0, 21600.0))),
+        covariance=1e-4 * np.eye(model.parameters.size),
+    )
+    found = advise(model, known, present, TARGET, REGION, WARNING_C)
+    assert not found.worth_while
+    assert all("hardly anything new" in step.why for step in found.steps)
+
+
+# ---------------------------------------------------------------------------- what is refused
+def test_speed_and_load_are_never_changed_at_once(advice: Advice) -> None:
+    refused = [step for step in advice.excluded if "at once" in step.reason]
+    assert refused
+    for step in refused:
+        assert step.levels[0].speed_rpm < 0.9 * 5800.0
+        assert abs(step.levels[0].load_n - 2650.0) > 0.08 * 2650.0
+        assert "5801 rpm, 2648 N" in step.reason
+    for ranked in advice.steps:
+        assert why_not(ranked.levels, TRAINED) is None
+
+
+@pytest.mark.parametrize(
+    ("levels", "allowed"),
+    [
+        ([(5800, 3400)], True),
+        ([(4300, 2650)], True),
+        ([(4300, 3400)], False),
+        ([(4300, 2650), (4300, 3400)], True),
+        ([(4300, 3400), (4300, 2650)], False),
+        ([(5800, 2000), (4300, 2650)], False),
+        ([(5800, 2000), (5800, 3400)], True),
+    ],
+)
+def test_one_thing_at_a_time(levels: list[tuple[float, float]], allowed: bool) -> None:
+    step = [Level(speed, load, 2700.0) for speed, load in levels]
+    assert (why_not(step, TRAINED) is None) == allowed
+
+
+def test_a_step_that_may_pass_a_warning_is_refused(
+    model: ThermalModel, single_load: Posterior, present: Present
+) -> None:
+    inner = float(model.sensor_row("t_inner_ring_c") @ present.state_c)
+    limits = {"t_inner_ring_c": inner + 2.5}
+    found = advise(model, single_load, present, TARGET, REGION, limits)
+    hot = [step for step in found.excluded if "too hot" in step.reason]
+    assert any(level.load_n == 3400.0 for step in hot for level in step.levels)
+    assert all(step.peak_c["t_inner_ring_c"] < inner + 2.5 for step in found.steps)
+    assert "its limit is" in hot[0].reason
+
+
+def test_candidates_stay_inside_the_region() -> None:
+    for region in (REGION, LowRiskRegion(4300.0, 3000.0), LowRiskRegion(1000.0, 500.0)):
+        steps = list(candidates(TRAINED, TARGET, region))
+        assert len(set(steps)) == len(steps)
+        levels = [level for step in steps for level in step]
+        assert max(level.speed_rpm for level in levels) <= region.speed_rpm_max
+        assert max(level.load_n for level in levels) <= region.load_n_max
+        assert {len(step) for step in steps} == {1, 2}
+
+
+def test_a_set_point_at_the_edge_of_the_region_is_not_lost_to_noise() -> None:
+    edge = (OperatingPoint(5904.0, 3412.0, 21600.0, 0.0),)
+    levels = {(step[0].speed_rpm, step[0].load_n) for step in candidates(edge, TARGET, REGION)}
+    assert (5800.0, 3400.0) in levels
+    assert all(speed <= 5900.0 and load <= 3400.0 for speed, load in levels)
+
+
+def test_nothing_identified_and_no_machine_are_named(
+    model: ThermalModel, single_load: Posterior, present: Present
+) -> None:
+    with pytest.raises(NothingIdentifiedError, match="identify first"):
+        advise(model, prior_posterior(model), present, TARGET, REGION, WARNING_C)
+    with pytest.raises(ValueError, match="expected a positive speed"):
+        advise(model, single_load, present, Level(0.0, 1.0, 60.0), REGION, WARNING_C)
+    other = build_model(bearing=bearing("6016"))
+    with pytest.raises(ValueError, match="6016"):
+        advise(other, single_load, present, TARGET, REGION, WARNING_C)
+
+
+# ---------------------------------------------------------------------------- the numbers
+def test_the_design_agrees_with_an_identification_of_the_step(
+    model: ThermalModel, single_load: Posterior
+) -> None:
+    """C' from the derivatives that an identification of the step's data would use."""
+    cold = Present(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
+    step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
+    design = Design(model, single_load, cold, SENSORS, TARGET)
+    std_k, shifted_k, _ = design.after(step)
+
+    information = information_of(model, rows_of(model, step))
+    p = model.parameters.size
+    # the step's own priors are not counted twice
+    information[:p, :p] += np.linalg.inv(single_load.covariance) - np.eye(p)
+    covariance = np.linalg.inv(information)[:p, :p]
+
+    target = held_profile((TARGET,), 22.0)
+    gradient = np.empty((p, 2))
+    for k in range(p):
+        ends = []
+        for z in (0.01, -0.01):
+            moved = np.zeros(p)
+            moved[k] = z
+            values = model.parameters.values_from_z(moved)
+            end = simulate(model, values, target, np.full(13, 22.0)).temperatures_c[-1]
+            ends.append(model.sensor_matrix(SENSORS) @ end)
+        gradient[k] = (ends[0] - ends[1]) / 0.02
+    expected = np.sqrt(np.sum(gradient * (covariance @ gradient), axis=0) + 0.25**2)
+    # the identification also fits the sensors' lag and a common deviation at the start
+    assert std_k == pytest.approx(expected, rel=0.1)
+    assert np.all(shifted_k > std_k)
+    assert np.all(std_k < design.std_k)
+
+
+def test_the_forecast_interval_is_that_of_the_ensemble(
+    model: ThermalModel, present: Present
+) -> None:
+    """For a narrow posterior the linear prediction and the ensemble agree."""
+    known = replace(trained_on(model, TRAINED), covariance=0.05**2 * np.eye(model.parameters.size))
+    design = Design(model, known, present, SENSORS, TARGET)
+    found = advise(model, known, present, TARGET, REGION, WARNING_C, members=1000)
+    for k, name in enumerate(SENSORS):
+        assert found.now[name].half_width_k == pytest.approx(1.96 * design.std_k[k], rel=0.1)
+
+
+def test_longer_and_more_varied_steps_never_teach_less(
+    model: ThermalModel, single_load: Posterior, present: Present
+) -> None:
+    design = Design(model, single_load, present, SENSORS, TARGET)
+    short, _, _ = design.after((Level(5800.0, 3400.0, 1800.0),))
+    long, _, _ = design.after((Level(5800.0, 3400.0, 5400.0),))
+    assert np.all(long <= short + 1e-9)
+
+
+def test_a_machine_that_cannot_be_simulated_there_is_refused(
+    model: ThermalModel, single_load: Posterior
+) -> None:
+    """A step whose simulation fails has no finite upper edge, so no limit lets it pass."""
+    burning = Present(np.full(13, 2500.0), np.zeros((13, 13)), 0.0, 22.0)
+    _, _, upper = Design(model, single_load, burning, SENSORS, TARGET).after(
+        (Level(5800.0, 3400.0, 1800.0),)
+    )
+    assert np.all(np.isinf(upper))
