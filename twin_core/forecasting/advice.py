@@ -12,7 +12,7 @@ the error of the speed law on the load law and made the forecast far worse than 
 against 0.7 K at 4000 N, coverage 77 %), though it looked informative.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -150,6 +150,7 @@ def advise(
     limits: Mapping[str, float],
     *,
     alarm_limits: Mapping[str, float] | None = None,
+    measured: Collection[str] | None = None,
     members: int = 200,
     seed: int = 0,
 ) -> Advice:
@@ -169,6 +170,8 @@ def advise(
         Temperatures in degC that no upper edge of a step may reach, per sensor (warnings).
     alarm_limits
         Temperatures that no upper edge on the way to the target may reach; `limits` if not given.
+    measured
+        Names of the sensors that the machine has; the model's standard ones if not given.
     members, seed
         Of the ensemble that tells the present interval.
 
@@ -205,7 +208,8 @@ def advise(
         for name in sensors
     }
     decisive = max(sensors, key=lambda name: now[name].half_width_k)
-    design = Design(model, posterior, present, sensors, target)
+    has = sensors if measured is None else measured
+    design = Design(model, posterior, present, sensors, has, target)
     trained = posterior.trained.operating_points
     ranked, excluded = [], []
     for levels in candidates(trained, target, region):

@@ -6,7 +6,7 @@ the variance of a forecast with the gradient g falls from g'Cg to g'C'g. Nothing
 what the step will measure, so steps can be compared before any of them is run.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -77,7 +77,9 @@ class Design:
     present
         Where steps and forecast begin.
     sensors
-        The temperature sensors of the machine.
+        Names of the sensors that are forecast.
+    measured
+        Which of them the machine has.
     target
         What is to be forecast: the reading of every sensor at the end of this level.
 
@@ -93,12 +95,14 @@ class Design:
         posterior: Posterior,
         present: Present,
         sensors: Sequence[str],
+        measured: Collection[str],
         target: Level,
     ) -> None:
         posterior.check(model)
         self._model = model
         self._present = present
         self._rows = model.sensor_matrix(sensors)
+        self._measured = [index for index, name in enumerate(sensors) if name in measured]
         self._z = posterior.z
         variance, directions = np.linalg.eigh(present.state_covariance)
         kept = variance > _LEAST_STATE_K**2
@@ -135,11 +139,11 @@ class Design:
         path, gradient = self._sensitivities(levels)
         count = len(gradient)
         time_s = self._profile(levels).time_s[1:]
-        white = np.zeros((count + 1, path[1:].size))
+        white = np.zeros((count + 1, time_s.size * len(self._measured)))
         whiten = whitening(time_s, *astuple(self._model.errors))
         shift = self._shift_k(levels, path)
-        for sensor in range(path.shape[1]):
-            span = slice(sensor * time_s.size, (sensor + 1) * time_s.size)
+        for number, sensor in enumerate(self._measured):
+            span = slice(number * time_s.size, (number + 1) * time_s.size)
             white[:count, span] = whiten.apply(gradient[:, 1:, sensor])
             white[count, span] = whiten.apply(shift[1:, sensor])
         plain = white.copy()

@@ -247,7 +247,7 @@ def test_the_design_agrees_with_an_identification_of_the_step(
     """C' from the derivatives that an identification of the step's data would use."""
     cold = Present(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
     step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
-    design = Design(model, single_load, cold, SENSORS, TARGET)
+    design = Design(model, single_load, cold, SENSORS, SENSORS, TARGET)
     std_k, shifted_k, _ = design.after(step)
 
     information = information_of(model, rows_of(model, step))
@@ -279,7 +279,7 @@ def test_the_forecast_interval_is_that_of_the_ensemble(
 ) -> None:
     """For a narrow posterior the linear prediction and the ensemble agree."""
     known = replace(trained_on(model, TRAINED), covariance=0.05**2 * np.eye(model.parameters.size))
-    design = Design(model, known, present, SENSORS, TARGET)
+    design = Design(model, known, present, SENSORS, SENSORS, TARGET)
     found = advise(model, known, present, TARGET, REGION, WARNING_C, members=1000)
     for k, name in enumerate(SENSORS):
         assert found.now[name].half_width_k == pytest.approx(1.96 * design.std_k[k], rel=0.1)
@@ -288,10 +288,22 @@ def test_the_forecast_interval_is_that_of_the_ensemble(
 def test_longer_and_more_varied_steps_never_teach_less(
     model: ThermalModel, single_load: Posterior, present: Present
 ) -> None:
-    design = Design(model, single_load, present, SENSORS, TARGET)
+    design = Design(model, single_load, present, SENSORS, SENSORS, TARGET)
     short, _, _ = design.after((Level(5800.0, 3400.0, 1800.0),))
     long, _, _ = design.after((Level(5800.0, 3400.0, 5400.0),))
     assert np.all(long <= short + 1e-9)
+
+
+def test_a_machine_with_one_sensor_learns_less(
+    model: ThermalModel, single_load: Posterior, present: Present
+) -> None:
+    step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
+    both, outer, none = (
+        Design(model, single_load, present, SENSORS, measured, TARGET).after(step)[0]
+        for measured in (SENSORS, ("t_outer_ring_c",), ())
+    )
+    assert np.all(both < outer)
+    assert np.all(outer < none)
 
 
 def test_a_machine_that_cannot_be_simulated_there_is_refused(
@@ -299,7 +311,7 @@ def test_a_machine_that_cannot_be_simulated_there_is_refused(
 ) -> None:
     """A step whose simulation fails has no finite upper edge, so no limit lets it pass."""
     burning = Present(np.full(13, 2500.0), np.zeros((13, 13)), 0.0, 22.0)
-    _, _, upper = Design(model, single_load, burning, SENSORS, TARGET).after(
+    _, _, upper = Design(model, single_load, burning, SENSORS, SENSORS, TARGET).after(
         (Level(5800.0, 3400.0, 1800.0),)
     )
     assert np.all(np.isinf(upper))
