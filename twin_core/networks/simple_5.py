@@ -35,7 +35,9 @@ TARGETS = {"k1": 1.0, "k2": 0.29, "k3": 50.0, "k4": 0.2, "k5": 0.35, "k6": 0.5, 
 
 AMBIENT_C = 22.6
 
-_SPEED_UNIT_RPM = 10.0
+SPEED_UNIT_RPM = 10.0
+"""The paper's k1 and k6 count speed in tens of rpm (our reading)."""
+
 _LOAD_UNIT_N = 10.0
 
 # Each box spans two decades around a centre that is off the target by these factors: an optimum
@@ -82,14 +84,14 @@ def simple_5_network() -> Network:
                 _node(4),
                 _node(5),
                 EdgeKind.SPEED_POWER,
-                (Coefficient(1.0, "k6"), Coefficient(_SPEED_UNIT_RPM), Coefficient(1.0, "k7")),
+                (Coefficient(1.0, "k6"), Coefficient(SPEED_UNIT_RPM), Coefficient(1.0, "k7")),
             ),
             edge(1, 5, Coefficient(0.08)),  # R7
         ),
         HeatSource(
             FrictionKind.LINEAR,
             (
-                Coefficient(1.0 / _SPEED_UNIT_RPM, "k1"),
+                Coefficient(1.0 / SPEED_UNIT_RPM, "k1"),
                 Coefficient(1.0 / _LOAD_UNIT_N, "k2"),
                 Coefficient(1.0, "k3"),
             ),

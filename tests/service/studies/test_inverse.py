@@ -14,17 +14,40 @@ def problem() -> InverseProblem:
 @pytest.fixture
 def target(problem: InverseProblem) -> np.ndarray:
     """The target as a point of the unit box."""
-    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
-    return np.log(problem.targets / lower) / np.log(upper / lower)
+    return problem.unit(problem.targets)
 
 
 def test_the_unit_box_is_the_logarithm_between_the_bounds(problem: InverseProblem) -> None:
     parameters = problem.model.parameters
-    assert problem.values(np.zeros(7)) == pytest.approx(parameters.lower)
-    assert problem.values(np.ones(7)) == pytest.approx(parameters.upper)
-    assert problem.values(np.full(7, 0.5)) == pytest.approx(
-        np.sqrt(parameters.lower * parameters.upper)
+    others = np.arange(7) != 5  # all but k6
+    assert problem.values(np.zeros(7))[others] == pytest.approx(parameters.lower[others])
+    assert problem.values(np.ones(7))[others] == pytest.approx(parameters.upper[others])
+    assert problem.values(np.full(7, 0.5))[others] == pytest.approx(
+        np.sqrt(parameters.lower * parameters.upper)[others]
     )
+
+
+def test_instead_of_k6_the_resistance_at_3000_rpm_is_searched(problem: InverseProblem) -> None:
+    """Moving the exponent k7 alone leaves R6 at 300 x 10 rpm as it is."""
+    points = np.full((3, 7), 0.4)
+    points[:, 6] = 0.1, 0.5, 0.9
+    values = problem.values(points)
+    at_3000_rpm = values[:, 5] * 300.0 ** values[:, 6]
+    assert at_3000_rpm == pytest.approx(np.full(3, at_3000_rpm[0]))
+    assert np.ptp(np.log(values[:, 5])) > 1.0
+    points[:, 5] += 0.1  # a tenth of two decades
+    assert problem.values(points)[:, 5] == pytest.approx(values[:, 5] * 10**0.2)
+
+
+def test_points_and_parameters_are_one_to_one(problem: InverseProblem) -> None:
+    points = np.random.default_rng(2).random((20, 7))
+    assert problem.unit(problem.values(points)) == pytest.approx(points)
+
+
+def test_the_target_is_neither_at_the_centre_nor_at_an_edge(target: np.ndarray) -> None:
+    """Methods that average over their members would look better than they are."""
+    assert np.all((target > 0.1) & (target < 0.9))
+    assert np.all(np.abs(target - 0.5) > 0.03)
 
 
 def test_residuals_vanish_at_the_target_only(problem: InverseProblem, target: np.ndarray) -> None:
@@ -64,9 +87,7 @@ def test_the_trace_holds_every_new_best(problem: InverseProblem) -> None:
 def test_the_target_is_met_by_the_point_within_one_percent(
     problem: InverseProblem, target: np.ndarray, stop: bool
 ) -> None:
-    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
-    percent = np.log(1.01) / np.log(upper / lower)
-    points = target + np.outer([3.0, 1.1, 0.9, 0.0], percent)
+    points = problem.unit(problem.targets * 1.01 ** np.array([[3.0], [1.1], [0.9], [0.0]]))
     search = CountedSearch(problem, 100, stop_at_target=stop)
     if stop:
         with pytest.raises(SearchEnd):
