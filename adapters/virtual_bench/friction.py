@@ -17,7 +17,6 @@ _GEOMETRY_K_Z = 3.1  # single row deep groove ball bearings
 _BOUNDARY_FRICTION = 0.12  # mu_bl while running
 _FULL_FILM_FRICTION = 0.05  # mu_EHL, mineral oil
 _OIL_THAT_FEEDS = 0.4
-_DRY_FRICTION = 0.15  # where no oil is left; the catalogue's value for starting
 
 
 class FrictionConstants(NamedTuple):
@@ -118,7 +117,7 @@ def frictional_moment(
     )
     boundary = math.exp(-2.6e-8 * (speed_rpm * viscosity) ** 1.4 * constants.pitch_mm)
     coefficient = boundary * _BOUNDARY_FRICTION + (1.0 - boundary) * _FULL_FILM_FRICTION
-    coefficient += dry_share * (_DRY_FRICTION - coefficient)
+    coefficient += dry_share * (_BOUNDARY_FRICTION - coefficient)
     sliding = constants.sliding_geometry * load ** (5.0 / 3.0) * coefficient
     return 1e-3 * rolling, 1e-3 * sliding
 

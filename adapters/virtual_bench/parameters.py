@@ -88,7 +88,7 @@ class BenchParameters:
     run_in_revolutions: float = 1.08e6
     load_play_n: float = 20.0
     grease_life_h: float = 3000.0
-    thickening: float = 0.5
+    thickening: float = 0.35
 
     def __post_init__(self) -> None:
         if self.bearing not in BEARINGS:

@@ -146,7 +146,7 @@ def _days(count: int) -> tuple[Step, ...]:
     return (_rest(), *(day * count))
 
 
-_ONSET_S = 36 * _HOUR
+_ONSET_S = 54 * _HOUR
 _AGEING = 5.0
 
 _SCENARIOS = (
@@ -205,18 +205,18 @@ _SCENARIOS = (
     ),
     Scenario(
         name="grease-degradation",
-        description="days as in durability; from 36 h the grease bleeds and friction grows",
+        description="days as in durability; from 54 h the grease bleeds and friction grows",
         bearing="6311",
-        steps=_days(4),
-        changes=(Change("oil loss", _ONSET_S, 2 * _HOUR, 20.0),),
+        steps=_days(6),
+        changes=(Change("oil loss", _ONSET_S, 2 * _HOUR, 12.0),),
         oil_loss=_AGEING,
         ambient_daily_k=1.5,
     ),
     Scenario(
         name="cooling-loss",
-        description="days as in durability; at 36 h the housing is covered, heat cannot leave",
+        description="days as in durability; at 54 h the housing is covered, heat cannot leave",
         bearing="6311",
-        steps=_days(3),
+        steps=_days(4),
         changes=(Change("cooling", _ONSET_S, 2 * _HOUR, 0.5),),
         oil_loss=_AGEING,
         ambient_daily_k=1.5,

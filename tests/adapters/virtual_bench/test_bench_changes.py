@@ -28,7 +28,7 @@ DAY_ROWS = int(24 * HOUR / STEP_S)
 
 def _run(name: str, seed: int = 3) -> tuple[BenchProfile, Truth]:
     profile = scenario_profile(find_scenario(name), BENCH, seed, STEP_S)
-    return profile, simulate(profile, BENCH, max_step_s=5.0)
+    return profile, simulate(profile, BENCH, max_step_s=20.0)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_a_change_grows_evenly_in_the_logarithm_stays_and_goes_back() -> None:
 
 
 def test_days_are_alike_and_low_risk() -> None:
-    for name, days in (("durability", 5), ("grease-degradation", 4), ("cooling-loss", 3)):
+    for name, days in (("durability", 5), ("grease-degradation", 6), ("cooling-loss", 4)):
         scenario = find_scenario(name)
         assert scenario.duration_s == days * 24 * HOUR + 180.0
         assert len(scenario.steps) == 1 + 6 * days
@@ -77,25 +77,26 @@ def test_durability_runs_in_and_then_ages_slowly(calm: Truth) -> None:
 
 def test_grease_degradation_heats_the_bearing_from_its_onset(calm: Truth) -> None:
     profile, sick = _run("grease-degradation")
-    onset = _row(36.0)
+    onset = _row(54.0)
     assert sick.temperatures_c[:onset] == pytest.approx(calm.temperatures_c[:onset])
     assert sick.oil[-1] == 0.0
     assert profile.condition is not None
-    assert profile.condition.oil_loss[[0, -1]] == pytest.approx([5.0, 100.0])
-    hotter = sick.t_inner_ring_c - calm.t_inner_ring_c[: sick.time_s.size]
-    late = _row(66.0)  # 4200 rpm, 3300 N
-    assert hotter[late] > 10.0
-    assert sick.power_w[late] > 1.3 * calm.power_w[late]
-    after = hotter[onset : _row(70.0)]
+    assert profile.condition.oil_loss[[0, -1]] == pytest.approx([5.0, 60.0])
+    compared = calm.time_s.size - 1
+    hotter = sick.t_inner_ring_c[:compared] - calm.t_inner_ring_c[:compared]
+    late = _row(114.0)  # 4200 rpm, 3300 N
+    assert hotter[late] > 4.0
+    assert sick.power_w[late] > 1.15 * calm.power_w[late]
+    after = hotter[onset : _row(118.0)]
     assert np.all(after > -1e-3)
     # the outer ring follows by the share that its place in the heat's path gives it
-    outer = sick.t_outer_ring_c - calm.t_outer_ring_c[: sick.time_s.size]
+    outer = sick.t_outer_ring_c[:compared] - calm.t_outer_ring_c[:compared]
     assert 0.3 < outer[late] / hotter[late] < 0.6
 
 
 def test_cooling_loss_lifts_the_outer_ring_and_lowers_friction(calm: Truth) -> None:
     profile, covered = _run("cooling-loss")
-    onset, late = _row(36.0), _row(66.0)
+    onset, late = _row(54.0), _row(90.0)
     assert covered.temperatures_c[:onset] == pytest.approx(calm.temperatures_c[:onset])
     assert profile.condition is not None
     assert profile.condition.cooling[[onset - 1, late]] == pytest.approx([1.0, 0.5])
@@ -209,7 +210,7 @@ def test_oil_is_lost_faster_when_hot_and_not_at_rest() -> None:
 
 @pytest.mark.parametrize(
     ("oil", "ratio", "tolerance"),
-    [(1.0, 1.0, 1e-12), (0.7, 1.06, 0.02), (0.4, 1.12, 0.03), (0.0, 1.45, 0.1)],
+    [(1.0, 1.0, 1e-12), (0.7, 1.045, 0.015), (0.4, 1.09, 0.02), (0.0, 1.3, 0.05)],
 )
 def test_friction_of_a_grease_that_loses_oil(oil: float, ratio: float, tolerance: float) -> None:
     def moment(left: float) -> float:
@@ -220,7 +221,7 @@ def test_friction_of_a_grease_that_loses_oil(oil: float, ratio: float, tolerance
     assert moment(oil) / moment(1.0) == pytest.approx(ratio, abs=tolerance)
 
 
-def test_dry_contacts_slide_with_three_times_the_friction() -> None:
+def test_dry_contacts_slide_with_the_friction_of_boundary_lubrication() -> None:
     def sliding(oil: float) -> float:
         """Heavy load and thin oil: hardly anything but sliding is left."""
         thin = replace(
@@ -232,5 +233,5 @@ def test_dry_contacts_slide_with_three_times_the_friction() -> None:
 
     film = math.exp(-2.6e-8 * (9000.0 * 8.0) ** 1.4 * 87.5)
     before = film * 0.12 + (1.0 - film) * 0.05
-    assert sliding(0.0) / sliding(1.0) == pytest.approx(0.15 / before, rel=1e-6)
-    assert sliding(0.2) / sliding(1.0) == pytest.approx(0.5 * (0.15 / before + 1.0), rel=1e-6)
+    assert sliding(0.0) / sliding(1.0) == pytest.approx(0.12 / before, rel=1e-6)
+    assert sliding(0.2) / sliding(1.0) == pytest.approx(0.5 * (0.12 / before + 1.0), rel=1e-6)
