@@ -227,15 +227,8 @@ def advise(
             for after in (std_k, cautious_std_k)
         )
         peak = {name: float(upper_c[k]) for k, name in enumerate(sensors)}
-        hot = [name for name in sensors if peak[name] >= limits.get(name, np.inf)]
-        if hot:
-            excluded.append(
-                ExcludedStep(
-                    levels,
-                    f"too hot: the upper edge of {hot[0]} reaches {peak[hot[0]]:.0f} °C, "
-                    f"its limit is {limits[hot[0]]:g} °C",
-                )
-            )
+        if reason := _too_hot(peak, limits):
+            excluded.append(ExcludedStep(levels, reason))
             continue
         narrower = 1.0 - cautious[decisive] / now[decisive].half_width_k
         ranked.append(
@@ -338,6 +331,19 @@ def why_not(levels: Sequence[Level], trained: Sequence[OperatingPoint]) -> str |
     for before, after in pairwise(levels):
         if before.speed_rpm != after.speed_rpm and before.load_n != after.load_n:
             return "changes speed and load at once within the step"
+    return None
+
+
+def _too_hot(peak_c: Mapping[str, float], limits: Mapping[str, float]) -> str | None:
+    """Say which upper edge reaches a limit, or is not even finite; None if all stay below."""
+    for name, upper_c in peak_c.items():
+        if not np.isfinite(upper_c):
+            return "too hot: the twin runs away there"
+        if upper_c >= limits.get(name, np.inf):
+            return (
+                f"too hot: the upper edge of {name} reaches {upper_c:.0f} °C, its limit is "
+                f"{limits[name]:g} °C"
+            )
     return None
 
 

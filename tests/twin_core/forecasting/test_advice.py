@@ -306,12 +306,13 @@ def test_a_machine_with_one_sensor_learns_less(
     assert np.all(outer < none)
 
 
-def test_a_machine_that_cannot_be_simulated_there_is_refused(
+def test_a_step_that_cannot_be_simulated_is_refused(
     model: ThermalModel, single_load: Posterior
 ) -> None:
-    """A step whose simulation fails has no finite upper edge, so no limit lets it pass."""
     burning = Present(np.full(13, 2500.0), np.zeros((13, 13)), 0.0, 22.0)
-    _, _, upper = Design(model, single_load, burning, SENSORS, SENSORS, TARGET).after(
-        (Level(5800.0, 3400.0, 1800.0),)
-    )
-    assert np.all(np.isinf(upper))
+    found = advise(model, single_load, burning, TARGET, REGION, {})
+    assert found.steps == ()
+    assert not found.worth_while
+    assert {step.reason for step in found.excluded if "at once" not in step.reason} == {
+        "too hot: the twin runs away there"
+    }
