@@ -16,8 +16,10 @@ from service.api.docs import install_docs
 from service.api.middleware import AtTheDoor, BodyLimit, LastResort, SecurityHeaders
 from service.api.problems import install_handlers
 from service.api.routes import (
+    advice,
     alarms,
     assets,
+    envelope,
     forecasts,
     health,
     identifications,
@@ -90,6 +92,8 @@ def create_app(context: ServiceContext) -> FastAPI:
         assets,
         measurements,
         forecasts,
+        envelope,
+        advice,
         identifications,
         models,
         alarms,

@@ -201,6 +201,10 @@ class NotReadyError(RuntimeError):
     """The twin cannot answer yet; the text says what it waits for."""
 
 
+class NotIdentifiedError(RuntimeError):
+    """There is no identified model yet; the text says what to do."""
+
+
 class AssetTwin(Protocol):
     """The live runtime of one asset. All but the asynchronous methods answer from memory."""
 
@@ -247,6 +251,26 @@ class AssetTwin(Protocol):
 
     async def windows(self) -> Sequence[Mapping[str, Any]]:
         """Find the low-risk windows in the store, with operating points and score."""
+
+    async def envelope(self) -> Mapping[str, Any]:
+        """Give the safe operating envelope.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        """
+
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+        """Rank low-risk steps by what they teach about a point.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        NotIdentifiedError
+            While the active model is not identified.
+        """
 
 
 class JobManager(Protocol):

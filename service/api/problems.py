@@ -17,6 +17,7 @@ from starlette.routing import compile_path
 from service.api.context import (
     ActivationRefusedError,
     JobConflictError,
+    NotIdentifiedError,
     NotReadyError,
     RequestRefusedError,
 )
@@ -169,6 +170,9 @@ def install_handlers(app: FastAPI) -> None:
     async def on_refused_request(request: Request, error: RequestRefusedError) -> Response:
         return _answer(request, pointer_problem(error.pointer, error.detail))
 
+    async def on_not_identified(request: Request, error: NotIdentifiedError) -> Response:
+        return _answer(request, Problem(409, str(error)))
+
     async def on_not_ready(request: Request, error: NotReadyError) -> Response:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
         return _answer(request, Problem(503, str(error), headers=headers))
@@ -184,6 +188,7 @@ def install_handlers(app: FastAPI) -> None:
         JobConflictError: on_conflict,
         ActivationRefusedError: on_refusal,
         RequestRefusedError: on_refused_request,
+        NotIdentifiedError: on_not_identified,
         NotReadyError: on_not_ready,
         StoreUnavailableError: on_store_away,
     }

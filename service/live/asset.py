@@ -24,11 +24,13 @@ from service.live.ahead import OperatingPoint, Step, held, operating_profile, pl
 from service.live.bus import Bus
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.guard import Guard
+from service.live.planning import Planning
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.settings import AssetSection
 from service.wiring import ChannelFacts
 from twin_core.forecasting import Forecast, forecast
+from twin_core.forecasting.design import Level
 
 STEP_S = 5.0
 FORECAST_EVERY_S = 60.0
@@ -112,6 +114,7 @@ class AssetRuntime:
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
         self._forecasting = Guard("forecast", settings.id)
+        self._planning = Planning(settings, self.estimate, channels)
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
@@ -239,6 +242,14 @@ class AssetRuntime:
             result, self.settings.limits, crossings, list(nodes) if nodes else None
         )
         return answer | {"model_version": model_version, "profile": presentation.steps_json(steps)}
+
+    async def envelope(self) -> Mapping[str, Any]:
+        """Return the safe operating envelope, of late or computed now."""
+        return await self._planning.envelope(self._steps_ahead(self._clock.now_us()))
+
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+        """Rank low-risk steps by what they would teach about a point."""
+        return await self._planning.advice(Level(speed_rpm, load_n, duration_s))
 
     async def windows(self) -> Sequence[Mapping[str, Any]]:
         """Low-risk windows in the store."""

@@ -1,0 +1,80 @@
+"""What helps to plan the next test on a machine: envelope and advice, off the event loop."""
+
+import asyncio
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from service.api.context import NotIdentifiedError, NotReadyError
+from service.live.advice import give_advice
+from service.live.ahead import Step
+from service.live.envelope import EnvelopeKeeper, Now
+from service.live.estimate import LiveEstimate
+from service.settings import AssetSection
+from twin_core.forecasting.advice import NothingIdentifiedError
+from twin_core.forecasting.design import Level, Present
+
+
+class Planning:
+    """Answers questions about points that the machine might be run at.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        Low-risk region and limits.
+    estimate : LiveEstimate
+        The running estimate.
+    measured : collection of str
+        The asset's channels.
+    """
+
+    def __init__(
+        self, settings: AssetSection, estimate: LiveEstimate, measured: Collection[str]
+    ) -> None:
+        self._settings = settings
+        self._estimate = estimate
+        self._measured = tuple(measured)
+        self._envelope = EnvelopeKeeper(settings)
+        self._advising = asyncio.Lock()
+
+    async def envelope(self, ahead: Sequence[Step]) -> Mapping[str, Any]:
+        """Safe operating envelope; its grid holds the steps ahead.
+
+        Raises
+        ------
+        NotReadyError
+            While there is no estimate.
+        """
+        planned = [(step.speed_rpm, step.load_n) for step in ahead]
+        return await self._envelope.document(self._now(), planned)
+
+    async def advice(self, target: Level) -> Mapping[str, Any]:
+        """Low-risk steps, ranked by what they would teach about a point.
+
+        Raises
+        ------
+        NotReadyError
+            While there is no estimate.
+        NotIdentifiedError
+            While the active model is not identified.
+        """
+        try:
+            async with self._advising:
+                return await asyncio.to_thread(
+                    give_advice, self._settings, self._now(), self._measured, target
+                )
+        except NothingIdentifiedError as error:
+            raise NotIdentifiedError(str(error)) from error
+
+    def _now(self) -> Now:
+        point, time_us = self._estimate.point, self._estimate.time_us
+        if point is None or time_us is None or not self._estimate.started:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        observer = self._estimate.observer
+        present = Present(
+            observer.temperatures_c.copy(),
+            observer.covariance.copy(),
+            max(float(observer.revolutions), 0.0),
+            point.ambient_c,
+            observer.heat_disturbance_w.copy(),
+        )
+        return Now(self._estimate.active, present, time_us, point.speed_rpm, point.load_n)
