@@ -65,7 +65,14 @@ RingScores = Mapping[str, Score]
 """The scores of both rings."""
 
 
-def score_rings(made: Forecast, run: BenchRun, begun: int, first: int, end: int) -> RingScores:
+def score_rings(
+    made: Forecast,
+    run: BenchRun,
+    begun: int,
+    first: int,
+    end: int,
+    counts: NDArray[np.bool_] | None = None,
+) -> RingScores:
     """Score a forecast over the rows from ``first`` to before ``end``.
 
     Parameters
@@ -76,16 +83,19 @@ def score_rings(made: Forecast, run: BenchRun, begun: int, first: int, end: int)
         What then happened.
     begun, first, end
         Rows of the run.
+    counts
+        (end - first,) which of them count; all of them by default.
     """
-    return {name: _score(made, run, name, begun, first, end) for name in RINGS}
+    chosen = np.arange(first, end) if counts is None else first + np.flatnonzero(counts)
+    return {name: _score(made, run, name, chosen, begun) for name in RINGS}
 
 
-def _score(made: Forecast, run: BenchRun, sensor: str, begun: int, first: int, end: int) -> Score:
-    ahead = slice(first - begun, end - begun)
+def _score(made: Forecast, run: BenchRun, sensor: str, rows: NDArray[np.intp], begun: int) -> Score:
+    ahead = rows - begun
     low, _, median, _, high = made.quantile(sensor)[:, ahead]
-    measured = run.minutes.temperatures_c[sensor][first:end]
-    error = median - run.truth_c[sensor][first:end]
-    steady = run.steady(first, end)
+    measured = run.minutes.temperatures_c[sensor][rows]
+    error = median - run.truth_c[sensor][rows]
+    steady = run.steady(int(rows[0]), int(rows[-1]) + 1)[rows - rows[0]]
 
     def covered(rows: NDArray[np.bool_]) -> float:
         return scores.coverage(low[rows], high[rows], measured[rows])

@@ -78,14 +78,6 @@ OFFLINE_HALF_WIDTH_C = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One bench; its curves are only brought back where they are drawn."""
-
-    seed: int
-    drawn: bool
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SchemeRun:
     """One scheme on one bench.
@@ -105,7 +97,7 @@ class SchemeRun:
     seconds
         Of the identification.
     shown
-        Curves, where they are drawn.
+        Curves.
     """
 
     refused: str
@@ -114,7 +106,7 @@ class SchemeRun:
     node_errors_k: FloatArray
     methods: tuple[ForecastScore, ...]
     seconds: float
-    shown: Curves | None
+    shown: Curves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,20 +120,18 @@ class BenchResult:
 
 def run(progress: Progress, options: Options) -> Report:
     """Identify and forecast with all schemes on all benches."""
-    seeds = options.seeds(BENCHES)
-    tasks = [Task(seed, seed == seeds[0]) for seed in seeds]
-    return report(in_processes(examine, tasks, progress))
+    return report(in_processes(examine, options.seeds(BENCHES), progress))
 
 
-def examine(task: Task) -> BenchResult:
+def examine(seed: int) -> BenchResult:
     """Run all schemes on one bench."""
-    bench = run_bench(BenchParameters.random(task.seed, BEARING), STAIRCASE, task.seed)
+    bench = run_bench(BenchParameters.random(seed, BEARING), STAIRCASE, seed)
     end = bench.first_row(len(STAIRCASE))
-    schemes = {name: _scheme(bench, rows, end, task.drawn) for name, rows in SCHEMES.items()}
-    return BenchResult(task.seed, bench.ran_away(0, end), schemes)
+    schemes = {name: _scheme(bench, rows, end) for name, rows in SCHEMES.items()}
+    return BenchResult(seed, bench.ran_away(0, end), schemes)
 
 
-def _scheme(bench: BenchRun, rows: int, end: int, drawn: bool) -> SchemeRun:
+def _scheme(bench: BenchRun, rows: int, end: int) -> SchemeRun:
     twin = identify_twin(bench, rows)
     begun = rows - 1
     ahead = bench.measured(begun, end)
@@ -154,7 +144,7 @@ def _scheme(bench: BenchRun, rows: int, end: int, drawn: bool) -> SchemeRun:
         node_errors_k=node_errors(made, bench, begun, rows, end),
         methods=beside(twin, bench, made, ahead, begun, rows, end),
         seconds=twin.seconds,
-        shown=curves(bench, made, begun) if drawn else None,
+        shown=curves(bench, made, begun),
     )
 
 
@@ -179,7 +169,7 @@ def report(results: Sequence[BenchResult]) -> Report:
         _node_table(schemes),
         *methods_tables("Sample sizes, the twin beside other methods", methods),
     )
-    drawn = results[0]
+    drawn = (normal or results)[0]
     plots = (
         Plot("fig13-sample-sizes", partial(_draw_curves, drawn)),
         Plot("fig14-nodes", partial(_draw_nodes, schemes)),
@@ -201,7 +191,7 @@ def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]
     planned = figures([one.planned for one in used])
     return {
         "samples": SCHEMES[name],
-        "validation": STAGE_MIN * len(SPEEDS_RPM) - SCHEMES[name],
+        "validation": sum(stage.minutes for stage in STAIRCASE) - SCHEMES[name],
         **figures([one.rings for one in used]),
         "refused": {
             result.seed: result.schemes[name].refused
@@ -323,8 +313,7 @@ def _draw_curves(drawn: BenchResult) -> "Figure":
     panels = made.subplots(2, 3).flat
     for number, (name, one) in enumerate(drawn.schemes.items()):
         axes = next(panels)
-        if one.shown is not None:
-            draw_curves(axes, one.shown, legend=number == 0)
+        draw_curves(axes, one.shown, legend=number == 0)
         axes.axvspan(0.0, SCHEMES[name] / 60.0, color="0.92", zorder=0)
         errors = ", ".join(
             f"{RING_NAMES[ring]} {one.rings[ring].max_error_k:.2f}" for ring in RINGS

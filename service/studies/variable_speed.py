@@ -121,20 +121,20 @@ def report(results: Sequence[BenchResult]) -> Report:
     """Put all benches together into figures, tables and plots."""
     used = [result for result in results if not (result.ran_away or result.refused)]
     found = figures([result.rings for result in used])
-    errors = np.array([result.node_errors_k for result in used]).reshape(-1, len(NODES), 540)
-    covered = np.array([result.node_coverage for result in used]).reshape(-1, len(NODES))
+    errors = [result.node_errors_k for result in used]
+    covered = [result.node_coverage for result in used]
     nodes = {
         node: {
-            "rms_error_k": float(np.sqrt(np.mean(errors[:, number] ** 2))) if used else None,
-            "bias_at_6200_rpm_k": float(np.mean(errors[:, number, -30:])) if used else None,
-            "coverage_95": float(np.mean(covered[:, number])) if used else None,
+            "rms_error_k": _mean([_rms(one[number]) for one in errors]),
+            "bias_at_6200_rpm_k": _mean([float(np.mean(one[number, -30:])) for one in errors]),
+            "coverage_95": _mean([float(one[number]) for one in covered]),
         }
         for number, node in enumerate(NODES)
     }
     document = {
         "study": NAME,
         "bearing": BEARING,
-        "samples": errors.shape[2],
+        "samples": results[0].node_errors_k.shape[1],
         "seeds": [result.seed for result in results],
         "ran_away": [result.seed for result in results if result.ran_away],
         "refused": {result.seed: result.refused for result in results if result.refused},
@@ -152,13 +152,18 @@ def report(results: Sequence[BenchResult]) -> Report:
     return Report(NAME, document, (_ring_table(document), _node_table(nodes)), plots)
 
 
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values))
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
 def _ring_table(document: dict[str, Any]) -> Table:
     return Table(
-        f"Variable speed: the twin of all 540 samples, T_ir/T_or, {document['benches']} benches",
+        f"Variable speed: the twin of all {document['samples']} samples, T_ir/T_or, "
+        f"{document['benches']} benches",
         ("", "paper", "ours", "worst bench"),
         (
             (
@@ -181,9 +186,9 @@ def _ring_table(document: dict[str, Any]) -> Table:
             "Against the noise-free temperature, from the cold start on, over the samples that the "
             "twin was identified from; the thermometers follow with a lag of 20 s, which shows in "
             "the first minutes.",
-            f"Identified within {document['seconds']:.1f} s and "
-            f"{document['evaluations']:.0f} simulations. The paper: 103 s for the seven parameters "
-            "of its five-node network.",
+            f"Identified within {text(document['seconds'], 1)} s and "
+            f"{text(document['evaluations'], 0)} simulations. The paper: 103 s for the seven "
+            "parameters of its five-node network.",
         ),
     )
 

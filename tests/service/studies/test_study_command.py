@@ -43,6 +43,23 @@ def test_simple_network_prints_the_papers_targets_beside_what_was_found(tmp_path
     assert (tmp_path / "plots" / "fig08-convergence.png").stat().st_size > 20_000
 
 
+def test_a_study_on_random_benches_takes_their_number_and_seed(tmp_path: Path) -> None:
+    ended = _study(
+        tmp_path, "variable-speed", "--benches", "1", "--seed", "104", "--json", "--out", "plots"
+    )
+    assert ended.returncode == 0, ended.stderr
+    document = json.loads(ended.stdout)
+    assert document["seeds"] == [104]
+    assert document["samples"] == 540
+    assert document["refused"] == {}
+    assert document["paper"]["max_error_c"] == {"t_inner_ring_c": 1.2, "t_outer_ring_c": 0.5}
+    for ring in ("t_inner_ring_c", "t_outer_ring_c"):
+        assert document["max_error_c"][ring] < 1.2
+        assert document["coverage_95_by_sensor"][ring] > 0.9
+    assert json.loads((tmp_path / "plots" / "variable-speed.json").read_text()) == document
+    assert (tmp_path / "plots" / "fig10-variable-speed.png").stat().st_size > 20_000
+
+
 def test_an_unknown_study_names_the_known_ones(tmp_path: Path) -> None:
     ended = _study(tmp_path, "simple")
     assert ended.returncode == 2
