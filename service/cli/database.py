@@ -18,5 +18,5 @@ def upgrade(config: ConfigFile = None) -> None:
     from service.store import Store
 
     settings = load_settings(config)
-    with Store.open(settings.service.database_url, settings.data_dir):
+    with Store.open(settings.service.database_url, settings.data_dir, migrate=True):
         typer.echo("The store is up to date.")

@@ -1,4 +1,4 @@
-"""The store: samples, models, jobs, alarms, keys, in SQLite."""
+"""The store: samples, models, jobs, alarms, keys, in SQLite or PostgreSQL."""
 
 from service.store.errors import (
     ActiveJobError,

@@ -1,48 +1,59 @@
-"""The database connection: how it is opened, read from and written to."""
+"""The database connection: how it is read from and written to, whatever the server."""
 
-import sqlite3
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 
-from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import (
-    ArgumentError,
-    DatabaseError,
-    DBAPIError,
-    InternalError,
-    OperationalError,
-)
+from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import DatabaseError, InterfaceError, InternalError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
-from sqlalchemy.pool import ConnectionPoolEntry
 
-from service.store.errors import StoreError, StoreUnavailableError
-from service.store.migrations import is_current, upgrade
+from service.store.errors import StoreUnavailableError
 
-FILE_NAME = "bearing-twin.db"
 #: Wall seconds that a reader or a short transaction waits for its turn before it gives up.
 PATIENCE_S = 30.0
 #: Execution option of a connection that is going to write.
-_WRITES = "bearing_twin_writes"
+WRITES = "bearing_twin_writes"
+
+SampleColumns = tuple[int, int, float | None, int]
+"""Channel number, time in UTC microseconds, value, quality: a row of the table of samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """What differs between SQLite and PostgreSQL.
+
+    Attributes
+    ----------
+    upsert_samples
+        Store rows, a connection and time never twice: the first good value wins, a good one
+        replaces one that is not. Returns how many rows were added or replaced.
+    with_patience
+        Limit, within a context, the wall seconds that a connection waits for others.
+    """
+
+    upsert_samples: Callable[[Connection, Sequence[SampleColumns]], int]
+    with_patience: Callable[[Connection, float], AbstractContextManager[None]]
 
 
 class Database:
-    """One database file: any number of readers, one writer at a time.
+    """One database: any number of readers, one writer at a time of each process.
 
     Attributes
     ----------
     engine : sqlalchemy.Engine
         Its connections begin a transaction by themselves; use `reading` and `writing`.
     name : str
-        What to call it in messages: the path of the file.
+        What to call it in messages: the path of the file, or the address without a password.
+    dialect : Dialect
+        What only this kind of database does.
     """
 
-    def __init__(self, engine: Engine, name: str) -> None:
+    def __init__(self, engine: Engine, name: str, dialect: Dialect) -> None:
         self.engine = engine
         self.name = name
+        self.dialect = dialect
         self._turn = threading.Lock()
 
     @contextmanager
@@ -69,7 +80,8 @@ class Database:
         Raises
         ------
         StoreUnavailableError
-            If the database stayed locked or cannot take the data now (disk full, I/O error).
+            If the database stayed locked, is away or cannot take the data now (disk full, I/O
+            error).
         """
         # The lock queues the threads of this process; SQLite itself lets contenders poll, and
         # an unlucky one could starve.
@@ -77,8 +89,8 @@ class Database:
             raise StoreUnavailableError(f"{self.name}: busy with another write")
         try:
             with self._translated(), self.engine.connect() as connection:
-                connection = connection.execution_options(**{_WRITES: True})
-                with _busy_timeout(connection, patience_s), connection.begin():
+                connection = connection.execution_options(**{WRITES: True})
+                with self.dialect.with_patience(connection, patience_s), connection.begin():
                     yield connection
         finally:
             self._turn.release()
@@ -89,11 +101,13 @@ class Database:
             yield
         except PoolTimeoutError as error:
             raise StoreUnavailableError(f"{self.name}: {error}") from error
+        except InterfaceError as error:
+            raise StoreUnavailableError(f"{self.name}: {_one_line(error.orig)}") from error
         except DatabaseError as error:
-            # Locked, full, I/O error, damaged: the state of the disk. The other kinds (a broken
-            # constraint, a wrong statement) are the caller's.
+            # Locked, full, I/O error, damaged, gone: the state of disk or server. The other kinds
+            # (a broken constraint, a wrong statement) are the caller's.
             if isinstance(error, OperationalError | InternalError) or type(error) is DatabaseError:
-                raise StoreUnavailableError(f"{self.name}: {error.orig}") from error
+                raise StoreUnavailableError(f"{self.name}: {_one_line(error.orig)}") from error
             raise
 
     def close(self) -> None:
@@ -101,106 +115,5 @@ class Database:
         self.engine.dispose()
 
 
-@contextmanager
-def _busy_timeout(connection: Connection, patience_s: float) -> Iterator[None]:
-    raw: Any = connection.connection.driver_connection
-    raw.execute(f"PRAGMA busy_timeout = {round(patience_s * 1000)}")
-    try:
-        yield
-    finally:
-        raw.execute(f"PRAGMA busy_timeout = {round(PATIENCE_S * 1000)}")
-
-
-def open_database(database_url: str, data_dir: Path) -> Database:
-    """Open the database, make it when it is new, and bring its tables up to date.
-
-    Parameters
-    ----------
-    database_url : str
-        Empty for the SQLite file of the data directory, or ``sqlite:///PATH``.
-    data_dir : pathlib.Path
-        Made when it does not exist.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be used, is not ours or is damaged; one line that names it.
-    """
-    url = _url(database_url, data_dir)
-    path = Path(url.database or "")
-    try:
-        data_dir.mkdir(parents=True, exist_ok=True)
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"data directory {error.filename}: cannot be made ({error.strerror})"
-        ) from error
-    engine = _engine(url)
-    try:
-        with engine.connect() as connection:
-            # Readers never wait for the writer; the file remembers it.
-            raw: Any = connection.connection.driver_connection
-            raw.execute("PRAGMA journal_mode = WAL")
-        if not is_current(engine):
-            upgrade(engine)
-        with engine.connect() as connection:
-            connection.execution_options(**{_WRITES: True}).begin().rollback()
-    except (DBAPIError, sqlite3.Error) as error:
-        engine.dispose()
-        cause = error.orig if isinstance(error, DBAPIError) else error
-        raise StoreError(f"store {path}: {_explained(cause)}") from error
-    except StoreError as error:
-        engine.dispose()
-        raise StoreError(f"store {path}: {error}") from error
-    return Database(engine, str(path))
-
-
-def _url(database_url: str, data_dir: Path) -> URL:
-    if not database_url:
-        return URL.create("sqlite", database=str(data_dir / FILE_NAME))
-    try:
-        url = make_url(database_url)
-    except ArgumentError:
-        raise StoreError(
-            f"service.database_url = {database_url!r}: expected empty or sqlite:///PATH"
-        ) from None
-    if url.get_backend_name() != "sqlite" or not url.database or url.database == ":memory:":
-        shown = url.render_as_string(hide_password=True)
-        raise StoreError(f"service.database_url = {shown!r}: expected empty or sqlite:///PATH")
-    return url
-
-
-def _engine(url: URL) -> Engine:
-    engine = create_engine(
-        url,
-        connect_args={"timeout": PATIENCE_S},
-        pool_size=8,
-        max_overflow=32,
-        pool_timeout=PATIENCE_S,
-    )
-
-    def prepare(connection: sqlite3.Connection, _entry: ConnectionPoolEntry) -> None:
-        # The driver's own idea of when a transaction begins is switched off: see `begin`.
-        connection.isolation_level = None
-        # A commit is on the disk when it returns: what was acknowledged outlives a power cut.
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA foreign_keys = ON")
-
-    def begin(connection: Connection) -> None:
-        writes = connection.get_execution_options().get(_WRITES, False)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-    event.listen(engine, "connect", prepare)
-    event.listen(engine, "begin", begin)
-    return engine
-
-
-def _explained(cause: BaseException | None) -> str:
-    text = str(cause)
-    if "not a database" in text:
-        return "not an SQLite database; expected a file made by bearing-twin"
-    if "unable to open" in text:
-        return "cannot be opened; expected a path that may be written"
-    if "readonly" in text:
-        return "may not be written"
-    return text
+def _one_line(error: BaseException | None) -> str:
+    return " ".join(str(error).split())

@@ -5,22 +5,13 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from operator import itemgetter
 
-from sqlalchemy import Connection, select
-from sqlalchemy.dialects.sqlite import insert as insert_or_ignore
+from sqlalchemy import Connection, insert, select
 
 from adapters.samples import Quality, Sample, is_bad, is_good
-from service.store.database import PATIENCE_S, Database
+from service.store.database import PATIENCE_S, Database, SampleColumns
 from service.store.records import StoredSample, WriteCounts
 from service.store.section import Section
 from service.store.tables import ChannelRow, SampleRow
-
-#: The first good value of a time wins; a good one replaces one that is not; the rest changes
-#: nothing and is not counted as a change.
-_WRITE = f"""
-INSERT INTO samples (channel_id, time_us, value, quality) VALUES (?, ?, ?, ?)
-ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
-WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
-"""
 
 _LONG = 2**63
 _in_time_order = itemgetter(1, 0)
@@ -67,7 +58,7 @@ class Samples(Section):
             if missing := names - ids.keys():
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
             rows = list(_rows(samples, ids))
-            stored = connection.exec_driver_sql(_WRITE, rows).rowcount
+            stored = self._database.dialect.upsert_samples(connection, rows)
         # Only now: had the transaction failed, the new channels would not be there.
         self._ids = ids
         return WriteCounts(stored, len(rows) - stored)
@@ -191,17 +182,17 @@ def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None,
 
 
 def _make_channel(connection: Connection, asset: str, name: str) -> int:
-    connection.execute(
-        insert_or_ignore(ChannelRow).values(asset=asset, name=name).on_conflict_do_nothing()
-    )
+    query = select(ChannelRow.id).where(ChannelRow.asset == asset, ChannelRow.name == name)
+    known = connection.scalar(query)
+    if known is not None:
+        return known
+    # Nobody else writes meanwhile: the connection holds the right to.
     return connection.execute(
-        select(ChannelRow.id).where(ChannelRow.asset == asset, ChannelRow.name == name)
+        insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
     ).scalar_one()
 
 
-def _rows(
-    samples: Iterable[Sample], ids: dict[tuple[str, str], int]
-) -> Iterator[tuple[int, int, float | None, int]]:
+def _rows(samples: Iterable[Sample], ids: dict[tuple[str, str], int]) -> Iterator[SampleColumns]:
     isfinite = math.isfinite
     for asset, channel, time_us, value, quality, _ in samples:
         if isfinite(value):

@@ -7,10 +7,10 @@ from typing import Self
 from service.store.access import Access
 from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
-from service.store.database import open_database
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
+from service.store.opening import open_database
 from service.store.samples import Samples
 
 
@@ -22,22 +22,28 @@ class Store(Samples, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Ac
     """
 
     @classmethod
-    def open(cls, database_url: str, data_dir: Path) -> Self:
-        """Open the store; a new one is made, an older one is brought up to date.
+    def open(cls, database_url: str, data_dir: Path, *, migrate: bool = False) -> Self:
+        """Open the store.
+
+        A new SQLite file is made, an older one is brought up to date. The tables of a PostgreSQL
+        database are only touched when that is asked for, since others may work on it.
 
         Parameters
         ----------
         database_url : str
-            Empty for the SQLite file in the data directory, or ``sqlite:///PATH``.
+            Empty for the SQLite file in the data directory, ``sqlite:///PATH``, or
+            ``postgresql://USER:PASSWORD@HOST/DATABASE``.
         data_dir : pathlib.Path
             The service's directory; made when it does not exist.
+        migrate : bool
+            Bring the tables of a PostgreSQL database up to date.
 
         Raises
         ------
         StoreError
-            If the store cannot be used; one line that names the file.
+            If the store cannot be used; one line that names it.
         """
-        return cls(open_database(database_url, data_dir))
+        return cls(open_database(database_url, data_dir, migrate=migrate))
 
     def close(self) -> None:
         """Close all connections."""

@@ -52,7 +52,7 @@ class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once."""
 
     __tablename__ = "samples"
-    __table_args__ = ({"sqlite_with_rowid": False},)
+    __table_args__ = ({"sqlite_with_rowid": False, "postgresql_partition_by": "RANGE (time_us)"},)
 
     channel_id: Mapped[int] = mapped_column(Integer, ForeignKey("channels.id"), primary_key=True)
     time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

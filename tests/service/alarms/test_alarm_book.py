@@ -20,7 +20,7 @@ from service.alarms import (
     transition_document,
 )
 from service.store import Alarm, AlarmTransition, Store
-from service.store.database import FILE_NAME
+from service.store.opening import FILE_NAME
 
 SECOND_US = 1_000_000
 START_US = 1_763_700_000 * SECOND_US

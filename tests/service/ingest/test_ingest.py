@@ -21,7 +21,7 @@ from service.ingest.metrics import SampleLedger
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.ingest.writer import QUEUE_SAMPLES, SampleWriter
 from service.store import Store, StoreUnavailableError, WriteCounts
-from service.store.database import FILE_NAME
+from service.store.opening import FILE_NAME
 
 NAN = float("nan")
 

@@ -29,7 +29,7 @@ from service.jobs.worker import JobOrder, JobResult
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.store import Job, Store
-from service.store.database import FILE_NAME
+from service.store.opening import FILE_NAME
 
 ASSET = "bench-1"
 MINUTE_US = 60_000_000

@@ -11,7 +11,7 @@ import pytest
 
 from adapters.samples import Sample
 from service.store import Store, StoreUnavailableError
-from service.store.database import FILE_NAME
+from service.store.opening import FILE_NAME
 
 WRITE_FOR_EVER = """
 import itertools, pathlib, sys
@@ -138,16 +138,16 @@ def test_a_short_write_waits_for_a_long_one(store: Store) -> None:
     assert store.load_asset_state("a") == {}
 
 
-def test_a_full_disk_is_a_state_of_the_store_and_passes(store: Store) -> None:
+def test_a_full_disk_is_a_state_of_the_store_and_passes(sqlite_store: Store) -> None:
     samples = [Sample("a", "x", t, 1.0, 192, 0) for t in range(50_000)]
 
     def limit_pages(pages: int) -> None:
-        with store._database.reading() as connection:
+        with sqlite_store._database.reading() as connection:
             connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
 
     limit_pages(40)
     with pytest.raises(StoreUnavailableError, match="full"):
-        store.write_samples(samples)
-    assert store.read_samples("a", None, 0, 2**62, 10) == []
+        sqlite_store.write_samples(samples)
+    assert sqlite_store.read_samples("a", None, 0, 2**62, 10) == []
     limit_pages(2**30)
-    assert store.write_samples(samples) == (50_000, 0)
+    assert sqlite_store.write_samples(samples) == (50_000, 0)

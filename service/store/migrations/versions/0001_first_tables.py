@@ -176,4 +176,5 @@ def upgrade() -> None:
         ),
         sa.PrimaryKeyConstraint("channel_id", "time_us", name=op.f("pk_samples")),
         sqlite_with_rowid=False,
+        postgresql_partition_by="RANGE (time_us)",
     )

@@ -1,0 +1,176 @@
+"""PostgreSQL: the same tables, with the samples in partitions of about a month."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import DBAPIError
+
+from adapters.samples import Quality
+from service.store.database import PATIENCE_S, WRITES, Database, Dialect, SampleColumns
+from service.store.errors import StoreError
+from service.store.migrations import is_current, upgrade
+
+#: Samples of one partition: 2^41 microseconds, 25.5 days. Old ones can be dropped whole.
+PARTITION_US = 2**41
+
+_CONNECT_S = 10
+_PATIENCE = "bearing_twin_patience_s"
+#: Number of the advisory lock that a writing transaction holds; any that nobody else uses.
+_WRITERS_LOCK = 0x42545772
+_INCOMING = """
+CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
+(channel_id integer, time_us bigint, value double precision, quality smallint)
+ON COMMIT DELETE ROWS
+"""
+_COPY = "COPY incoming_samples (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
+_COPIED_TYPES = ("int4", "int8", "float8", "int2")
+#: See the same statement for SQLite.
+_UPSERT = f"""
+INSERT INTO samples (channel_id, time_us, value, quality)
+SELECT channel_id, time_us, value, quality FROM incoming_samples
+ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
+"""
+
+
+def open_postgresql(url: URL, *, migrate: bool) -> Database:
+    """Connect to the database.
+
+    Parameters
+    ----------
+    url : sqlalchemy.engine.URL
+        Its address.
+    migrate : bool
+        Bring the tables up to date first; otherwise they must be.
+
+    Raises
+    ------
+    StoreError
+        If there is no connection, or the tables are not those of this version; one line.
+    """
+    name = url.render_as_string(hide_password=True)
+    engine = _engine(url)
+    try:
+        if not is_current(engine):
+            if not migrate:
+                raise StoreError(
+                    "its tables are not those of this version; run 'bearing-twin db upgrade' first"
+                )
+            upgrade(engine)
+    except DBAPIError as error:
+        engine.dispose()
+        reason = " ".join(str(error.orig).split())
+        raise StoreError(f"service.database_url = {name!r}: {reason}") from error
+    except StoreError as error:
+        engine.dispose()
+        raise StoreError(f"service.database_url = {name!r}: {error}") from error
+    partitions: set[int] = set()
+    return Database(engine, name, Dialect(partial(_upsert_samples, partitions), _with_patience))
+
+
+def _upsert_samples(
+    partitions: set[int], connection: Connection, rows: Sequence[SampleColumns]
+) -> int:
+    for number in {time_us // PARTITION_US for _, time_us, _, _ in rows} - partitions:
+        if _has_partition(connection, number):
+            partitions.add(number)
+        else:  # not remembered until it is found: this transaction may be rolled back
+            _make_partition(connection, number)
+    once, replaced = _each_once(rows)
+    twice = sum(not _is_stored(connection, key) for key in replaced)
+    cursor: Any = connection.connection.cursor()
+    try:
+        cursor.execute(_INCOMING)
+        with cursor.copy(_COPY) as copy:
+            copy.set_types(_COPIED_TYPES)
+            for row in once:
+                copy.write_row(row)
+        # Row by row, a bad value and then a good one of a new time are two changes.
+        cursor.execute(_UPSERT)
+        return int(cursor.rowcount) + twice
+    finally:
+        cursor.close()
+
+
+def _is_stored(connection: Connection, key: tuple[int, int]) -> bool:
+    query = "SELECT 1 FROM samples WHERE channel_id = %s AND time_us = %s"
+    return connection.exec_driver_sql(query, key).scalar() is not None
+
+
+def _each_once(
+    rows: Sequence[SampleColumns],
+) -> tuple[Iterable[SampleColumns], set[tuple[int, int]]]:
+    """Rows of which no two have the same key, as one statement may not touch a row twice.
+
+    Also the keys whose bad or uncertain row gave way to a good one.
+    """
+    kept: dict[tuple[int, int], SampleColumns] = {}
+    replaced = set()
+    for row in rows:
+        key = row[0], row[1]
+        before = kept.setdefault(key, row)
+        if before[3] < Quality.GOOD <= row[3]:
+            kept[key] = row
+            replaced.add(key)
+    return kept.values(), replaced
+
+
+def _has_partition(connection: Connection, number: int) -> bool:
+    query = "SELECT to_regclass(%s)"
+    return connection.exec_driver_sql(query, (f"samples_p{number}",)).scalar() is not None
+
+
+def _make_partition(connection: Connection, number: int) -> None:
+    first_us, end_us = number * PARTITION_US, (number + 1) * PARTITION_US
+    name = f"samples_p{number}"
+    connection.exec_driver_sql(
+        f"CREATE TABLE IF NOT EXISTS {name} PARTITION OF samples "
+        f"FOR VALUES FROM ({first_us}) TO ({end_us})"
+    )
+    # Samples come nearly in order of time, so a BRIN index of some pages finds any span of it.
+    connection.exec_driver_sql(
+        f"CREATE INDEX IF NOT EXISTS ix_{name}_time_us ON {name} USING brin (time_us)"
+    )
+
+
+@contextmanager
+def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
+    connection.info[_PATIENCE] = patience_s
+    yield
+
+
+def _engine(url: URL) -> Engine:
+    engine = create_engine(
+        url.set(drivername="postgresql+psycopg"),
+        connect_args={
+            "connect_timeout": _CONNECT_S,
+            "application_name": "bearing-twin",
+            # A server that vanished from the network is noticed within seconds.
+            "keepalives_idle": 5,
+            "keepalives_interval": 2,
+            "keepalives_count": 3,
+            "tcp_user_timeout": 15_000,
+        },
+        pool_size=8,
+        max_overflow=16,
+        pool_timeout=PATIENCE_S,
+        # A server that was restarted costs a new connection, not an error.
+        pool_pre_ping=True,
+    )
+
+    def begin(connection: Connection) -> None:
+        if connection.get_execution_options().get(WRITES, False):
+            patience_s = connection.info.get(_PATIENCE, PATIENCE_S)
+            connection.exec_driver_sql(f"SET LOCAL lock_timeout = {round(patience_s * 1000)}")
+            # Writers of all programs take turns, as with SQLite: what one reads before it writes
+            # is still true when it writes.
+            connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS_LOCK})")
+        else:
+            connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
+
+    event.listen(engine, "begin", begin)
+    return engine

