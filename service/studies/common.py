@@ -4,8 +4,9 @@ import json
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -186,7 +187,10 @@ def in_processes(
     results: list[Result] = []
     processes = min(len(os.sched_getaffinity(0)), len(tasks))
     context = multiprocessing.get_context("spawn")
-    with _one_thread(), context.Pool(processes, _ignore_interrupts) as pool:
+    with _one_thread(), ExitStack() as stack:
+        # Half a pool would leave processes behind that complain about its end.
+        with _signals_afterwards():
+            pool = stack.enter_context(context.Pool(processes, _ignore_interrupts))
         for result in pool.imap(function, tasks):
             results.append(result)
             progress(len(results) / len(tasks), f"{len(results)} of {len(tasks)} runs")
@@ -196,6 +200,26 @@ def in_processes(
 def _ignore_interrupts() -> None:
     """Leave Ctrl-C, which reaches all processes, to the one that started the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _signals_afterwards() -> Iterator[None]:
+    """Let requests to stop that come meanwhile take effect at the end; for the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: caught.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if caught:
+        signal.raise_signal(caught[0])
 
 
 @contextmanager
