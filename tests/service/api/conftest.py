@@ -25,6 +25,7 @@ from service.api.context import (
     ActivationRefusedError,
     IdentificationRequest,
     JobConflictError,
+    NotIdentifiedError,
     NotReadyError,
     ProfileStep,
     ServiceContext,
@@ -55,6 +56,7 @@ class MemoryTwin:
         self.channels = channels
         self.time_us = time_us
         self.ready = True
+        self.identified = True
         self.live_forecast: dict[str, Any] | None = None
         self.tags = {
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
@@ -102,6 +104,17 @@ class MemoryTwin:
             "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
             "time_to_limit": {"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
         }
+
+    async def envelope(self) -> Mapping[str, Any]:
+        if not self.ready:
+            raise NotReadyError("the twin waits for its first data")
+        return {"made_at": rfc3339(self.time_us), "labels": [], "median_s": float("inf")}
+
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+        if not self.identified:
+            raise NotIdentifiedError("no identified model yet")
+        target = {"speed_rpm": speed_rpm, "load_n": load_n, "duration_s": duration_s}
+        return {"target": target, "steps": []}
 
     async def windows(self) -> Sequence[Mapping[str, Any]]:
         hour_us = 60 * MINUTE_US

@@ -1,0 +1,194 @@
+"""Envelope and advice of a running asset: their documents, what is kept, what is not delayed."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.api.context import NotIdentifiedError, NotReadyError
+from service.api.planning import AdviceDocument, EnvelopeDocument
+from service.live.envelope import grid
+from service.live.estimate import ActiveModel
+from twin_core.identification.posterior import TrainedRange
+from twin_core.operating_points import OperatingPoint
+
+RUNNING = {
+    "speed_rpm": 4200.0,
+    "load_n": 2650.0,
+    "ambient_c": 23.0,
+    "t_inner_ring_c": 48.0,
+    "t_outer_ring_c": 40.0,
+}
+SENSORS = {"t_inner_ring_c", "t_outer_ring_c"}
+
+
+def identified(version: ActiveModel) -> ActiveModel:
+    """The version as if it had been identified from four hours at one point."""
+    points = (OperatingPoint(4200.0, 2650.0, 14400.0, 0.0),)
+    posterior = replace(
+        version.posterior,
+        covariance=0.3**2 * np.eye(version.posterior.z.size),
+        trained=TrainedRange(points, 240, True, 0.0),
+    )
+    return replace(version, posterior=posterior, identified_at_us=1)
+
+
+@pytest.fixture(autouse=True)
+def small_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole map takes a second of two processors; these tests are not about its size."""
+    monkeypatch.setattr("service.live.envelope.SPEEDS", 4)
+    monkeypatch.setattr("service.live.envelope.LOADS", 3)
+
+
+@pytest.fixture
+async def live(make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]) -> Any:
+    live = make_live(active=identified(make_version(3)))
+    live.start()
+    live.feed(RUNNING)
+    await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
+    return live
+
+
+# ---------------------------------------------------------------------------- envelope
+async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
+    document = await live.runtime.envelope()
+    shown = EnvelopeDocument.model_validate(document)
+    shape = (len(shown.load_n), len(shown.speed_rpm))
+    assert shape == (3, 4)
+    assert set(shown.sensors) == SENSORS
+    inner = shown.sensors["t_inner_ring_c"]
+    assert set(inner.limits) == {"warning", "alarm"}
+    assert inner.limits["warning"].limit_c == 70.0
+    assert shown.sensors["t_outer_ring_c"].limits == {}
+    warning = inner.limits["warning"]
+    for matrix in (
+        inner.steady_c.q025,
+        inner.steady_c.q975,
+        warning.probability,
+        warning.steady_probability,
+        warning.median_s,
+        warning.earliest_s,
+        shown.runaway.probability,
+        shown.runaway.not_excluded,
+    ):
+        assert np.shape(matrix) == shape
+    assert shown.model_version == 3
+    assert shown.labels == []
+    assert (shown.present.speed_rpm, shown.present.load_n) == (4200.0, 2650.0)
+    assert shown.low_risk.speed_rpm_max == 4300.0
+    # the corner that is never safe, and the one that always is
+    assert warning.probability[0][0] == 0.0
+    assert warning.median_s[0][0] is None
+    assert inner.steady_c.q975[-1][-1] > inner.steady_c.q975[0][0]
+
+
+async def test_envelope_is_kept_until_the_model_changes(
+    live: Any, make_version: Callable[..., ActiveModel]
+) -> None:
+    first, second = await live.runtime.envelope(), await live.runtime.envelope()
+    assert second["sensors"] is first["sensors"]
+    live.runtime.switch(identified(make_version(4, z=0.3)))
+    third = await live.runtime.envelope()
+    assert third["model_version"] == 4
+    assert third["sensors"] != first["sensors"]
+
+
+async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.live.envelope.LEAST_WALL_S", 0.0)
+    first = await live.runtime.envelope()
+    hot = RUNNING | {"t_inner_ring_c": 63.0, "t_outer_ring_c": 52.0}
+    row = live.runtime.active.model.sensor_row("t_inner_ring_c")
+    await live.until(
+        lambda: row @ live.runtime.estimate.observer.temperatures_c > 60.0, "a hot machine", hot
+    )
+    second = await live.runtime.envelope()
+    assert second["sensors"] is not first["sensors"]
+    assert second["made_at"] > first["made_at"]
+
+
+async def test_two_callers_share_one_computation(live: Any) -> None:
+    first, second = await asyncio.gather(live.runtime.envelope(), live.runtime.envelope())
+    assert first["sensors"] is second["sensors"]
+
+
+async def test_an_envelope_from_priors_says_so(
+    make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]
+) -> None:
+    live = make_live(active=make_version(1))
+    live.start()
+    await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
+    document = await live.runtime.envelope()
+    assert document["labels"] == ["not identified yet: prior parameters only"]
+    with pytest.raises(NotIdentifiedError, match="identify first"):
+        await live.runtime.advice(6200.0, 5500.0, 7200.0)
+
+
+async def test_neither_without_an_estimate(make_live: Callable[..., Any]) -> None:
+    runtime = make_live().runtime
+    with pytest.raises(NotReadyError, match="waits for the first good"):
+        await runtime.envelope()
+    with pytest.raises(NotReadyError, match="waits for the first good"):
+        await runtime.advice(6200.0, 5500.0, 7200.0)
+
+
+async def test_the_grid_reaches_beyond_region_and_plan(
+    live: Any, make_section: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = make_section()
+    monkeypatch.undo()
+    speed_rpm, load_n = grid(section, [(4200.0, 2650.0)])
+    assert (speed_rpm.size, load_n.size) == (20, 15)
+    assert speed_rpm[-1] >= 1.6 * 4300.0
+    assert load_n[-1] >= 2.2 * 3400.0
+    assert np.all(speed_rpm % 50.0 == 0.0)
+    assert np.all(load_n % 50.0 == 0.0)
+    live.plan((3600.0, 9000.0, 2650.0))
+    document = await live.runtime.envelope()
+    assert np.shape(document["runaway"]["probability"]) == (15, 20)
+    assert document["speed_rpm"][-1] >= 9900.0
+
+
+# ---------------------------------------------------------------------------- advice
+async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
+    document = await live.runtime.advice(6200.0, 5500.0, 3600.0)
+    shown = AdviceDocument.model_validate(document)
+    assert shown.model_version == 3
+    assert (shown.target.speed_rpm, shown.target.load_n) == (6200.0, 5500.0)
+    assert not shown.target.inside_low_risk
+    assert set(shown.target.sensors) == SENSORS
+    assert [step.rank for step in shown.steps] == list(range(1, len(shown.steps) + 1))
+    assert shown.steps
+    for step in shown.steps:
+        assert step.duration_s == sum(level.duration_s for level in step.levels)
+        assert all(level.speed_rpm <= 4300.0 for level in step.levels)
+        assert step.peak_c["t_inner_ring_c"] < 70.0
+    assert any("at once" in step.reason for step in shown.excluded)
+    last = shown.stop_rule.levels[-1]
+    assert (last.speed_rpm, last.load_n) == (6200.0, 5500.0)
+    assert set(last.stop_above_c) == SENSORS
+    assert len(shown.stop_rule.rules) >= 4
+    inside = await live.runtime.advice(4200.0, 3000.0, 3600.0)
+    assert inside["target"]["inside_low_risk"]
+
+
+async def test_the_event_loop_goes_on_while_they_are_computed(
+    live: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Snapshots taken meanwhile are not late by more than a switch between threads takes."""
+    await live.runtime.envelope()  # everything is compiled now
+    monkeypatch.undo()  # the whole map
+    live.runtime.switch(replace(live.runtime.active, version=5))
+    computing = asyncio.gather(live.runtime.envelope(), live.runtime.advice(6200.0, 5500.0, 3600.0))
+    late_s = []
+    while not computing.done():
+        begun = time.perf_counter()
+        await asyncio.sleep(0.002)
+        live.runtime.snapshot()
+        late_s.append(time.perf_counter() - begun)
+    await computing
+    assert len(late_s) > 20
+    assert np.median(late_s) < 0.02
