@@ -20,6 +20,7 @@ from service.alarms import AlarmBook, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ProcessClock
+from service.configuration import SettingsError
 from service.ingest import Ingest, Spool
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
@@ -29,7 +30,7 @@ from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
-from service.settings import AssetSection, Settings, SettingsError
+from service.settings import AssetSection, Settings
 from service.store import Alarm, ModelVersion, Store, lock_data_directory
 from service.wiring import Wiring, is_loopback, wire
 

@@ -4,20 +4,20 @@ Every setting can also come from the environment as ``BEARING_TWIN__SECTION__KEY
 text), which wins over the file. Errors name the key, the value and what was expected.
 """
 
-import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
+    BeforeValidator,
     Field,
     PositiveFloat,
     ValidationError,
+    ValidationInfo,
+    field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 from pydantic_settings import (
     BaseSettings,
     EnvSettingsSource,
@@ -25,22 +25,17 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-SENSOR_CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
-_CHANNEL_NAME = re.compile(
-    r"(speed_rpm|load_n|ambient_c|t_inner_ring_c|t_outer_ring_c|t_node_([1-9]|1[0-3])_c)"
-)
-LIMITED_CHANNELS = ("t_inner_ring_c", "t_outer_ring_c")
+from service.configuration import Section, SettingsError, describe, read_toml
+from service.machines.bearings import BearingSection, bearing_table, with_designation
+from service.machines.networks import BEARING_14, NetworkSection, folder_of_files, network_table
+
+OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
+RING_SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+SENSOR_CHANNELS = OPERATING_CHANNELS + RING_SENSORS
+PAPER_NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 
 
-class SettingsError(ValueError):
-    """A configuration that cannot be used; its text is one line for the user."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ServiceSection(_Section):
+class ServiceSection(Section):
     """Where the service listens and keeps its data."""
 
     host: str = "127.0.0.1"
@@ -51,20 +46,20 @@ class ServiceSection(_Section):
     spool_mib: int = Field(512, ge=1)
 
 
-class ClockSection(_Section):
+class ClockSection(Section):
     """Process seconds per wall second; above 1 only with the virtual bench."""
 
     rate: float = Field(1.0, gt=0, le=3600)
 
 
-class LowRisk(_Section):
+class LowRisk(Section):
     """The region of speed and load whose data may be used for identification."""
 
     speed_rpm_max: PositiveFloat
     load_n_max: PositiveFloat
 
 
-class Limits(_Section):
+class Limits(Section):
     """Warning and alarm temperature of one measured point, in degrees Celsius."""
 
     warning: float = Field(ge=-50, le=500)
@@ -79,13 +74,13 @@ class Limits(_Section):
         return self
 
 
-class IdentificationSection(_Section):
+class IdentificationSection(Section):
     """How far the twin may go by itself: observe, suggest or apply (activate)."""
 
     ladder: Literal["observe", "suggest", "apply"] = "apply"
 
 
-class ControllerSection(_Section):
+class ControllerSection(Section):
     """Channels of the bench controller; each is checked by the driver of its source."""
 
     phase: dict[str, Any] | None = None
@@ -94,39 +89,86 @@ class ControllerSection(_Section):
     plan: dict[str, Any] | None = None
 
 
-def _channel_name(name: str) -> str:
-    if not _CHANNEL_NAME.fullmatch(name):
-        raise ValueError(
-            f"unknown channel; expected one of {', '.join(SENSOR_CHANNELS)}, "
-            "t_node_1_c to t_node_13_c"
-        )
+def _channel_name(name: str, info: ValidationInfo) -> str:
+    known = _temperatures(info.data)
+    if known is not None and name not in (*OPERATING_CHANNELS, *known):
+        raise ValueError(f"unknown channel; expected one of {_listed(info.data)}")
     return name
 
 
-def _limited(name: str) -> str:
-    if name not in LIMITED_CHANNELS and not re.fullmatch(r"t_node_([1-9]|1[0-3])_c", name):
-        raise ValueError("limits belong to a temperature such as t_inner_ring_c")
+def _limited(name: str, info: ValidationInfo) -> str:
+    known = _temperatures(info.data)
+    if known is not None and name not in known:
+        raise ValueError(f"limits belong to a temperature such as {known[0]}")
     return name
 
 
-class AssetSection(_Section):
-    """One bearing on a bench or in a motor."""
+def _temperatures(asset: dict[str, Any]) -> tuple[str, ...] | None:
+    """What may be measured on an asset; None with a network that has an error of its own."""
+    if "network" not in asset:
+        return None
+    network = asset["network"]
+    return RING_SENSORS + PAPER_NODES if network is None else network.temperature_names
 
-    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
-    bearing: str
-    network: Literal["bearing-14"] = "bearing-14"
-    model: Literal["default", "paper"] = "default"
-    low_risk: LowRisk
-    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = {
+
+def _listed(asset: dict[str, Any]) -> str:
+    if asset.get("network") is None:
+        return f"{', '.join(SENSOR_CHANNELS)}, {PAPER_NODES[0]} to {PAPER_NODES[-1]}"
+    return ", ".join((*OPERATING_CHANNELS, *(_temperatures(asset) or ())))
+
+
+def _default_limits(asset: dict[str, Any]) -> dict[str, Limits]:
+    """Limits of a bearing's rings; what a network of one's own bears only its user knows."""
+    if asset.get("network") is not None:
+        return {}
+    return {
         "t_inner_ring_c": Limits(warning=90, alarm=105),
         "t_outer_ring_c": Limits(warning=80, alarm=95),
     }
+
+
+class AssetSection(Section):
+    """One bearing on a bench or in a motor."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    network: Annotated[NetworkSection | None, BeforeValidator(network_table)] = None
+    bearing: Annotated[BearingSection | None, BeforeValidator(bearing_table)] = Field(
+        None, validate_default=True
+    )
+    model: Literal["default", "paper"] = "default"
+    low_risk: LowRisk
+    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(
+        default_factory=_default_limits
+    )
     channels: dict[Annotated[str, AfterValidator(_channel_name)], dict[str, Any]]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
 
+    @field_validator("bearing")
+    @classmethod
+    def _bearing_or_network(
+        cls, bearing: BearingSection | None, info: ValidationInfo
+    ) -> BearingSection | None:
+        # A network that is wrong is not in the data: its own error says so.
+        network = info.data.get("network", ...)
+        if bearing is None and network is None:
+            raise PydanticCustomError("missing", "Field required")
+        if bearing is not None and network not in (None, ...):
+            raise ValueError("expected no bearing beside a network of your own, or no network")
+        return bearing
 
-class SecuritySection(_Section):
+    @property
+    def network_name(self) -> str:
+        """Name of the asset's network."""
+        return BEARING_14 if self.network is None else self.network.name
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """The standard sensors of the asset's network."""
+        return RING_SENSORS if self.network is None else tuple(self.network.sensors)
+
+
+class SecuritySection(Section):
     """Who may read the metrics without a key (loopback always may)."""
 
     allow_unauthenticated_metrics: bool = False
@@ -142,6 +184,7 @@ class Settings(BaseSettings):
     service: ServiceSection = ServiceSection()
     clock: ClockSection = ClockSection()
     security: SecuritySection = SecuritySection()
+    bearings: dict[str, BearingSection] = {}
     sources: tuple[dict[str, Any], ...] = ()
     assets: tuple[AssetSection, ...] = ()
     base_dir: Path = Field(Path(), exclude=True)
@@ -157,6 +200,26 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Let the environment win over the file."""
         return EnvSettingsSource(settings_cls), init_settings
+
+    @model_validator(mode="before")
+    @classmethod
+    def _put_bearings_in(cls, given: Any) -> Any:
+        """Put the bearings of the configuration where assets name them."""
+        bearings, assets = given.get("bearings"), given.get("assets")
+        if not isinstance(bearings, dict) or not isinstance(assets, list | tuple):
+            return given
+        known = {name: with_designation(table, name) for name, table in bearings.items()}
+        return given | {
+            "bearings": known,
+            "assets": [
+                asset | {"bearing": known[asset["bearing"]]}
+                if isinstance(asset, dict)
+                and isinstance(asset.get("bearing"), str)
+                and asset["bearing"] in known
+                else asset
+                for asset in assets
+            ],
+        }
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Self:
@@ -179,25 +242,6 @@ class Settings(BaseSettings):
         return self.path(self.service.data_dir)
 
 
-def describe(error: ValidationError, prefix: str = "") -> str:
-    """Say in one line which key of a configuration is wrong, its value and what was expected."""
-    first = error.errors()[0]
-    key = prefix
-    for part in first["loc"]:
-        if part == "[key]":
-            continue
-        key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
-    message = first["msg"].removeprefix("Value error, ")
-    given = first.get("input")
-    shown = "" if isinstance(given, dict | list | BaseModel) else f" = {given!r}"
-    if first["type"] == "missing":
-        shown, message = "", "missing; expected a value"
-    if first["type"] == "extra_forbidden":
-        message = "unknown key"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{key}{shown}: {message}{more}" if key else f"{message}{more}"
-
-
 def load_settings(file: Path | None) -> Settings:
     """Read a configuration file and the environment.
 
@@ -211,20 +255,15 @@ def load_settings(file: Path | None) -> Settings:
     SettingsError
         If the file cannot be read or a key is wrong; one line that names the key.
     """
-    document: dict[str, Any] = {}
-    base_dir = Path()
-    if file is not None:
-        try:
-            document = tomllib.loads(file.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise SettingsError(f"{file}: cannot be read ({error.strerror})") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise SettingsError(f"{file}: not valid TOML ({error})") from error
-        base_dir = file.parent
+    document = {} if file is None else read_toml(file)
+    base_dir = Path() if file is None else file.parent
     where = f"{file}: " if file else ""
+    folder = folder_of_files.set(base_dir)
     try:
         return Settings(**document, base_dir=base_dir)
     except ValidationError as error:
         raise SettingsError(where + describe(error)) from error
     except TypeError as error:
         raise SettingsError(f"{where}{error}") from error
+    finally:
+        folder_of_files.reset(folder)

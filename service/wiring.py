@@ -18,8 +18,8 @@ from adapters.drivers import (
     PlanBinding,
     UnknownDriverError,
 )
-from service.settings import AssetSection, Settings, SettingsError, describe
-from twin_core.bearings import UnknownBearingError, bearing
+from service.configuration import SettingsError, describe
+from service.settings import AssetSection, Settings
 
 PUSH = "push"
 CONTROLLER_CHANNELS = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
@@ -69,7 +69,7 @@ def wire(settings: Settings) -> Wiring:
         return _wire(settings)
     except SettingsError:
         raise
-    except (ConfigurationError, UnknownBearingError) as error:
+    except ConfigurationError as error:
         raise SettingsError(str(error)) from error
 
 
@@ -77,10 +77,6 @@ def _wire(settings: Settings) -> Wiring:
     sources = dict(_sources(settings))
     facts: dict[str, dict[str, ChannelFacts]] = {}
     for number, asset in enumerate(settings.assets):
-        try:
-            bearing(asset.bearing)
-        except UnknownBearingError as error:
-            raise SettingsError(f"assets[{number}].bearing: {error}") from error
         facts[asset.id] = {}
         for channel, table, key in _channels(asset, f"assets[{number}]"):
             source_name = _source_name(table, sources, key)

@@ -60,7 +60,9 @@ class AssetDocument(_Answer):
     """Configuration, health and active model of an asset."""
 
     id: str = Field(examples=["bench-1"])
-    bearing: str = Field(examples=["6311"])
+    bearing: str | None = Field(
+        description="Null where a network of one's own describes the machine.", examples=["6311"]
+    )
     network: str = Field(examples=["bearing-14"])
     low_risk: LowRisk
     limits: dict[str, Limits]

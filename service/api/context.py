@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from prometheus_client import CollectorRegistry
 from pydantic import (
-    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
     Field,
     Tag,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
 
@@ -41,16 +39,15 @@ class RequestBody(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def _known_node(name: str) -> str:
-    if name not in SENSORS + NODES:
-        raise ValueError(f"expected one of {', '.join(SENSORS)}, {NODES[0]} to {NODES[-1]}")
-    return name
-
-
 NodeName = Annotated[
     str,
-    AfterValidator(_known_node),
-    WithJsonSchema({"type": "string", "enum": [*SENSORS, *NODES]}),
+    Field(
+        pattern=r"^t_[a-z0-9_]+_c$",
+        max_length=100,
+        description=f"{', '.join(SENSORS)}, {NODES[0]} to {NODES[-1]}, or a sensor or node of the "
+        "asset's own network.",
+        examples=["t_inner_ring_c"],
+    ),
 ]
 
 
@@ -222,6 +219,10 @@ class AssetTwin(Protocol):
 
         ``push`` for a pushed one, ``twin`` for the stored estimates of the service.
         """
+
+    @property
+    def temperature_names(self) -> Sequence[str]:
+        """Sensors and nodes that a forecast can be asked for."""
 
     def summary(self) -> Mapping[str, Any]:
         """Return configuration, health and active model, as `GET /assets/{id}` shows them."""

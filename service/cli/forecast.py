@@ -65,7 +65,8 @@ def forecast(
         began = time.monotonic()
         try:
             if history is not None:
-                present = follow(identified, read_recording(history))
+                names = identified.machine.temperature_names
+                present = follow(identified, read_recording(history, names))
             else:
                 present = cold(identified, initial_temperature_c or 0.0)
         except FollowError as error:

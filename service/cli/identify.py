@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,8 +14,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from service.cli.errors import BadInputError
+from service.machines.bearings import BearingSection, named_bearing
+from service.machines.networks import NetworkSection
 from service.offline.interruption import exit_on_signals
 from service.settings import load_settings
+from twin_core.bearings import UnknownBearingError
 
 if TYPE_CHECKING:
     from service.offline.identification import Identified
@@ -28,10 +31,16 @@ def identify(
     ],
     out: Annotated[Path, typer.Option(metavar="MODEL.json", help="Where the model goes.")],
     bearing: Annotated[
-        str | None, typer.Option(help="Designation, such as 6311; or by --config and --asset.")
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.toml",
+            help="Designation such as 6311, a bearing of --config, or a file with dimensions; or "
+            "by --asset.",
+        ),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Take bearing and model from this file.")
+        Path | None,
+        typer.Option("--config", "-c", help="Take bearing, network and model from this file."),
     ] = None,
     asset: Annotated[str | None, typer.Option(help="Asset of the configuration.")] = None,
     method: Annotated[str, typer.Option(help="noa+refine, noa or refine.")] = "noa+refine",
@@ -55,11 +64,13 @@ def identify(
 
     Columns: time (RFC 3339) or time_s, speed_rpm, load_n, ambient_c, t_inner_ring_c,
     t_outer_ring_c and any t_node_N_c; an empty cell is a missing value. A row's operating point
-    holds until the next row.
+    holds until the next row. For an asset with a network of its own the temperatures are those of
+    its sensors and nodes.
     """
-    designation, model_name = _machine(bearing, config, asset)
+    chosen_machine = _machine(bearing, config, asset)
     with exit_on_signals():
         # Imported here: the compiled twin takes a second to load, which --help should not pay.
+        from service.machines.machine import Machine
         from service.offline.identification import (
             FailedFitError,
             check_options,
@@ -69,14 +80,14 @@ def identify(
 
         chosen, evaluations = check_options(method, budget, seed)
         check_writable(out)
-        recording = read_recording(data)
+        machine = Machine(*chosen_machine)
+        recording = read_recording(data, machine.temperature_names)
         began = time.monotonic()
         try:
             with _progress_bar() as tell:
                 found = identify_recording(
                     recording,
-                    designation=designation,
-                    model_name=model_name,
+                    machine=machine,
                     method=chosen,
                     budget=evaluations,
                     seed=seed,
@@ -95,27 +106,41 @@ def identify(
         _print(found, seconds, out)
 
 
-def _machine(bearing: str | None, config: Path | None, asset: str | None) -> tuple[str, str]:
-    """Bearing and model, from the option or from a configuration's asset."""
+def _machine(
+    bearing: str | None, config: Path | None, asset: str | None
+) -> tuple[str, BearingSection | None, NetworkSection | None]:
+    """Model, bearing and network, from the option or from a configuration's asset."""
     if config is None:
         if asset is not None:
             raise BadInputError(f"--asset {asset!r} without --config: expected both or none")
         if bearing is None:
             raise BadInputError("--bearing is missing; expected it, or --config and --asset")
-        return bearing, "default"
-    known = load_settings(config).assets
-    ids = ", ".join(section.id for section in known) or "none in this file"
+        return "default", _named(bearing, {}), None
+    settings = load_settings(config)
+    ids = ", ".join(section.id for section in settings.assets) or "none in this file"
     if asset is None:
-        raise BadInputError(f"--config without --asset: expected one of its assets ({ids})")
-    for section in known:
+        if bearing is None:
+            raise BadInputError(
+                f"--config without --asset: expected one of its assets ({ids}), or --bearing"
+            )
+        return "default", _named(bearing, settings.bearings), None
+    for section in settings.assets:
         if section.id == asset:
-            if bearing not in (None, section.bearing):
+            known = section.bearing and section.bearing.name
+            if bearing not in (None, known):
                 raise BadInputError(
-                    f"--bearing {bearing!r}: expected {section.bearing!r}, the bearing of asset "
-                    f"{asset!r} in {config}, or no --bearing"
+                    f"--bearing {bearing!r}: expected {known!r}, the bearing of asset {asset!r} in "
+                    f"{config}, or no --bearing"
                 )
-            return section.bearing, section.model
+            return section.model, section.bearing, section.network
     raise BadInputError(f"--asset {asset!r}: expected one of the assets of {config} ({ids})")
+
+
+def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
+    try:
+        return named_bearing(bearing, known)
+    except UnknownBearingError as error:
+        raise BadInputError(f"--bearing: {error}") from error
 
 
 @contextmanager

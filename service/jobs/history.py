@@ -51,6 +51,7 @@ class AssetHistory:
         self._asset = settings.id
         self._region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
         self._temperatures = tuple(name for name in settings.channels if name.startswith("t_"))
+        self._sensors = settings.sensor_names
         self._has_ambient = "ambient_c" in settings.channels
         self._store = store
         self._clock = clock
@@ -180,11 +181,11 @@ class AssetHistory:
             for name in OPERATING_CHANNELS
         ) + sum(
             _spread(time_us, around_us, around.bad_count[name].astype(np.float64))
-            for name in ("t_inner_ring_c", "t_outer_ring_c")
+            for name in self._sensors
             if name in temperatures
         )
         finite = np.isfinite(bad) & np.isfinite(sum(operating.values()))
-        for name in ("t_inner_ring_c", "t_outer_ring_c"):
+        for name in self._sensors:
             if name in temperatures:
                 finite &= np.isfinite(temperatures[name])
         return MinuteData(

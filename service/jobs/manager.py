@@ -28,7 +28,7 @@ from service.clock import rfc3339
 from service.jobs.activation import Activations
 from service.jobs.documents import job_json
 from service.jobs.history import AssetHistory
-from service.jobs.models import identified_document
+from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
@@ -290,8 +290,7 @@ class IdentificationJobs:
         data = await history.identification_data(spans)
         order = JobOrder(
             folder=folder,
-            model_name=asset.settings.model,
-            bearing=asset.settings.bearing,
+            machine=machine_of(asset.settings),
             data=data,
             active=asset.active.posterior.to_dict(),
             method=job.request["method"],

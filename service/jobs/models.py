@@ -5,24 +5,30 @@ from typing import Any
 from service.clock import rfc3339
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
+from service.machines.machine import Machine
 from service.settings import AssetSection
 from service.store.records import Job, ModelVersion
-from twin_core.bearings import bearing
 from twin_core.identification.posterior import Posterior, prior_posterior
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 
 
-def thermal_model(name: str, bearing_designation: str) -> ThermalModel:
-    """Build the model of a bearing by name."""
-    return build_model(name, bearing=bearing(bearing_designation))
+def machine_of(asset: AssetSection) -> Machine:
+    """Return what an asset's model is built of."""
+    return Machine(asset.model, asset.bearing, asset.network)
+
+
+def thermal_model(asset: AssetSection) -> ThermalModel:
+    """Build the model that an asset is configured to run."""
+    return machine_of(asset).build()
 
 
 def first_model(asset: AssetSection) -> dict[str, Any]:
     """Document of the twin before any identification: the priors themselves."""
-    model = thermal_model(asset.model, asset.bearing)
+    model = thermal_model(asset)
     posterior = prior_posterior(model)
     return {
         "model": model.name,
+        "machine": machine_of(asset).to_dict(),
         "posterior": posterior.to_dict(),
         "parameters": posterior.parameters(model),
         "windows": [],
@@ -36,10 +42,11 @@ def first_model(asset: AssetSection) -> dict[str, Any]:
 
 def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dict[str, Any]:
     """Document of a model that a job brought."""
-    model = thermal_model(asset.model, asset.bearing)
+    model = thermal_model(asset)
     posterior = Posterior.from_dict(result.posterior)
     return {
         "model": model.name,
+        "machine": machine_of(asset).to_dict(),
         "posterior": result.posterior,
         "parameters": posterior.parameters(model),
         "windows": [
@@ -59,7 +66,7 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
     posterior = Posterior.from_dict(version.document["posterior"])
     return ActiveModel(
         version=version.version,
-        model=thermal_model(posterior.model_name, asset.bearing),
+        model=thermal_model(asset),
         posterior=posterior,
         identified_at_us=version.created_at_us if posterior.identified else None,
     )
@@ -68,12 +75,17 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
 def why_not_of_this_asset(asset: AssetSection, version: ModelVersion) -> str | None:
     """Say why a stored version cannot run the asset as it is configured now; None when it can.
 
-    The bearing or the model may have been changed in the configuration, or the model may have got
-    other parameters with a newer version of this software.
+    The bearing, the network or the model may have been changed in the configuration, or the model
+    may have got other parameters with a newer version of this software.
     """
     try:
         posterior = Posterior.from_dict(version.document["posterior"])
-        posterior.check(thermal_model(asset.model, asset.bearing))
+        posterior.check(thermal_model(asset))
+        machine = machine_of(asset)
+        # Versions of older releases carry no machine: they had no bearings but the catalogue's.
+        built = version.document.get("machine", machine.to_dict())
+        if built != machine.to_dict():
+            return f"the dimensions or the network of {machine.name!r} have been changed since"
     except (KeyError, TypeError, ValueError) as error:
         return f"{error}" if isinstance(error, ValueError) else f"not readable ({error!r})"
     return None

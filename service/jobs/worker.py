@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from service.jobs.workspace import JobFolder, Progress
-from twin_core.bearings import bearing
+from service.machines.machine import Machine
 from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.gates import judge
@@ -20,7 +20,7 @@ from twin_core.identification.identify import (
 from twin_core.identification.identify import Progress as FitProgress
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.refinement import IdentificationCancelled
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.windows import window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
@@ -36,8 +36,8 @@ class JobOrder:
     ----------
     folder : JobFolder
         Where progress and checkpoints go and the mark to stop appears.
-    model_name, bearing : str
-        Which model to identify.
+    machine : Machine
+        What the model to identify is built of.
     data : IdentificationData
         Low-risk windows.
     active : dict
@@ -51,8 +51,7 @@ class JobOrder:
     """
 
     folder: JobFolder
-    model_name: str
-    bearing: str
+    machine: Machine
     data: IdentificationData
     active: dict[str, Any]
     method: Method
@@ -82,7 +81,7 @@ def run_identification(order: JobOrder) -> JobResult:
 
     Goes on from the checkpoint that a worker left which was killed with the same order.
     """
-    model = build_model(order.model_name, bearing=bearing(order.bearing))
+    model = order.machine.build()
     try:
         try:
             fit = _fit(order, model, order.folder.read_checkpoint())

@@ -44,7 +44,6 @@ FORECAST_LEAST_WALL_S = 1.0
 MEASUREMENTS_LEAST_WALL_S = 0.25
 STATE_LEAST_WALL_S = 0.5
 TWIN_SOURCE = "twin"
-SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
 
 _log = structlog.get_logger(__name__)
 
@@ -135,7 +134,14 @@ class AssetRuntime:
     def channels(self) -> Mapping[str, str]:
         """Every channel with the name of its source."""
         configured = {channel: facts.source for channel, facts in self.facts.items()}
-        return configured | {f"{sensor}.twin": TWIN_SOURCE for sensor in SENSORS}
+        sensors = self.active.model.sensor_names
+        return configured | {f"{sensor}.twin": TWIN_SOURCE for sensor in sensors}
+
+    @property
+    def temperature_names(self) -> tuple[str, ...]:
+        """Sensors and nodes of the model."""
+        model = self.active.model
+        return tuple(dict.fromkeys((*model.sensor_names, *model.node_names)))
 
     def summary(self) -> Mapping[str, Any]:
         """Configuration, health and active model."""
@@ -145,8 +151,8 @@ class AssetRuntime:
         identified_at_us = self.active.identified_at_us
         return {
             "id": self.id,
-            "bearing": self.settings.bearing,
-            "network": self.settings.network,
+            "bearing": self.settings.bearing and self.settings.bearing.name,
+            "network": self.settings.network_name,
             "clock_rate": self._clock.rate,
             "low_risk": self.settings.low_risk.model_dump(),
             "limits": {name: pair.model_dump() for name, pair in self.settings.limits.items()},
@@ -209,7 +215,7 @@ class AssetRuntime:
         return {"tags": tags}
 
     def state(self) -> Mapping[str, Any]:
-        """Mean and standard deviation of the 13 node temperatures."""
+        """Mean and standard deviation of the node temperatures."""
         return presentation.state_json(self.estimate, self._clock.now_us())
 
     def forecast(self) -> Mapping[str, Any] | None:
@@ -435,7 +441,7 @@ class AssetRuntime:
                     Quality.GOOD,
                     now_us,
                 )
-                for sensor in SENSORS
+                for sensor in model.sensor_names
             ]
         )
 

@@ -6,10 +6,10 @@ from typing import Any, get_args
 
 import numpy as np
 
+from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, minute_rows, revolutions_at
 from service.offline.tables import Recording
-from twin_core.bearings import bearing
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
     DEFAULT_BUDGET,
@@ -21,7 +21,6 @@ from twin_core.identification import (
 )
 from twin_core.identification.identify import Method
 from twin_core.identification.problem import IdentificationProblem
-from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -109,8 +108,7 @@ def check_options(method: str, budget: int | None, seed: int) -> tuple[Method, i
 def identify_recording(
     recording: Recording,
     *,
-    designation: str,
-    model_name: str = "default",
+    machine: Machine,
     method: Method = "noa+refine",
     budget: int = DEFAULT_BUDGET,
     seed: int = 0,
@@ -123,8 +121,8 @@ def identify_recording(
     ----------
     recording
         Low-risk data.
-    designation, model_name
-        Bearing and model.
+    machine
+        What the model is built of.
     method, budget, seed
         See `twin_core.identification.identify`.
     at_rest
@@ -140,10 +138,8 @@ def identify_recording(
         If the data hold too little, or contradict ``at_rest``.
     FailedFitError
         If the model does not follow the data.
-    UnknownBearingError
-        If the bearing is not known.
     """
-    model = build_model(model_name, bearing=bearing(designation))
+    model = machine.build()
     minutes = minute_rows(recording)
     data = data_set(recording, minutes, at_rest)
     try:
@@ -155,7 +151,9 @@ def identify_recording(
         raise FailedFitError(f"{recording.name}: failed fit: {result.reason}")
     rms_by_sensor = dict(result.posterior.train_rms_k)
     return Identified(
-        model=IdentifiedModel(model, result.posterior, RunIn.of(recording, minutes, at_rest)),
+        model=IdentifiedModel(
+            machine, model, result.posterior, RunIn.of(recording, minutes, at_rest)
+        ),
         parameters=result.posterior.parameters(model),
         rms_k=_total_rms(IdentificationProblem(model, data), result),
         rms_by_sensor_k=rms_by_sensor,

@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from pydantic import ValidationError
 
+from service.configuration import describe
+from service.machines.bearings import named_bearing
+from service.machines.machine import Machine
 from service.offline.rows import revolutions_at
 from service.offline.tables import FloatArray, Recording, replacing
-from twin_core.bearings import bearing
 from twin_core.identification.posterior import Posterior
-from twin_core.models import ThermalModel, build_model
+from twin_core.models import ThermalModel
 from twin_core.windows import MinuteData
 
 FORMAT = "bearing-twin model"
@@ -153,8 +156,9 @@ class RunIn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedModel:
-    """A model with its posterior and the run-in of the grease over the data."""
+    """A model, what it is built of, its posterior and the run-in of the grease over the data."""
 
+    machine: Machine
     model: ThermalModel
     posterior: Posterior
     run_in: RunIn
@@ -177,6 +181,7 @@ class IdentifiedModel:
             "format_version": FORMAT_VERSION,
             "model": self.model.name,
             "bearing": self.model.machine,
+            "machine": self.machine.to_dict(),
             "posterior": self.posterior.to_dict(),
             "run_in": self.run_in.to_dict(),
         }
@@ -209,10 +214,20 @@ class IdentifiedModel:
             )
         try:
             posterior = Posterior.from_dict(document["posterior"])
-            model = build_model(document["model"], bearing=bearing(document["bearing"]))
+            machine = _machine(document)
+            model = machine.build()
             posterior.check(model)
-            return cls(model, posterior, RunIn.from_dict(document["run_in"]))
+            return cls(machine, model, posterior, RunIn.from_dict(document["run_in"]))
         except (KeyError, TypeError, AttributeError) as error:
             raise ModelFileError(f"{path}: damaged model file ({error!r})") from error
+        except ValidationError as error:
+            raise ModelFileError(f"{path}: {describe(error, 'machine')}") from error
         except ValueError as error:
             raise ModelFileError(f"{path}: {error}") from error
+
+
+def _machine(document: dict[str, Any]) -> Machine:
+    """The machine of a model file; older files name a bearing of the catalogue and nothing else."""
+    if "machine" in document:
+        return Machine.from_dict(document["machine"])
+    return Machine(document["model"], named_bearing(document["bearing"], {}), None)

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 OPERATING_COLUMNS = ("speed_rpm", "load_n", "ambient_c")
 RING_COLUMNS = ("t_inner_ring_c", "t_outer_ring_c")
 _NODE_COLUMN = re.compile(r"t_node_([1-9]|1[0-3])_c")
-_DATA_HEADER = f"{', '.join(OPERATING_COLUMNS + RING_COLUMNS)} and t_node_1_c to t_node_13_c"
+_RING_HEADER = f"{', '.join(OPERATING_COLUMNS + RING_COLUMNS)} and t_node_1_c to t_node_13_c"
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _TEMPERATURE_RANGE = (-60.0, 400.0)
@@ -71,28 +71,38 @@ class PlannedRows:
     ambient_c: FloatArray
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, temperatures: Sequence[str] | None = None) -> Recording:
     """Read recorded data: ``time`` (RFC 3339) or ``time_s``, operating point, temperatures.
+
+    Parameters
+    ----------
+    path
+        The file.
+    temperatures
+        Columns of temperatures there may be, at least one of them; by default both rings, which
+        there must be, and the nodes of the 14-node network.
 
     Raises
     ------
     TableError
         If the file cannot be read or used.
     """
+    expected = _RING_HEADER
+    if temperatures is not None:
+        expected = f"{', '.join(OPERATING_COLUMNS)} and some of {', '.join(temperatures)}"
     with _opened(path) as file:
         table = _Table(path.name, file)
         clocks = [name for name in ("time", "time_s") if name in table.names]
         if len(clocks) != 1:
             found = "both time and time_s" if clocks else "missing column time or time_s"
-            raise table.error(1, f"{found}; expected one of the two, then {_DATA_HEADER}")
+            raise table.error(1, f"{found}; expected one of the two, then {expected}")
         for name in table.names:
-            if name not in (clocks[0], *OPERATING_COLUMNS, *RING_COLUMNS) and not (
-                _NODE_COLUMN.fullmatch(name)
-            ):
-                raise table.error(
-                    1, f"unknown column {name!r}; expected {clocks[0]}, {_DATA_HEADER}"
-                )
-        table.require((*OPERATING_COLUMNS, *RING_COLUMNS), f"{clocks[0]}, {_DATA_HEADER}")
+            if name not in (clocks[0], *OPERATING_COLUMNS) and not _is_known(name, temperatures):
+                raise table.error(1, f"unknown column {name!r}; expected {clocks[0]}, {expected}")
+        required = RING_COLUMNS if temperatures is None else ()
+        table.require((*OPERATING_COLUMNS, *required), f"{clocks[0]}, {expected}")
+        if temperatures is not None and not set(temperatures) & set(table.names):
+            raise table.error(1, f"no column with a temperature; expected {clocks[0]}, {expected}")
         columns = table.read(clocks[0], may_be_empty=True)
     start_us = None
     time_s = columns.pop(clocks[0])
@@ -100,6 +110,13 @@ def read_recording(path: Path) -> Recording:
         start_us, time_s = table.start_us, time_s - time_s[0]
     speed_rpm, load_n, ambient_c = (columns.pop(name) for name in OPERATING_COLUMNS)
     return Recording(path.name, start_us, time_s, speed_rpm, load_n, ambient_c, columns)
+
+
+def _is_known(name: str, temperatures: Sequence[str] | None) -> bool:
+    """Whether a temperature may have this name."""
+    if temperatures is not None:
+        return name in temperatures
+    return name in RING_COLUMNS or _NODE_COLUMN.fullmatch(name) is not None
 
 
 def read_profile(path: Path) -> PlannedRows:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from service.settings import SettingsError, load_settings
+from service.configuration import SettingsError
+from service.settings import load_settings
 from service.wiring import wire
 
 DBC = """\

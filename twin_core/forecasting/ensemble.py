@@ -202,15 +202,17 @@ def forecast(
     nodes = temperatures + _deviation(
         rng, members, profile.time_s, temperatures.shape[2], model.errors
     )
+    # What a sensor of the same name will read stands for the node as well.
+    others = [k for k, name in enumerate(model.node_names) if name not in sensors]
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
-    quantiles = _quantiles(np.concatenate((noisy, nodes), axis=2))
+    quantiles = _quantiles(np.concatenate((noisy, nodes[:, :, others]), axis=2))
     runaway = failed | np.any(readings > RUNAWAY_C, axis=(1, 2))
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
     return Forecast(
         time_s=profile.time_s,
-        names=(*sensors, *model.node_names),
+        names=(*sensors, *(model.node_names[k] for k in others)),
         quantiles=quantiles,
         members_c=readings,
         sensors=sensors,

@@ -5,7 +5,7 @@ from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.bodies import LiveForecast, WhatIf
-from service.api.context import ForecastRequest
+from service.api.context import ForecastRequest, RequestRefusedError
 from service.api.deps import Asset, json_response
 from service.api.problems import Problem
 from service.security.roles import OPERATOR, VIEWER
@@ -35,5 +35,12 @@ async def get_forecast(asset: Asset) -> Response:
 )
 async def post_forecast(asset: Asset, request: ForecastRequest) -> Response:
     """Answer at once; nothing is kept and nothing is commanded."""
+    for number, name in enumerate(request.nodes or ()):
+        if name not in asset.temperature_names:
+            raise RequestRefusedError(
+                f"/nodes/{number}",
+                f"{name!r} is no sensor or node of this asset, expected one of "
+                f"{', '.join(asset.temperature_names)}",
+            )
     answer = await asset.what_if(request.profile, request.step_s, request.nodes)
     return json_response(answer)

@@ -53,6 +53,7 @@ class MemoryTwin:
     def __init__(self, asset_id: str, channels: Mapping[str, str], time_us: int) -> None:
         self.id = asset_id
         self.running = True
+        self.temperature_names = SENSORS + NODES
         self.channels = channels
         self.time_us = time_us
         self.ready = True

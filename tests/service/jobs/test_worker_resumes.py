@@ -16,6 +16,8 @@ import pytest
 from service.jobs.history import AssetHistory
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder
+from service.machines.bearings import named_bearing
+from service.machines.machine import Machine
 from service.store import Store
 from twin_core.bearings import bearing
 from twin_core.identification.identify import identify
@@ -41,8 +43,7 @@ def order(
     folder.make()
     return JobOrder(
         folder=folder,
-        model_name="default",
-        bearing="6311",
+        machine=Machine("default", named_bearing("6311", {}), None),
         data=data,
         active=prior_posterior(build_model("default", bearing=bearing("6311"))).to_dict(),
         method="noa",
@@ -110,7 +111,7 @@ def _checkpoint_of(order: JobOrder) -> dict[str, Any]:
     """The last checkpoint of an order's identification."""
     kept: list[dict[str, Any]] = []
     identify(
-        build_model(order.model_name, bearing=bearing(order.bearing)),
+        order.machine.build(),
         order.data,
         method=order.method,
         budget=order.budget or 0,

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
 from service.cli.main import app
+from service.machines.bearings import named_bearing
+from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, RunIn
-from twin_core.bearings import bearing
 from twin_core.identification import prior_posterior
-from twin_core.models import build_model
 
 from .files import HEADER, STEPS, Run
 
@@ -35,11 +35,12 @@ def run() -> Run:
 @pytest.fixture
 def prior_model(tmp_path: Path) -> Path:
     """A model file with prior parameters, as if identified from six hours at rest."""
-    model = build_model("default", bearing=bearing("6311"))
+    machine = Machine("default", named_bearing("6311", {}), None)
+    model = machine.build()
     time_s = np.array([0.0, 21600.0])
     run_in = RunIn(None, True, time_s, np.array([0.0, 540_000.0]), {})
     path = tmp_path / "prior.json"
-    IdentifiedModel(model, prior_posterior(model), run_in).save(path)
+    IdentifiedModel(machine, model, prior_posterior(model), run_in).save(path)
     return path
 
 

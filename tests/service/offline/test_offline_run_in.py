@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,20 +84,42 @@ def test_a_model_file_comes_back_as_it_was(prior_model: Path, tmp_path: Path) ->
     [
         ({"format_version": 2}, "format_version = 2: expected 1"),
         ({"format": "else"}, "not a model file; expected what 'bearing-twin identify' wrote"),
-        ({"bearing": "6999"}, "unknown bearing '6999', expected one of"),
-        ({"model": "paper"}, "does not belong to model 'paper'"),
+        ({"machine": {"model": "paper"}}, "does not belong to model 'paper'"),
+        ({"machine": {"model": "thick"}}, "unknown model 'thick', expected one of"),
+        ({"machine": {"bearing": {"bore_mm": 0}}}, "machine.bore_mm = 0: "),
+        ({"machine": {"bearing": None}}, "bearing: missing; expected a bearing or a network"),
+        ({"machine": None}, "damaged model file"),
         ({"posterior": {}}, "damaged model file"),
         ({"run_in": None}, "damaged model file"),
     ],
 )
 def test_unusable_model_files_are_refused(
-    prior_model: Path, change: dict[str, object], expected: str
+    prior_model: Path, change: dict[str, Any], expected: str
 ) -> None:
-    prior_model.write_text(json.dumps(json.loads(prior_model.read_text()) | change))
+    document = json.loads(prior_model.read_text())
+    if change.get("machine"):
+        change = {"machine": document["machine"] | change["machine"]}
+    prior_model.write_text(json.dumps(document | change))
     with pytest.raises(ModelFileError) as refusal:
         IdentifiedModel.load(prior_model)
     assert str(refusal.value).startswith(f"{prior_model}: ")
     assert expected in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("bearing", "refusal"), [("6311", ""), ("6999", "unknown bearing '6999', expected one of")]
+)
+def test_a_file_of_an_older_release_names_a_bearing_of_the_catalogue(
+    prior_model: Path, bearing: str, refusal: str
+) -> None:
+    document = json.loads(prior_model.read_text())
+    del document["machine"]
+    prior_model.write_text(json.dumps(document | {"bearing": bearing}))
+    if not refusal:
+        assert IdentifiedModel.load(prior_model).model.machine == "6311"
+        return
+    with pytest.raises(ModelFileError, match=refusal):
+        IdentifiedModel.load(prior_model)
 
 
 def test_what_is_no_json_is_refused(tmp_path: Path) -> None:
