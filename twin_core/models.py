@@ -6,10 +6,13 @@
     temperature-dependent outer films, a rotating shaft as heat sink.
 ``paper``
     The 15 parameters of Wang et al., Appl. Sci. 2025, 15(12), 6671, equations (1) to (16).
+``paper-reduced``
+    The same network in the combinations of them that can be identified, and with a tight prior on
+    what the paper takes as known; see `twin_core.reduced_paper`.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -34,8 +37,9 @@ from twin_core.networks.bearing_14 import (
     node_name,
 )
 from twin_core.parameters import Parameter, ParameterSet
+from twin_core.reduced_paper import reduced_network, reduced_parameters
 
-ModelName = Literal["default", "paper"]
+ModelName = Literal["default", "paper", "paper-reduced"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +61,7 @@ def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
     Parameters
     ----------
     name
-        ``"default"`` or ``"paper"``.
+        ``"default"``, ``"paper"`` or ``"paper-reduced"``.
     bearing
         From the catalogue or from dimensions.
 
@@ -73,8 +77,13 @@ def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
     elif name == "paper":
         parameters = ParameterSet(PAPER_PARAMETERS)
         network = _paper_network(bearing, data)
+    elif name == "paper-reduced":
+        parameters = reduced_parameters(bearing)
+        network = reduced_network(bearing, data)
     else:
-        raise ValueError(f"unknown model {name!r}, expected one of default, paper")
+        raise ValueError(
+            f"unknown model {name!r}, expected one of {', '.join(get_args(ModelName))}"
+        )
     return ThermalModel(
         name, network, parameters, compile_network(network, parameters.names), bearing.designation
     )

@@ -198,7 +198,7 @@ def test_covariance_stays_symmetric_and_positive(model: ThermalModel) -> None:
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])
+@pytest.mark.parametrize("name", ["default", "paper", "paper-reduced"])
 def test_a_standing_machine_lies_at_ambient(name: str) -> None:
     standing = build_model(name, bearing=bearing("6311"))
     observer = _cold(standing)

@@ -96,8 +96,8 @@ def test_the_drum_grows_with_a_large_bearing() -> None:
     ("bore_mm", "outer_mm", "width_mm"),
     [(8.0, 22.0, 7.0), (40.0, 80.0, 18.0), (100.0, 215.0, 47.0), (120.0, 260.0, 55.0)],
 )
-@pytest.mark.parametrize("name", ["default", "paper"])
-def test_both_models_settle_for_deep_groove_ball_bearings_of_all_sizes(
+@pytest.mark.parametrize("name", ["default", "paper", "paper-reduced"])
+def test_all_models_settle_for_deep_groove_ball_bearings_of_all_sizes(
     name: str, bore_mm: float, outer_mm: float, width_mm: float
 ) -> None:
     part = bearing_from_dimensions("other", bore_mm, outer_mm, width_mm)

@@ -336,7 +336,7 @@ def test_wrong_arguments_are_named(
 
 
 def test_unknown_model() -> None:
-    with pytest.raises(ValueError, match="unknown model 'fast', expected one of default, paper"):
+    with pytest.raises(ValueError, match="'fast', expected one of default, paper, paper-reduced"):
         build_model("fast", bearing=bearing("6311"))
 
 
