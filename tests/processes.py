@@ -103,9 +103,21 @@ class Site:
         Empty directory for configuration, data and logs.
     scenario, rate, seed
         What the bench runs, and how fast.
+    service_keys
+        Lines for the configuration's section of the service.
+    pushed
+        A channel that is not read from a wire but pushed over HTTP.
     """
 
-    def __init__(self, folder: Path, scenario: str, rate: float, seed: int = 1) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        scenario: str,
+        rate: float,
+        seed: int = 1,
+        service_keys: str = "",
+        pushed: str = "",
+    ) -> None:
         self.folder, self.scenario, self.rate, self.seed = folder, scenario, rate, seed
         self.modbus_port, self.can_port, self.port = free_port(), free_port(), free_port()
         bench = {
@@ -113,6 +125,12 @@ class Site:
             "can": {"channel": f"socket://127.0.0.1:{self.can_port}"},
         }
         self.configuration = write_configuration(folder, bench, rate, self.port)
+        text = self.configuration.read_text()
+        text = text.replace("[service]\n", f"[service]\n{service_keys}\n", 1)
+        if pushed:
+            section = "[assets.channels]\n"
+            text = text.replace(section, f'{section}{pushed} = {{ source = "push" }}\n', 1)
+        self.configuration.write_text(text)
         settings = load_settings(self.configuration)
         with Store.open(settings.service.database_url, settings.data_dir) as store:
             self.key = create_key(store, "admin").text
