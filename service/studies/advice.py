@@ -95,6 +95,11 @@ class BenchResult:
     arms: Mapping[str, Arm]
     ran_away: bool
 
+    @property
+    def complete(self) -> bool:
+        """Whether there was a step to advise."""
+        return len(self.arms) == len(ARMS)
+
 
 def run(progress: Progress, options: Options) -> Report:
     """Run all arms on all benches."""
@@ -158,24 +163,29 @@ def asked(twin: Twin, present: Present) -> Advice:
 
 
 def chosen(advice: Advice) -> dict[str, tuple[tuple[Level, ...], Mapping[str, float]]]:
-    """The step of every arm, and the half-widths that the advice expects after it."""
+    """The step of every arm, and the half-widths that the advice expects after it.
+
+    Without a feasible step there is only the arm without any.
+    """
     both = [step.levels for step in advice.excluded if "at once" in step.reason]
     # The one that looks most tempting: heaviest, held longest, a single level.
     tempting = max(
         both, key=lambda levels: (-len(levels), levels[0].load_n, levels[0].duration_s), default=()
     )
-    best, worst = advice.steps[0], advice.steps[-1]
-    return {
-        "none": ((), {name: found.half_width_k for name, found in advice.now.items()}),
-        "advised": (best.levels, best.half_width_k),
-        "worst": (worst.levels, worst.half_width_k),
-        "refused": (tempting, {}),
+    arms: dict[str, tuple[tuple[Level, ...], Mapping[str, float]]] = {
+        "none": ((), {name: found.half_width_k for name, found in advice.now.items()})
     }
+    if advice.steps:
+        best, worst = advice.steps[0], advice.steps[-1]
+        arms["advised"] = (best.levels, best.half_width_k)
+        arms["worst"] = (worst.levels, worst.half_width_k)
+        arms["refused"] = (tempting, {})
+    return arms
 
 
 def report(found: Sequence[BenchResult]) -> Report:
     """Put all benches together."""
-    normal = [one for one in found if not one.ran_away]
+    normal = [one for one in found if one.complete and not one.ran_away]
     figures = {name: _figures([one.arms[name] for one in normal], name) for name in ARMS}
     document = {
         "study": NAME,
@@ -183,6 +193,7 @@ def report(found: Sequence[BenchResult]) -> Report:
         "seeds": [one.seed for one in found],
         "target": {"speed_rpm": HEAVY.speed_rpm, "load_n": HEAVY.load_n},
         "arms": figures,
+        "no_feasible_step": [one.seed for one in found if not one.complete],
         "ran_away": {
             one.seed: {name: arm.warned for name, arm in one.arms.items()}
             for one in found
@@ -263,8 +274,8 @@ def _table(figures: Mapping[str, Any], used: int, benches: int) -> Table:
         rows,
         (
             f"Means over {used} of {benches} random benches; the others ran away at "
-            f"{HEAVY.load_n:g} N and are listed apart. Half-widths are those of the 95 % band at "
-            "the end of the three hours. What a refused step would bring is not predicted.",
+            f"{HEAVY.load_n:g} N, or were too hot for any step. Half-widths are those of the 95 % "
+            "band at the end of the three hours. What a refused step would bring is not predicted.",
         ),
     )
 
