@@ -5,7 +5,9 @@ first row, and are scored against the same temperatures.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -99,8 +101,18 @@ def compare(
 
 
 def rivals(training: Sequence[MinuteData]) -> dict[str, Forecaster]:
-    """Fit every method that is compared with the twin."""
-    return naive_forecasters(training)
+    """Fit every method that is compared with the twin.
+
+    Those are the naive forecasts and, where scikit-learn is installed and some operating point was
+    held long enough to learn from, the surrogates.
+    """
+    found = naive_forecasters(training)
+    if find_spec("sklearn") is not None:
+        from twin_core.surrogates import surrogate_forecasters
+
+        with suppress(ValueError):
+            found |= surrogate_forecasters(training)
+    return found
 
 
 def score(
@@ -166,7 +178,7 @@ def _mean(values: Sequence[float | None]) -> Any:
 
 def score_table(
     found: Sequence[ForecastScore],
-    title: str = "The twin beside naive forecasts",
+    title: str = "The twin beside naive forecasts and surrogates",
     notes: Sequence[str] = (),
 ) -> Table:
     """One row per method; a cell holds the sensors' figures in their order."""

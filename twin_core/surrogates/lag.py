@@ -33,6 +33,8 @@ _LONGEST_SPAN_S = 1500.0
 _SAME_POINT = 0.04
 # A point must have been held for so many spans to be one.
 _FEWEST_SPANS = 5
+# Of data that wander about, the points held longest are enough: methods get slow with more.
+_MOST_POINTS = 40
 # Weight of "every sensor for itself, one hour" in the estimate of M, as a share of its information.
 _RIDGE = 0.01
 _PRIOR_S = 3600.0
@@ -85,7 +87,8 @@ def fit_lag(windows: Sequence[MinuteData]) -> LaggedPoints:
     inputs, level, slope = np.split(table, [2, 2 + len(sensors)], axis=1)
     group = _groups(inputs)
     count = np.bincount(group)
-    lasting = np.flatnonzero(count >= _FEWEST_SPANS)
+    longest = np.sort(np.argsort(-count, kind="stable")[:_MOST_POINTS])
+    lasting = longest[count[longest] >= _FEWEST_SPANS]
     if lasting.size == 0:
         raise ValueError("no operating point was held for a quarter of an hour, expected one")
 

@@ -10,12 +10,14 @@ from service.studies.forecasters import (
     ForecastScore,
     compare,
     mean_scores,
+    rivals,
     score,
     score_document,
     score_table,
 )
 from twin_core.forecasting import NAIVE_KINDS, SensorForecast, with_normal_band
 from twin_core.simulation.profile import OperatingProfile
+from twin_core.surrogates import SURROGATE_KINDS
 from twin_core.windows import MinuteData
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
@@ -78,13 +80,25 @@ def test_the_twin_comes_first_and_the_naive_ones_beside_it() -> None:
     twin = with_normal_band(ahead.time_s, SENSORS, centre, np.full_like(centre, 0.5))
     found = compare([training], ahead, initial_c, truth, twin)
     methods = list(dict.fromkeys(one.method for one in found))
-    assert methods[: 1 + len(NAIVE_KINDS)] == [TWIN, *NAIVE_KINDS]
+    assert methods == [TWIN, *NAIVE_KINDS, *SURROGATE_KINDS]
     by_key = {(one.method, one.sensor): one for one in found}
     assert by_key[TWIN, SENSORS[0]].max_error_k == 0.0
     assert by_key[TWIN, SENSORS[0]].coverage == 1.0
     # this machine is ARX itself, and persistence knows nothing of the new speed
     assert by_key["arx", SENSORS[0]].max_error_k < 0.5
     assert by_key["persistence", SENSORS[0]].max_error_k > 8.0
+
+
+def test_without_a_held_operating_point_only_the_naive_ones_remain() -> None:
+    rows = staircase()
+    ramp = replace(rows, speed_rpm=np.linspace(0.0, 6000.0, 180))
+    ramp = ramp.take(slice(0, None, 3))
+    assert tuple(rivals([ramp])) == NAIVE_KINDS
+
+
+def test_without_scikit_learn_only_the_naive_ones_remain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.studies.forecasters.find_spec", lambda name: None)
+    assert tuple(rivals([staircase()])) == NAIVE_KINDS
 
 
 def test_a_twin_over_other_rows_is_refused() -> None:
