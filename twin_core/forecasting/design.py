@@ -107,7 +107,9 @@ class Design:
         variance, directions = np.linalg.eigh(present.state_covariance)
         kept = variance > _LEAST_STATE_K**2
         self._state_factor = directions[:, kept] * np.sqrt(variance[kept])
-        spread = _covariance(posterior)
+        # Not the samples' covariance: round the curved valley of good fits it takes the directions
+        # that the data know best for much less known than they are.
+        spread = posterior.covariance
         known = np.linalg.inv(spread + 1e-9 * np.eye(len(spread)))
         # Parameters, directions of the present state, a shift of the friction during the step.
         count = len(spread) + self._state_factor.shape[1]
@@ -236,10 +238,3 @@ def held_profile(levels: Sequence[Level], ambient_c: float) -> OperatingProfile:
         np.array([level.load_n for level in levels])[index],
         np.full(time_s.size, ambient_c),
     )
-
-
-def _covariance(posterior: Posterior) -> FloatArray:
-    """The samples' covariance where there are enough of them; they know the curved valleys."""
-    if len(posterior.samples) >= 4 * posterior.z.size:
-        return np.asarray(np.cov(posterior.samples.T))
-    return posterior.covariance

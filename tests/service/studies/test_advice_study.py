@@ -1,0 +1,71 @@
+"""The study of the advice: one bench for real, and what the report makes of several."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from service.studies import advice
+from service.studies.advice import ARMS, BenchResult, examine, report
+from service.studies.bench_runs import RINGS, Stage
+
+
+@pytest.fixture(scope="module")
+def bench() -> BenchResult:
+    """Two and a half hours of training and one of target, instead of six and three."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(advice, "LIGHT", Stage(150, 5800.0, 2650.0))
+        patch.setattr(advice, "HEAVY", Stage(60, 5800.0, 5500.0))
+        return examine(101)
+
+
+def test_following_the_advice_narrows_the_forecast_and_betters_it(bench: BenchResult) -> None:
+    none, advised = bench.arms["none"], bench.arms["advised"]
+    assert not bench.ran_away
+    assert none.levels == ()
+    for ring in RINGS:
+        assert advised.obtained_k[ring] < 0.6 * none.obtained_k[ring]
+        assert advised.rings[ring].steady_error_k < 1.5
+        assert advised.rings[ring].coverage_95 >= 0.95
+    # the ring that the steps were ranked by
+    obtained = advised.obtained_k["t_inner_ring_c"]
+    assert obtained == pytest.approx(advised.predicted_k["t_inner_ring_c"], rel=0.4)
+
+
+def test_what_was_ranked_last_or_refused_is_worse(bench: BenchResult) -> None:
+    advised, worst, refused = (bench.arms[name] for name in ("advised", "worst", "refused"))
+    ring = "t_inner_ring_c"
+    assert worst.obtained_k[ring] > 1.3 * advised.obtained_k[ring]
+    assert refused.rings[ring].steady_error_k > 3.0 * advised.rings[ring].steady_error_k
+    (level,) = refused.levels
+    assert level.speed_rpm < 5800.0
+    assert level.load_n == 3400.0
+    assert refused.predicted_k == {}
+
+
+def test_benches_that_ran_away_stand_apart(bench: BenchResult, tmp_path: Path) -> None:
+    other = replace(bench, seed=7, ran_away=True)
+    made = report([bench, other])
+    assert made.document["seeds"] == [101, 7]
+    assert list(made.document["ran_away"]) == [7]
+    assert set(made.document["arms"]) == set(ARMS)
+    advised = made.document["arms"]["advised"]
+    assert advised["benches"] == 1
+    assert advised["half_width_obtained_k"]["t_inner_ring_c"] == pytest.approx(
+        bench.arms["advised"].obtained_k["t_inner_ring_c"]
+    )
+    assert made.document["arms"]["refused"]["half_width_predicted_k"]["t_inner_ring_c"] is None
+    (table,) = made.tables
+    assert "1 of 2 random benches" in table.notes[0]
+    assert [row[0] for row in table.rows] == list(ARMS.values())
+    written = made.write(tmp_path)
+    assert {path.name for path in written} == {"advice.json", "advice.md", "advice-widths.png"}
+    assert all(path.stat().st_size > 500 for path in written)
+
+
+def test_a_fit_that_must_not_forecast_is_counted_not_averaged(bench: BenchResult) -> None:
+    refused = {name: replace(arm, refused_fit="too bad a fit") for name, arm in bench.arms.items()}
+    made = report([bench, replace(bench, seed=8, arms=refused)])
+    for name in ARMS:
+        found = made.document["arms"][name]
+        assert (found["benches"], found["fits_refused"]) == (1, 1)
