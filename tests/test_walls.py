@@ -15,7 +15,8 @@ import twin_core
 
 ROOT = Path(twin_core.__file__).parent
 SURROGATES = ROOT / "surrogates"
-ALLOWED = {"numpy", "scipy", "numba", "twin_core"}
+# llvmlite is what numba generates code with: a few vector operations are written in its terms.
+ALLOWED = {"numpy", "scipy", "numba", "llvmlite", "twin_core"}
 # Pure computation, types, and the thread pool around kernels without the interpreter's lock.
 PURE = {
     "collections",

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from twin_core.simulation.compiling import compiled
+from twin_core.simulation.eigen import eigen_decompose
 from twin_core.simulation.laws import (
     FILM,
     edge_conductance,
@@ -99,33 +100,59 @@ def conductance_matrix(net, coefficient, speed, load):  # type: ignore[no-untype
 
 
 @compiled
+def modal_basis(  # type: ignore[no-untyped-def]
+    net, capacity, coefficient, speed, load, rate, modes, inverse
+):
+    """Decouple an operating point: T = sum of y_k modes[k] and y_k = inverse[k] T.
+
+    Fills rate (n,) with lam in 1/s, in no order, modes and inverse (n, m >= n; columns from n on
+    zero). Heat q at node i adds modes[k, i] q to the input of y_k. Gives the conductances to
+    ambient (n,). Without a solution all is NaN.
+    """
+    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
+    count, width = modes.shape
+    root = np.sqrt(capacity)
+    symmetric = np.zeros((count, width))
+    total = 0.0
+    # Slow nodes first, as the method likes it.
+    order = np.argsort(np.diag(matrix) / capacity)
+    for i in range(count):
+        for j in range(count):
+            a, b = order[i], order[j]
+            symmetric[i, j] = matrix[a, b] / (root[a] * root[b])
+            total += symmetric[i, j]
+    if not (math.isfinite(total) and eigen_decompose(symmetric, modes, rate)):
+        rate[:] = math.nan
+        modes[:] = math.nan
+        inverse[:] = math.nan
+        return to_ambient
+    for k in range(count):
+        rate[k] = max(rate[k], 0.0)
+        for i in range(count):
+            inverse[k, order[i]] = modes[k, i] * root[order[i]]
+        for i in range(count):
+            modes[k, i] = inverse[k, i] / capacity[i]
+        for i in range(count, width):
+            inverse[k, i] = 0.0
+    return to_ambient
+
+
+@compiled
 def decompose(net, capacity, coefficient, speed, load):  # type: ignore[no-untyped-def]
     """Modes of an operating point: rates lam (1/s), T = modes @ y, y = inverse @ T, ambient b.
 
     Heat q at node i adds modes[i] * q to the modal input b. Without a solution all is NaN.
     """
-    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
     count = capacity.size
-    root = np.sqrt(capacity)
-    finite = True
-    for i in range(count):
-        for j in range(count):
-            matrix[i, j] /= root[i] * root[j]
-            finite = finite and math.isfinite(matrix[i, j])
-    if not finite:  # LAPACK would not return
-        nan = np.full((count, count), np.nan)
-        return nan[0].copy(), nan, nan.copy(), nan[0].copy()
-    rate, vector = np.linalg.eigh(matrix)
+    rate = np.empty(count)
     modes = np.empty((count, count))
     inverse = np.empty((count, count))
+    to_ambient = modal_basis(net, capacity, coefficient, speed, load, rate, modes, inverse)
     ambient = np.zeros(count)
     for k in range(count):
-        rate[k] = max(rate[k], 0.0)
         for i in range(count):
-            modes[i, k] = vector[i, k] / root[i]
-            inverse[k, i] = vector[i, k] * root[i]
-            ambient[k] += modes[i, k] * to_ambient[i]
-    return rate, modes, inverse, ambient
+            ambient[k] += modes[k, i] * to_ambient[i]
+    return rate, modes.T.copy(), inverse, ambient
 
 
 @compiled
@@ -133,13 +160,14 @@ def step_functions(rate, step, decay, first, second):  # type: ignore[no-untyped
     """Fill e, h phi1 and h phi2 for a step length."""
     for k in range(rate.size):
         x = rate[k] * step
-        if x < 1e-4:  # series: the closed forms lose all digits
-            decay[k] = math.exp(-x)
-            first[k] = step * (1.0 - x * (0.5 - x / 6.0))
-            second[k] = step * (0.5 - x * (1.0 / 6.0 - x / 24.0))
+        decay[k] = math.exp(-x)
+        if x < 0.02:  # series: the closed forms lose all digits
+            phi = 1.0 - x / 6.0 * (1.0 - x / 7.0)
+            phi = 1.0 - x / 3.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * phi))
+            second[k] = 0.5 * step * phi
+            first[k] = step * (1.0 - 0.5 * x * phi)
         else:
-            decay[k] = math.exp(-x)
-            phi = -math.expm1(-x) / x
+            phi = (1.0 - decay[k]) / x
             first[k] = step * phi
             second[k] = step * (1.0 - phi) / x
 

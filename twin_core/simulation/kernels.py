@@ -22,16 +22,21 @@ from twin_core.simulation.assembly import (
     film_edges,
     heat_balance,
     heat_balance_linearised,
+    modal_basis,
     step_functions,
 )
 from twin_core.simulation.compiling import compiled
 from twin_core.simulation.laws import (
+    FILM_REFERENCE_K,
     LINEAR,
     TEMPERATURE_LIMIT_C,
+    TWO_PART,
     edge_conductance,
     film_excess_w,
     friction_at_point,
     friction_heat_w,
+    heat_at_point_w,
+    running_in,
 )
 
 __all__ = [
@@ -48,7 +53,7 @@ __all__ = [
     "simulate_kernel",
     "simulate_range",
 ]
-
+from twin_core.simulation.vectors import LANES, STRIDE, advance, combine
 
 MAX_STEP_S = 60.0
 """Longer rows are divided into equal steps no longer than this."""
@@ -62,6 +67,93 @@ FRESH_LOAD_FRACTION = 0.05
 
 
 @compiled
+def padded(count, multiple):  # type: ignore[no-untyped-def]
+    """Round up to a multiple."""
+    return (count + multiple - 1) // multiple * multiple
+
+
+@compiled
+def prepare_step(  # type: ignore[no-untyped-def]
+    functions, source, modes, node, gain, ahead, response
+):
+    """All that a step of one length needs while the operating point stays.
+
+    From the step's functions (3, m) of every rate, and what each input does to the coordinates'
+    rates of change, source (inputs, m): what it does to them in one step, gain (inputs + active,
+    m), and to the active temperatures, ahead (m + inputs, active), whose first m rows are what the
+    coordinates themselves do; and what changes within the step do, response (active, active).
+    """
+    inputs, width = source.shape
+    for q in range(inputs):
+        for k in range(width):
+            gain[q, k] = functions[1, k] * source[q, k]
+    for q in range(node.size):
+        for k in range(width):
+            gain[inputs + q, k] = functions[2, k] * source[q, k]
+    for j in range(node.size):
+        for k in range(modes.shape[0]):
+            ahead[k, j] = functions[0, k] * modes[k, node[j]]
+        for q in range(inputs):
+            total = 0.0
+            for k in range(modes.shape[0]):
+                total += gain[q, k] * modes[k, node[j]]
+            ahead[width + q, j] = total
+        for q in range(node.size):
+            total = 0.0
+            for k in range(modes.shape[0]):
+                total += gain[inputs + q, k] * modes[k, node[j]]
+            response[q, j] = total
+
+
+@compiled
+def film_heat_w(law, difference, memory):  # type: ignore[no-untyped-def]
+    """`film_excess_w`, its power continued from where it was last computed.
+
+    memory: one over the difference and the power there, and the slope here, which is left for the
+    caller. Within 1/32 of that difference the binomial series is exact to 1e-9 of the power.
+    """
+    size, e = abs(difference), law[1]
+    if size < 1e-9:
+        memory[2] = 0.0
+        return 0.0
+    x = size * memory[0] - 1.0
+    if abs(x) > 1.0 / 32.0:
+        memory[0] = 1.0 / size
+        memory[1] = (size / FILM_REFERENCE_K) ** e
+        x = 0.0
+    series = 1.0 + 0.25 * (e - 3.0) * x * (1.0 + 0.2 * (e - 4.0) * x)
+    series = 1.0 + e * x * (1.0 + 0.5 * (e - 1.0) * x * (1.0 + (e - 2.0) / 3.0 * x * series))
+    relative = memory[1] * series
+    memory[2] = law[0] * ((1.0 + e) * relative - 1.0)
+    return law[0] * (relative - 1.0) * difference
+
+
+@compiled
+def emit(modes, path, begin, end, limit, out):  # type: ignore[no-untyped-def]
+    """Temperatures out[begin:end] of the coordinates path[begin:end].
+
+    Returns the first row beyond the limit or not finite, from which on out is NaN, or -1.
+    """
+    if begin >= end:
+        return -1
+    count = modes.shape[1]
+    written = out[begin:end]
+    np.dot(path[begin:end], modes, written)
+    flat = written.reshape(-1)
+    square = 0.0
+    for i in range(flat.size):
+        square += flat[i] * flat[i]
+    if square < limit * limit:
+        return -1
+    for row in range(begin, end):
+        for i in range(count):
+            if not abs(out[row, i]) < limit:
+                out[row:] = math.nan
+                return row
+    return -1
+
+
+@compiled
 def simulate_kernel(  # type: ignore[no-untyped-def]
     net, values, time, speed, load, ambient, initial, revolutions, disturbance, fading, out
 ):
@@ -69,34 +161,52 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
 
     `disturbance` (nodes,) is an extra heat in W at the first row that fades at the rate `fading`
     in 1/s. Returns the row from which on the result is unusable (the rest of `out` is NaN), or -1.
+
+    Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
+    lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
+    plus the inputs (friction, films, ambient, disturbance) and their changes, each times what it
+    does to every y in one step; the active temperatures follow by products prepared likewise.
     """
     count = net.capacity.size
+    width = padded(count, LANES)
     capacity, coefficient, friction, share = bind_network(net, values)
     film_node, film_law = film_edges(net, coefficient)
     films = film_node.size
-    lubricant = net.temperature_node
-    temperature = initial.copy()
-    y = np.empty(count)
-    predicted = np.empty(count)
-    base = np.empty(count)
-    b = np.empty(count)
-    decay = np.empty(count)
-    first = np.empty(count)
-    second = np.empty(count)
-    heat_input = np.empty(count)
-    slope = np.empty(films)
-    point = np.empty(5)
+    active = 1 + films
+    node = np.empty(active, np.int64)
+    node[0] = net.temperature_node
+    node[1:] = film_node
+    # Inputs: heat of the friction and of the films, temperature of the ambient, disturbance.
+    inputs = active + 2
     kind = net.friction_kind
     limit = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+
     rate = np.empty(count)
-    modes = np.empty((count, count))
-    inverse = np.empty((count, count))
-    transposed = np.empty((count, count))
-    ambient_input = np.empty(count)
+    modes = np.empty((count, width))
+    emitted = np.zeros((width, count))
+    inverse = np.empty((count, width))
+    source = np.zeros((inputs, width))
+    functions = np.zeros((3, width))
+    gain = np.zeros((padded(inputs + active, STRIDE), width))
+    ahead = np.zeros((width + padded(inputs, STRIDE), padded(active, LANES)))
+    response = np.zeros((padded(active, STRIDE), ahead.shape[1]))
+    now = np.zeros(ahead.shape[1])
+    later = np.zeros(ahead.shape[1])
+    ones = np.ones(ahead.shape[1])
+    # Coordinates, inputs, changes; slices reach into what follows where rows of zeros await it.
+    state = np.zeros(width + padded(inputs, STRIDE) + padded(active, STRIDE))
+    y, heat = state[:width], state[width : width + inputs]
+    change = state[width + inputs : width + inputs + response.shape[0]]
+    known, driving = state[: ahead.shape[0]], state[width : width + gain.shape[0]]
+    film = np.zeros((films, 3))
+    path = np.empty((time.size, width))
+    point = np.empty(5)
+
     point_speed, point_load, point_step = math.nan, math.nan, math.nan
     fresh_until = -math.inf
-    turned = revolutions
-    out[0] = temperature
+    turned, fresh, fading_out = revolutions, 0.0, 1.0
+    begun = 0
+    out[0] = initial
     for row in range(time.size - 1):
         n = abs(speed[row])
         f = max(load[row], 0.0)
@@ -106,76 +216,63 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
                 and abs(f - point_load) <= FRESH_LOAD_FRACTION * f
             ):
                 fresh_until = time[row] + FRESH_S
-            rate, modes, inverse, ambient_input = decompose(net, capacity, coefficient, n, f)
-            transposed = modes.T.copy()
+            failed = emit(emitted, path, begun + 1, row + 1, limit, out)
+            if failed >= 0:
+                return failed
+            begun = row
+            to_ambient = modal_basis(net, capacity, coefficient, n, f, rate, modes, inverse)
+            emitted[:count] = modes[:, :count]
             point = friction_at_point(kind, friction, n, f)
             point_speed, point_load, point_step = n, f, math.nan
-            heat_input[:] = 0.0
-            y[:] = 0.0
-            for i in range(count):
-                for k in range(count):
-                    heat_input[k] += modes[i, k] * share[i]
-                    y[k] += inverse[k, i] * temperature[i]
-        for k in range(count):
-            base[k] = ambient_input[k] * ambient[row]
+            fresh = running_in(kind, friction, turned)
+            for k in range(count):
+                y[k] = 0.0
+                source[0, k] = 0.0
+                source[active, k] = 0.0
+                source[active + 1, k] = 0.0
+                for i in range(count):
+                    y[k] += inverse[k, i] * out[row, i]
+                    source[0, k] += modes[k, i] * share[i]
+                    source[active, k] += modes[k, i] * to_ambient[i]
+                    source[active + 1, k] += modes[k, i] * disturbance[i]
+                for j in range(films):
+                    source[1 + j, k] = -modes[k, film_node[j]]
+            for j in range(active):
+                now[j] = out[row, node[j]]
         duration = time[row + 1] - time[row]
-        left = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
-        for i in range(count):
-            if disturbance[i] != 0.0:
-                for k in range(count):
-                    base[k] += modes[i, k] * disturbance[i] * left
+        heat[active] = ambient[row]
+        if fading > 0.0:
+            heat[active + 1] = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
+        else:
+            heat[active + 1] = 1.0
         # A part of shorter steps after a change, then the rest of the row.
-        fresh = min(max(fresh_until - time[row], 0.0), duration)
+        early = min(max(fresh_until - time[row], 0.0), duration)
         for part in range(2):
-            span = fresh if part == 0 else duration - fresh
+            span = early if part == 0 else duration - early
             steps = math.ceil(span / (FRESH_STEP_S if part == 0 else MAX_STEP_S) - 1e-9)
             if steps <= 0:
                 continue
             step = span / steps
             if step != point_step:
-                step_functions(rate, step, decay, first, second)
                 point_step = step
+                step_functions(rate, step, functions[0], functions[1], functions[2])
+                prepare_step(functions, source, modes, node, gain, ahead, response)
+                if kind == TWO_PART:
+                    fading_out = math.exp(-n * step / 60.0 / friction[9])
             for _ in range(steps):
-                heat = friction_heat_w(kind, friction, point, temperature[lubricant], turned)
-                for k in range(count):
-                    b[k] = base[k] + heat_input[k] * heat
+                heat[0] = heat_at_point_w(kind, point, now[0], fresh)
                 for j in range(films):
-                    node = film_node[j]
-                    excess, slope[j] = film_excess_w(
-                        film_law[j, 0], film_law[j, 1], temperature[node] - ambient[row]
-                    )
-                    for k in range(count):
-                        b[k] -= modes[node, k] * excess
-                for k in range(count):
-                    predicted[k] = decay[k] * y[k] + first[k] * b[k]
-                turned += n * step / 60.0
-                later = 0.0
-                for k in range(count):
-                    later += modes[lubricant, k] * predicted[k]
-                change = friction_heat_w(kind, friction, point, later, turned) - heat
-                for k in range(count):
-                    b[k] = heat_input[k] * change
-                for j in range(films):
-                    node = film_node[j]
-                    later = 0.0
-                    for k in range(count):
-                        later += modes[node, k] * predicted[k]
-                    change = slope[j] * (later - temperature[node])
-                    for k in range(count):
-                        b[k] -= modes[node, k] * change
-                for i in range(count):
-                    temperature[i] = 0.0
-                for k in range(count):
-                    y[k] = predicted[k] + second[k] * b[k]
-                    for i in range(count):
-                        temperature[i] += transposed[k, i] * y[k]
-        for i in range(count):
-            out[row + 1, i] = temperature[i]
-        for i in range(count):
-            if not abs(temperature[i]) < limit:
-                out[row + 1 :] = math.nan
-                return row + 1
-    return -1
+                    heat[1 + j] = film_heat_w(film_law[j], now[1 + j] - ambient[row], film[j])
+                combine(later, known, ahead)
+                fresh *= fading_out
+                change[0] = heat_at_point_w(kind, point, later[0], fresh) - heat[0]
+                for j in range(1, active):
+                    change[j] = film[j - 1, 2] * (later[j] - now[j])
+                advance(now, ones, later, change, response)
+                advance(y, functions[0], y, driving, gain)
+            turned += n * span / 60.0
+        path[row + 1] = y
+    return emit(emitted, path, begun + 1, time.size, limit, out)
 
 
 @compiled

@@ -29,7 +29,7 @@ REFERENCE_LOAD_N = 2650.0
 LAW_MIN_FRACTION = 0.1
 
 # Kinds, equal to those of twin_core.network (plain integers: numba freezes them into the code).
-PALMGREN, LINEAR = 0, 2
+PALMGREN, TWO_PART, LINEAR = 0, 1, 2
 CONSTANT, CONTACT, CONVECTIVE, CONVECTIVE_REFERENCE, FILM, SHAFT_SINK = 0, 1, 2, 3, 4, 5
 SPEED_POWER = 6
 FILM_REFERENCE_K = 12.0
@@ -87,8 +87,19 @@ def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[no-untyped-def]
-    """Heat in W at the temperature of the lubricant; limited unless it is independent of it."""
+def running_in(kind, c, revolutions):  # type: ignore[no-untyped-def]
+    """Excess friction of fresh grease, as a part of what is left once it is run in."""
+    if kind != TWO_PART or c[8] == 0.0:
+        return 0.0
+    return c[8] * math.exp(-revolutions / c[9])
+
+
+@compiled
+def heat_at_point_w(kind, point, temperature, fresh):  # type: ignore[no-untyped-def]
+    """Heat in W at the lubricant's temperature; `fresh` is what `running_in` gave.
+
+    Limited unless it is independent of the temperature.
+    """
     if kind == LINEAR:
         return point[1]
     if kind == PALMGREN:
@@ -100,9 +111,14 @@ def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[n
     else:
         # Vogel's ln(nu / nu(60 degC)); far below its range the grease is solid and the law moot.
         viscosity = 989.0 / max(temperature + 95.0, 35.0) - 989.0 / 155.0
-        fresh = 1.0 + c[8] * math.exp(-revolutions / c[9]) if c[8] != 0.0 else 1.0
-        moment = (point[1] * math.exp(point[2] * viscosity) + point[3]) * fresh
+        moment = (point[1] * math.exp(point[2] * viscosity) + point[3]) * (1.0 + fresh)
     return min(point[0] * moment, HEAT_LIMIT_W)
+
+
+@compiled
+def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[no-untyped-def]
+    """Heat in W at the temperature of the lubricant and the revolutions since greasing."""
+    return heat_at_point_w(kind, point, temperature, running_in(kind, c, revolutions))
 
 
 @compiled

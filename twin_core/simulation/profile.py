@@ -99,9 +99,9 @@ def total_revolutions(
     ndarray
         Shape (n,) or (B, n).
     """
-    turned = np.concatenate(
-        ([0.0], np.cumsum(np.abs(profile.speed_rpm[:-1]) * np.diff(profile.time_s) / 60.0))
-    )
+    turned = np.zeros(profile.size)
+    steps = profile.time_s[1:] - profile.time_s[:-1]
+    np.cumsum(np.abs(profile.speed_rpm[:-1]) * steps / 60.0, out=turned[1:])
     result: NDArray[np.float64] = np.asarray(start, dtype=np.float64)[..., None] + turned
     return result
 
