@@ -129,6 +129,7 @@ class Observer:
         self._elapsed_s: dict[str, float] = {}
         self._bound = kernels.bind_network(model.compiled, self._values)
         self._point: tuple[float, float] | None = None
+        self._ambient_c = 0.0
         self._modes: tuple[NDArray[np.float64], ...] = ()
         self._tie_w_k = np.zeros(nodes)
         self._structure = disturbance_structure(model, self._values)
@@ -154,6 +155,13 @@ class Observer:
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the node temperatures in K2, shape (nodes, nodes)."""
         return self._covariance[: self._nodes, : self._nodes].copy()
+
+    @property
+    def operating_point(self) -> tuple[float, float, float] | None:
+        """Speed in rpm, load in N and ambient in degC of the last step; None before the first."""
+        if self._point is None:
+            return None
+        return (*self._point, self._ambient_c)
 
     @property
     def std_c(self) -> NDArray[np.float64]:
@@ -218,6 +226,7 @@ class Observer:
             self._point = (speed, load)
         heat_w = max(self._friction_w(speed, load), self._heat_w)
         disturbance_w = self._disturbance_w(heat_w)
+        self._ambient_c = float(ambient_c)
         fading = 1.0 / DISTURBANCE_TIME_S
         mean_fading = -np.expm1(-fading * dt_s) / (fading * dt_s)
         heat = disturbance_w @ self._state[nodes:] * mean_fading

@@ -392,6 +392,7 @@ class AssetRuntime:
             float(observer.revolutions),
             operating_profile(steps, row_s),
             observer.heat_disturbance_w,
+            observer.operating_point,
         )
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._executor, _forecast, *arguments)
@@ -458,8 +459,14 @@ class AssetRuntime:
 
 
 def _forecast(*arguments: Any) -> Forecast:
-    *state, disturbance_w = arguments
-    return forecast(*state, disturbance_w=disturbance_w, members=MEMBERS, seed=0)
+    *state, disturbance_w, operating_point = arguments
+    return forecast(
+        *state,
+        disturbance_w=disturbance_w,
+        operating_point=operating_point,
+        members=MEMBERS,
+        seed=0,
+    )
 
 
 def _differs(known: PlannedProfile | None, new: PlannedProfile) -> bool:

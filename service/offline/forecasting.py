@@ -201,6 +201,7 @@ def forecast_profile(
         present.revolutions,
         profile,
         disturbance_w=present.disturbance_w,
+        operating_point=(present.speed_rpm, present.load_n, present.ambient_c),
         members=MEMBERS,
     )
     quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))

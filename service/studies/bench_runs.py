@@ -294,6 +294,7 @@ def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile
         observer.revolutions,
         ahead,
         disturbance_w=observer.heat_disturbance_w,
+        operating_point=observer.operating_point,
     )
 
 

@@ -135,6 +135,7 @@ def story(request: pytest.FixtureRequest) -> Story:
         observer.revolutions,
         ahead,
         disturbance_w=observer.heat_disturbance_w,
+        operating_point=observer.operating_point,
     )
     return Story(minutes, truth, low, result, report, ahead, made, first)
 

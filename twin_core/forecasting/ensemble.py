@@ -21,7 +21,13 @@ from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.network_model import ErrorModel
 from twin_core.observer import DISTURBANCE_TIME_S
-from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
+from twin_core.simulation import (
+    OperatingProfile,
+    heat_balance_w,
+    hold_operating_point,
+    kernels,
+    simulate_batch,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -144,6 +150,7 @@ def forecast(
     profile: OperatingProfile,
     *,
     disturbance_w: ArrayLike | None = None,
+    operating_point: tuple[float, float, float] | None = None,
     members: int = 200,
     seed: int = 0,
 ) -> Forecast:
@@ -162,6 +169,12 @@ def forecast(
     disturbance_w
         (nodes,) heat in W that the model lacks at present, the observer's
         ``heat_disturbance_w``; it fades as in the observer. Default none.
+    operating_point
+        Speed in rpm, load in N and ambient in degC up to now, the observer's
+        ``operating_point``, if it has followed a run. A member whose resistances are not those of
+        the observer's model is out of balance in the state that this model has found; it starts
+        with the heats that keep it on the observed course, and they fade likewise. Without it
+        every member is taken to be in the present state by itself, as a cold machine is.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -179,16 +192,25 @@ def forecast(
     rng = np.random.default_rng(seed)
     parameters = model.parameters
     z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
-    start = np.asarray(state_c, np.float64) + rng.permutation(
+    values = parameters.values_from_z(z)
+    revolutions = max(float(revolutions), 0.0)
+    mean_c = np.asarray(state_c, np.float64)
+    start = mean_c + rng.permutation(
         normal_draws(rng, members, np.asarray(state_covariance, np.float64))
     )
+    heat_w = np.zeros(start.shape)
+    if disturbance_w is not None:
+        heat_w += np.asarray(disturbance_w, np.float64)
+    if operating_point is not None:
+        best = parameters.values_from_z(posterior.z)
+        heat_w += _imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
     temperatures = simulate_batch(
         model,
-        parameters.values_from_z(z),
+        values,
         hold_operating_point(profile),
         start,
-        max(float(revolutions), 0.0),
-        disturbance_w=disturbance_w,
+        revolutions,
+        disturbance_w=heat_w,
         disturbance_time_s=DISTURBANCE_TIME_S,
     )
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
@@ -219,6 +241,29 @@ def forecast(
         runaway_probability=probability,
         labels=forecast_labels(posterior, profile, float(np.max(upper)), probability),
     )
+
+
+def _imbalance_w(
+    model: ThermalModel,
+    best: FloatArray,
+    state_c: FloatArray,
+    values: FloatArray,
+    start_c: FloatArray,
+    operating_point: tuple[float, float, float],
+    revolutions: float,
+) -> FloatArray:
+    """Heats (members, nodes) that set each member, in its own start, on the observed course.
+
+    dT/dt of every node shall be what it is with the best parameters in the observed state.
+    """
+    capacity = kernels.bind_network(model.compiled, best)[0]
+    net_w = heat_balance_w(model, best, state_c, *operating_point, revolutions)[0]
+    heat_w = np.empty(start_c.shape)
+    for member, own in enumerate(values):
+        own_w = heat_balance_w(model, own, start_c[member], *operating_point, revolutions)[0]
+        own_capacity = kernels.bind_network(model.compiled, own)[0]
+        heat_w[member] = net_w * own_capacity / capacity - own_w
+    return heat_w
 
 
 def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:

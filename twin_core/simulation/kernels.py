@@ -302,7 +302,7 @@ def simulate_range(  # type: ignore[no-untyped-def]
             ambient,
             initial[member],
             revolutions[member],
-            disturbance,
+            disturbance[member],
             fading,
             out[member],
         )

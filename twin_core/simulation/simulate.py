@@ -115,7 +115,8 @@ def simulate_batch(
     revolutions
         Revolutions since greasing at the first row, scalar or shape (B,).
     disturbance_w
-        Shape (nodes,): heat in W beyond the model's at the first row; default none.
+        Heat in W beyond the model's at the first row, shape (nodes,) for all, or (B, nodes);
+        default none.
     disturbance_time_s
         Over which it fades.
 
@@ -143,11 +144,14 @@ def simulate_batch(
     if turned.shape not in ((), (count,)):
         raise ValueError(f"revolutions has shape {turned.shape}, expected () or ({count},)")
     heat = np.zeros(nodes) if disturbance_w is None else _finite("disturbance_w", disturbance_w)
-    if heat.shape != (nodes,):
-        raise ValueError(f"disturbance_w has shape {heat.shape}, expected ({nodes},)")
+    if heat.shape not in ((nodes,), (count, nodes)):
+        raise ValueError(
+            f"disturbance_w has shape {heat.shape}, expected ({nodes},) or ({count}, {nodes})"
+        )
     fading = 1.0 / disturbance_time_s
     starts = np.ascontiguousarray(np.broadcast_to(initial, (count, nodes)))
     turns = np.ascontiguousarray(np.broadcast_to(turned, (count,)))
+    heats = np.ascontiguousarray(np.broadcast_to(heat, (count, nodes)))
     result = np.empty((count, profile.size, nodes))
 
     def run(start: int, stop: int) -> None:
@@ -160,7 +164,7 @@ def simulate_batch(
             profile.ambient_c,
             starts,
             turns,
-            heat,
+            heats,
             fading,
             start,
             stop,

@@ -1,6 +1,7 @@
 """A forecast begins where the observer stands, also when its model does not fit the machine."""
 
 import numpy as np
+import pytest
 
 from adapters.virtual_bench import BenchParameters, measure, scenario_profile, simulate
 from adapters.virtual_bench.scenarios import find_scenario
@@ -82,3 +83,22 @@ def test_the_forecast_goes_on_from_the_measured_temperature_without_a_jump() -> 
         for heat in (None, warmer)
     ]
     assert np.all(started[1][2:] > started[0][2:] + 0.3)
+
+    # Members start on the observed course: at the same operating point the band opens slowly.
+    opened = []
+    for point in (None, observer.operating_point):
+        band = forecast(
+            model,
+            posterior,
+            observer.temperatures_c,
+            observer.covariance,
+            observer.revolutions,
+            ahead,
+            disturbance_w=observer.heat_disturbance_w,
+            operating_point=point,
+            members=50,
+        ).quantile("t_inner_ring_c")
+        opened.append(band[4] - band[0])
+    assert opened[1][0] == pytest.approx(opened[0][0])
+    assert opened[1][1] - opened[1][0] < 0.3 < opened[0][1] - opened[0][0]
+    assert np.abs(band[2] - reading).max() < 0.5

@@ -259,6 +259,17 @@ def test_batch_equals_single_to_the_last_bit(name: str) -> None:
         assert np.array_equal(batch[member], single.temperatures_c)
 
 
+def test_each_member_of_a_batch_has_its_own_disturbance(default: ThermalModel) -> None:
+    values = np.tile(default.parameters.centre, (3, 1))
+    heats = np.zeros((3, 13))
+    heats[1, 3], heats[2, 6] = 20.0, -5.0
+    together = simulate_batch(default, values, _constant(30, 3000.0), COLD, disturbance_w=heats)
+    for member, heat in enumerate(heats):
+        alone = simulate_batch(default, values[:1], _constant(30, 3000.0), COLD, disturbance_w=heat)
+        np.testing.assert_array_equal(together[member], alone[0])
+    assert together[1, -1, 3] > together[0, -1, 3] + 1.0 > together[2, -1, 3]
+
+
 def test_concurrent_batches_are_safe_and_equal(default: ThermalModel) -> None:
     rng = np.random.default_rng(7)
     values = default.parameters.values_from_z(rng.normal(size=(24, default.parameters.size)))
