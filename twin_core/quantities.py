@@ -1,0 +1,232 @@
+"""What a parameter vector means physically: groups of parameters, and quantities at a point.
+
+Parameters of a fit trade against each other; the physical quantities that they make up do so much
+less. Which group a parameter belongs to follows from where the network uses it, so that any
+network has groups and quantities without naming its parameters here.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.network import AMBIENT, Edge, EdgeKind
+from twin_core.network_model import NetworkModel
+from twin_core.process_noise import LONG_RUN_IN
+from twin_core.simulation import SimulationError, heat_balance_w, kernels, steady_state
+
+FloatArray = NDArray[np.float64]
+
+Group = Literal[
+    "friction",
+    "heat split",
+    "contact",
+    "convection inside",
+    "convection outside",
+    "shaft sink",
+    "joints",
+    "capacity",
+]
+GROUPS: tuple[Group, ...] = get_args(Group)
+
+_AMBIENT_C = 22.0
+_DIFFERENCE_Z = 1e-2
+_SMALLEST = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class ReferencePoint:
+    """Where quantities are compared: speed in rpm, load in N, lubricant temperature in degC."""
+
+    speed_rpm: float
+    load_n: float
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A physical quantity of a machine at a reference point; always positive.
+
+    Attributes
+    ----------
+    name
+        Unique, such as ``friction``, ``contact`` or the name of a sensor.
+    group
+        The parameters that make it up; None for one that depends on all of them.
+    unit
+        Its unit.
+    text
+        For people, with the point.
+    """
+
+    name: str
+    group: Group | None
+    unit: str
+    text: str
+
+
+def parameter_groups(model: NetworkModel) -> dict[str, Group]:
+    """Group of every parameter, by where the network uses it.
+
+    A parameter that is used in several places belongs to the first of them in the order of
+    `GROUPS`.
+    """
+    network = model.network
+    found: dict[str, Group] = {}
+    uses: list[tuple[str, Group]] = [
+        (coefficient.parameter, "friction") for coefficient in network.source.coefficients
+    ]
+    uses += [(share.fraction.parameter, "heat split") for share in network.source.shares]
+    uses += [
+        (coefficient.parameter, _group_of(edge))
+        for edge in network.edges
+        for coefficient in edge.coefficients
+    ]
+    uses += [(node.capacity.parameter, "capacity") for node in network.nodes]
+    for name, group in sorted(uses, key=lambda use: GROUPS.index(use[1])):
+        found.setdefault(name, group)
+    return {name: found[name] for name in model.parameters.names}
+
+
+def _group_of(edge: Edge) -> Group:
+    if edge.kind is EdgeKind.CONTACT:
+        return "contact"
+    if edge.kind is EdgeKind.SHAFT_SINK:
+        return "shaft sink"
+    if edge.second == AMBIENT:
+        return "convection outside"
+    return "joints" if edge.kind is EdgeKind.CONSTANT else "convection inside"
+
+
+def reference_point(
+    model: NetworkModel, z: FloatArray, speed_rpm: float, load_n: float
+) -> ReferencePoint:
+    """Reference point at an operating point: with the lubricant as warm as it gets there.
+
+    Parameters
+    ----------
+    model, z
+        The model and standard coordinates (p,) of the machine.
+    speed_rpm, load_n
+        The operating point.
+
+    Returns
+    -------
+    ReferencePoint
+        With a temperature in whole tens of degC, so that it stays the same from version to
+        version; 60 where the model has no steady state.
+    """
+    values = model.parameters.values_from_z(z)
+    node = model.node_names.index(model.network.source.temperature_node)
+    try:
+        warm = steady_state(model, values, speed_rpm, load_n, _AMBIENT_C, LONG_RUN_IN)[node]
+    except SimulationError:
+        warm = 60.0
+    return ReferencePoint(speed_rpm, load_n, float(np.round(warm, -1)))
+
+
+def quantities(model: NetworkModel, point: ReferencePoint) -> tuple[Quantity, ...]:
+    """The quantities of a model: friction, conductances by group, capacity, steady rises.
+
+    A group that has no parameter of its own has no quantity: it cannot move.
+    """
+    groups = set(parameter_groups(model).values())
+    at = f"at {point.speed_rpm:.0f} rpm, {point.load_n:.0f} N"
+    described = [
+        Quantity("friction", "friction", "W", f"friction heat {at}, {point.temperature_c:.0f} degC")
+    ]
+    texts: dict[Group, str] = {
+        "contact": f"contact conductance {at}",
+        "convection inside": f"conductance of the films in the bearing {at}",
+        "convection outside": "conductance from the outside to the air at a difference of 12 K",
+        "shaft sink": f"conductance from the shaft ends to the air {at}",
+        "joints": "conductance of the joints",
+    }
+    described += [Quantity(group, group, "W/K", text) for group, text in texts.items()]
+    described.append(Quantity("capacity", "capacity", "J/K", "heat capacity of all parts"))
+    described = [one for one in described if one.group in groups]
+    described += [
+        Quantity(name, None, "K", f"steady rise of {name} above ambient {at}")
+        for name in model.sensor_names
+    ]
+    return tuple(described)
+
+
+def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> FloatArray:
+    """Values of `quantities` at one parameter vector.
+
+    Parameters
+    ----------
+    model
+        The model.
+    z
+        (p,) standard coordinates.
+    point
+        The reference point; running-in counts as over.
+
+    Returns
+    -------
+    ndarray
+        (k,) in the units of the quantities; NaN for steady rises that do not exist.
+    """
+    values = model.parameters.values_from_z(z)
+    capacity, coefficient, _, _ = kernels.bind_network(model.compiled, values)
+    conductance = kernels.edge_conductances(
+        model.compiled, coefficient, point.speed_rpm, point.load_n
+    )
+    of_group: dict[Group, list[float]] = {group: [] for group in GROUPS}
+    for number, edge in enumerate(model.network.edges):
+        if any(one.parameter for one in edge.coefficients):
+            of_group[_group_of(edge)].append(float(conductance[number]))
+    warm = np.full(len(model.node_names), point.temperature_c)
+    _, heat_w = heat_balance_w(
+        model, values, warm, point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN
+    )
+    try:
+        steady = steady_state(model, values, point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN)
+    except SimulationError:
+        steady = np.full(warm.size, np.nan)
+    rises = model.sensor_matrix(model.sensor_names) @ (steady - _AMBIENT_C)
+    found = []
+    for one in quantities(model, point):
+        if one.name == "friction":
+            found.append(heat_w)
+        elif one.name == "capacity":
+            found.append(float(capacity.sum()))
+        elif one.group is None:
+            found.append(float(rises[model.sensor_names.index(one.name)]))
+        elif one.group == "joints":
+            # joints lie in series as a rule: the mean of their resistances, not the sum
+            resistances = [1.0 / each for each in of_group["joints"]]
+            found.append(len(resistances) / sum(resistances))
+        else:
+            found.append(sum(of_group[one.group]))
+    return np.maximum(np.array(found), _SMALLEST)
+
+
+def log_gradient(
+    model: NetworkModel,
+    z: FloatArray,
+    point: ReferencePoint,
+    positions: NDArray[np.intp] | None = None,
+) -> FloatArray:
+    """Derivatives (k, p) of the logarithms of `quantities` by the standard coordinates.
+
+    Parameters
+    ----------
+    model, z, point
+        As for `evaluate`.
+    positions
+        Which coordinates, in order; all by default.
+    """
+    columns = []
+    for position in range(z.size) if positions is None else positions.tolist():
+        step = np.zeros(z.size)
+        step[position] = _DIFFERENCE_Z
+        high = np.minimum(z + step, model.parameters.z_upper)
+        low = np.maximum(z - step, model.parameters.z_lower)
+        span = max(float(high[position] - low[position]), _DIFFERENCE_Z)
+        difference = np.log(evaluate(model, high, point)) - np.log(evaluate(model, low, point))
+        columns.append(difference / span)
+    return np.array(columns).T
