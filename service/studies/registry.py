@@ -41,6 +41,7 @@ STUDIES = {
     "reference-nodes": Study("service.studies.reference_nodes", takes=BENCH_OPTIONS),
     "variable-load": Study("service.studies.variable_load", takes=BENCH_OPTIONS),
     "advice": Study("service.studies.advice", takes=BENCH_OPTIONS),
+    "surrogates": Study("service.studies.surrogates", takes=BENCH_OPTIONS),
 }
 
 ALL = "all"
