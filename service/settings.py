@@ -127,6 +127,10 @@ def _default_limits(asset: dict[str, Any]) -> dict[str, Limits]:
     }
 
 
+ModelName = Literal["default", "paper", "paper-reduced"]
+"""Models of a bearing; see `twin_core.models`."""
+
+
 class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
@@ -135,7 +139,7 @@ class AssetSection(Section):
     bearing: Annotated[BearingSection | None, BeforeValidator(bearing_table)] = Field(
         None, validate_default=True
     )
-    model: Literal["default", "paper"] = "default"
+    model: ModelName = "default"
     low_risk: LowRisk
     limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(
         default_factory=_default_limits

@@ -224,6 +224,14 @@ class ModelDocument(_Answer):
     status: Literal["candidate", "active", "retired", "rejected"]
     reason: str | None
     parameters: Any
+    identifiability: Any = Field(
+        None,
+        description="Rank and condition of the sensitivities, and the combinations of parameters "
+        "that the data inform; null for versions of older releases.",
+    )
+    paper_view: Any = Field(
+        None, description="The paper's 15 numbers, of the model paper-reduced only."
+    )
     windows: Any
     scores: Any
     naive: Any

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 from rich.console import Console
@@ -17,12 +17,14 @@ from service.cli.errors import BadInputError
 from service.machines.bearings import BearingSection, named_bearing
 from service.machines.networks import NetworkSection
 from service.offline.interruption import exit_on_signals
-from service.settings import load_settings
+from service.settings import ModelName, load_settings
 from twin_core.bearings import UnknownBearingError
 
 if TYPE_CHECKING:
     from service.offline.identification import Identified
     from twin_core.identification import Progress as FitProgress
+
+MODELS: tuple[str, ...] = get_args(ModelName)
 
 
 def identify(
@@ -43,7 +45,21 @@ def identify(
         typer.Option("--config", "-c", help="Take bearing, network and model from this file."),
     ] = None,
     asset: Annotated[str | None, typer.Option(help="Asset of the configuration.")] = None,
-    method: Annotated[str, typer.Option(help="noa+refine, noa or refine.")] = "noa+refine",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"{', '.join(MODELS)} of a bearing; by default the asset's, or {MODELS[0]}.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="METHOD",
+            help="noa+refine, noa or refine. For comparison another search in NOA's place: de, "
+            "trf, and with the extra bench pso or cma-es, alone or followed by +refine.",
+        ),
+    ] = "noa+refine",
     budget: Annotated[
         int | None, typer.Option(help="Simulations that the global search may take.")
     ] = None,
@@ -67,7 +83,7 @@ def identify(
     holds until the next row. For an asset with a network of its own the temperatures are those of
     its sensors and nodes.
     """
-    chosen_machine = _machine(bearing, config, asset)
+    chosen_machine = _with_model(model, *_machine(bearing, config, asset))
     with exit_on_signals():
         # Imported here: the compiled twin takes a second to load, which --help should not pay.
         from service.machines.machine import Machine
@@ -78,7 +94,7 @@ def identify(
         )
         from service.offline.tables import check_writable, read_recording
 
-        chosen, evaluations = check_options(method, budget, seed)
+        procedure = check_options(method, budget, seed)
         check_writable(out)
         machine = Machine(*chosen_machine)
         recording = read_recording(data, machine.temperature_names)
@@ -88,8 +104,7 @@ def identify(
                 found = identify_recording(
                     recording,
                     machine=machine,
-                    method=chosen,
-                    budget=evaluations,
+                    procedure=procedure,
                     seed=seed,
                     at_rest=at_rest,
                     progress=tell,
@@ -136,6 +151,24 @@ def _machine(
     raise BadInputError(f"--asset {asset!r}: expected one of the assets of {config} ({ids})")
 
 
+def _with_model(
+    model: str | None,
+    configured: str,
+    bearing: BearingSection | None,
+    network: NetworkSection | None,
+) -> tuple[str, BearingSection | None, NetworkSection | None]:
+    """The machine with the model that the option names."""
+    if model is None:
+        return configured, bearing, network
+    if model not in MODELS:
+        raise BadInputError(f"--model {model!r}: expected one of {', '.join(MODELS)}")
+    if network is not None:
+        raise BadInputError(
+            f"--model {model!r}: expected none, network {network.name!r} is the model itself"
+        )
+    return model, bearing, network
+
+
 def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
     try:
         return named_bearing(bearing, known)
@@ -172,22 +205,29 @@ def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
 
 def _print(found: "Identified", seconds: float, out: Path) -> None:
     console = Console(highlight=False)
-    table = Table("parameter", "value", "95 % interval", "unit", "verdict", "meaning")
+    table = Table("parameter", "value", "95 % interval", "unit", "informed", "verdict", "meaning")
     for name, row in found.parameters.items():
         table.add_row(
             name,
             f"{row['value']:.4g}",
             f"{row['low']:.4g} … {row['high']:.4g}",
             row["unit"],
+            f"{row['informed_share']:.0%}",
             row["verdict"],
             row["description"],
         )
     console.print(table)
-    posterior = found.model.posterior
+    _print_combinations(console, found)
+    if found.paper_view is not None:
+        view = Table("the paper's number", "value", "95 % interval")
+        for name, number in found.paper_view.items():
+            view.add_row(
+                name, f"{number['value']:.4g}", f"{number['low']:.4g} … {number['high']:.4g}"
+            )
+        console.print(view)
     console.print(
-        f"{found.rows} rows in {found.windows} windows, {found.evaluations} simulations, "
-        f"{seconds:.1f} s; rank {posterior.rank}, condition {posterior.condition:.1e}, "
-        f"{posterior.informed_combinations} combinations informed"
+        f"{found.rows} rows in {found.windows} windows, {found.method}: "
+        f"{found.evaluations} simulations, {seconds:.1f} s"
     )
     errors = Table("rms error in the data, K", *found.rms_by_sensor_k)
     errors.add_row("twin", *(f"{value:.2f}" for value in found.rms_by_sensor_k.values()))
@@ -198,3 +238,18 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
         )
     console.print(errors)
     console.print(f"Model: {out}", soft_wrap=True)
+
+
+def _print_combinations(console: Console, found: "Identified") -> None:
+    """What the data tell, as combinations of parameters in units of their priors' spreads."""
+    told = found.identifiability
+    table = Table("what the data tell", "std over prior's", "verdict")
+    for one in told["combinations"]:
+        if one["verdict"] != "prior only":
+            table.add_row(one["combination"], f"{one['std_over_prior']:.2f}", one["verdict"])
+    console.print(table)
+    console.print(
+        f"Of {len(told['combinations'])} combinations {told['informed']} are informed, "
+        f"{told['weak']} weakly, {told['prior_only']} rest on the prior alone; rank "
+        f"{told['rank']}, condition {told['condition']:.1e}"
+    )

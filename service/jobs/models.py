@@ -8,6 +8,7 @@ from service.live.estimate import ActiveModel
 from service.machines.machine import Machine
 from service.settings import AssetSection
 from service.store.records import Job, ModelVersion
+from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
 
@@ -31,6 +32,7 @@ def first_model(asset: AssetSection) -> dict[str, Any]:
         "machine": machine_of(asset).to_dict(),
         "posterior": posterior.to_dict(),
         "parameters": posterior.parameters(model),
+        "identifiability": posterior.identifiability_document(model),
         "windows": [],
         "window_records": [],
         "scores": {},
@@ -49,6 +51,8 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dic
         "machine": machine_of(asset).to_dict(),
         "posterior": result.posterior,
         "parameters": posterior.parameters(model),
+        "identifiability": posterior.identifiability_document(model),
+        "paper_view": paper_view(model, posterior),
         "windows": [
             {"start": window["start"], "end": window["end"]} | extra
             for window, extra in zip(job.request["windows"], result.windows, strict=True)
@@ -91,12 +95,29 @@ def why_not_of_this_asset(asset: AssetSection, version: ModelVersion) -> str | N
     return None
 
 
-def model_json(version: ModelVersion) -> dict[str, Any]:
-    """A model version as the REST interface shows it."""
+def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, Any]:
+    """A model version as the REST interface shows it.
+
+    Parameters
+    ----------
+    version
+        From the store.
+    combinations
+        Whether to spell out which combinations of parameters are informed, besides how many.
+    """
     shown = {
         name: version.document[name]
         for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
     }
+    # Versions of older releases carry neither.
+    shown["identifiability"] = version.document.get("identifiability")
+    shown["paper_view"] = version.document.get("paper_view")
+    if not combinations and shown["identifiability"] is not None:
+        shown["identifiability"] = {
+            name: value
+            for name, value in shown["identifiability"].items()
+            if name != "combinations"
+        }
     return {
         "version": version.version,
         "status": version.status,

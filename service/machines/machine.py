@@ -16,7 +16,7 @@ class Machine:
     Parameters
     ----------
     model_name
-        ``default`` or ``paper`` of a bearing; not used by a network of one's own.
+        One of `service.settings.ModelName`; not used by a network of one's own.
     bearing
         None only with a network.
     network

@@ -10,6 +10,8 @@ from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, minute_rows, revolutions_at
 from service.offline.tables import Recording
+from service.studies import methods
+from service.studies.common import StudyError, require
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
     DEFAULT_BUDGET,
@@ -20,7 +22,9 @@ from twin_core.identification import (
     identify,
 )
 from twin_core.identification.identify import Method
+from twin_core.identification.paper_view import paper_view
 from twin_core.identification.problem import IdentificationProblem
+from twin_core.identification.searching import Search
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -45,6 +49,8 @@ class Identified:
     ----------
     model
         For MODEL.json.
+    method
+        How it was identified.
     parameters
         Value, unit, 95 % interval and verdict by name.
     rms_k, rms_by_sensor_k
@@ -59,6 +65,7 @@ class Identified:
     """
 
     model: IdentifiedModel
+    method: str
     parameters: dict[str, dict[str, Any]]
     rms_k: float
     rms_by_sensor_k: dict[str, float]
@@ -67,11 +74,23 @@ class Identified:
     windows: int
     rows: int
 
+    @property
+    def identifiability(self) -> dict[str, Any]:
+        """Rank, condition and combinations of parameters; plain JSON types."""
+        return self.model.posterior.identifiability_document(self.model.model)
+
+    @property
+    def paper_view(self) -> dict[str, dict[str, Any]] | None:
+        """The paper's 15 numbers with intervals, of the model ``paper-reduced`` only."""
+        return paper_view(self.model.model, self.model.posterior)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types as the command line prints them."""
         posterior = self.model.posterior
+        view = self.paper_view
         return {
             "model": self.model.model.name,
+            "method": self.method,
             "bearing": self.model.model.machine,
             "parameters": self.parameters,
             "rms_error_k": self.rms_k,
@@ -80,37 +99,86 @@ class Identified:
             "rank": posterior.rank,
             "condition": posterior.condition,
             "informed_combinations": posterior.informed_combinations,
+            "identifiability": self.identifiability,
             "naive": self.naive_k,
             "windows": self.windows,
             "rows": self.rows,
-        }
+        } | ({} if view is None else {"paper_view": view})
 
 
-def check_options(method: str, budget: int | None, seed: int) -> tuple[Method, int]:
-    """Return method and budget, or complain.
+@dataclass(frozen=True, slots=True)
+class Procedure:
+    """How to identify.
+
+    Attributes
+    ----------
+    name
+        As the user named it.
+    method
+        Which parts: a search, a refinement, or both.
+    search
+        The global search in NOA's place; None for NOA.
+    budget
+        Evaluations of the search.
+    """
+
+    name: str
+    method: Method
+    search: Search | None
+    budget: int
+
+
+OTHER_SEARCHES: dict[str, tuple[Search, str | None]] = {
+    "pso": (methods.particle_swarm, "pymoo"),
+    "de": (methods.differential_evolution, None),
+    "cma-es": (methods.cma_es, "cma"),
+    "trf": (methods.trust_region, None),
+}
+"""Searches of well-kept libraries, and the library of the extra ``bench`` that each needs."""
+
+REFINED = "+refine"
+METHOD_NAMES: tuple[str, ...] = (
+    *get_args(Method),
+    *(name + refined for name in OTHER_SEARCHES for refined in ("", REFINED)),
+)
+
+
+def check_options(method: str, budget: int | None, seed: int) -> Procedure:
+    """Return how to identify, or complain.
 
     Raises
     ------
     UnusableDataError
-        For an unknown method, too small a budget or a negative seed.
+        For an unknown method, one whose library is not installed, too small a budget or a negative
+        seed.
     """
     if seed < 0:
         raise UnusableDataError(f"--seed {seed}: expected 0 or more")
-    known: tuple[Method, ...] = get_args(Method)
-    for name in known:
-        if name == method:
-            if budget is not None and budget < _LEAST_BUDGET:
-                raise UnusableDataError(f"--budget {budget}: expected at least {_LEAST_BUDGET}")
-            return name, DEFAULT_BUDGET if budget is None else budget
-    raise UnusableDataError(f"--method {method!r}: expected one of {', '.join(known)}")
+    if method not in METHOD_NAMES:
+        raise UnusableDataError(f"--method {method!r}: expected one of {', '.join(METHOD_NAMES)}")
+    if budget is not None and budget < _LEAST_BUDGET:
+        raise UnusableDataError(f"--budget {budget}: expected at least {_LEAST_BUDGET}")
+    evaluations = DEFAULT_BUDGET if budget is None else budget
+    for known in get_args(Method):
+        if known == method:
+            return Procedure(method, known, None, evaluations)
+    search, module = OTHER_SEARCHES[method.removesuffix(REFINED)]
+    try:
+        require(*([] if module is None else [module]))
+    except StudyError as error:
+        raise UnusableDataError(f"--method {method!r}: {error}") from error
+    parts: Method = "noa+refine" if method.endswith(REFINED) else "noa"
+    return Procedure(method, parts, search, evaluations)
+
+
+NOA_REFINE = Procedure("noa+refine", "noa+refine", None, DEFAULT_BUDGET)
 
 
 def identify_recording(
     recording: Recording,
     *,
     machine: Machine,
-    method: Method = "noa+refine",
-    budget: int = DEFAULT_BUDGET,
+    procedure: Procedure = NOA_REFINE,
     seed: int = 0,
     at_rest: bool = False,
     progress: Callable[[Progress], None] | None = None,
@@ -123,8 +191,8 @@ def identify_recording(
         Low-risk data.
     machine
         What the model is built of.
-    method, budget, seed
-        See `twin_core.identification.identify`.
+    procedure, seed
+        How; see `twin_core.identification.identify`.
     at_rest
         The machine stood at ambient at the first row. Then a window after a gap that shows a
         standing machine at ambient counts as such a start as well; otherwise every initial state
@@ -143,7 +211,15 @@ def identify_recording(
     minutes = minute_rows(recording)
     data = data_set(recording, minutes, at_rest)
     try:
-        result = identify(model, data, method=method, budget=budget, seed=seed, progress=progress)
+        result = identify(
+            model,
+            data,
+            method=procedure.method,
+            budget=procedure.budget,
+            search=procedure.search,
+            seed=seed,
+            progress=progress,
+        )
     except ValueError as error:
         # All input has been checked: what is left is that no simulation holds on these data.
         raise FailedFitError(f"{recording.name}: {error}") from error
@@ -154,6 +230,7 @@ def identify_recording(
         model=IdentifiedModel(
             machine, model, result.posterior, RunIn.of(recording, minutes, at_rest)
         ),
+        method=procedure.name,
         parameters=result.posterior.parameters(model),
         rms_k=_total_rms(IdentificationProblem(model, data), result),
         rms_by_sensor_k=rms_by_sensor,

@@ -135,6 +135,10 @@ def test_a_version_tells_parameters_scores_and_gates(live: Site) -> None:
         assert row["verdict"] in ("informed", "weak", "prior only")
         assert "unit" in row
     assert "informed" in {row["verdict"] for row in model["parameters"].values()}
+    told = model["identifiability"]
+    assert told["informed"] >= 2
+    assert told["informed"] + told["weak"] + told["prior_only"] == len(model["parameters"])
+    assert [one["verdict"] for one in told["combinations"]].count("informed") == told["informed"]
     assert set(model["scores"]["train_rms_k"]) == {"t_inner_ring_c", "t_outer_ring_c"}
     assert max(model["scores"]["train_rms_k"].values()) < 0.5
     assert set(model["naive"]["extrapolation"]) >= {"persistence", "static_linear", "arx"}

@@ -32,9 +32,9 @@ class ActivationRequest(RequestBody):
 
 @router.get("", response_model=ModelList, summary="Model versions", **secured(ENGINEER, 404, 503))
 def list_models(context: Context, asset: Asset) -> Response:
-    """All versions, newest first."""
+    """All versions, newest first; informed combinations are counted, not spelled out."""
     versions = context.store.model_versions(asset.id)
-    items = [model_json(version) for version in reversed(versions)]
+    items = [model_json(version, combinations=False) for version in reversed(versions)]
     return json_response({"items": items, "next": None})
 
 
@@ -45,7 +45,7 @@ def list_models(context: Context, asset: Asset) -> Response:
     **secured(ENGINEER, 404, 503),
 )
 def get_model(context: Context, asset: Asset, version: Version) -> Response:
-    """Parameters with intervals, the data used, scores beside the naive forecasts."""
+    """Parameters with intervals, what the data inform, scores beside the naive forecasts."""
     model = context.store.model_version(asset.id, version)
     if model is None:
         raise _no_version(asset, version)

@@ -49,6 +49,36 @@ async def test_one_version_is_shown(models: Any) -> None:
     assert (await models.client("engineer").get(f"{MODELS}/{2**40}")).status_code == 422
 
 
+async def test_what_the_data_inform_is_counted_in_the_list_and_spelled_out_for_one(
+    world: Any,
+) -> None:
+    told = {
+        "rank": 2,
+        "condition": 30.0,
+        "informed": 1,
+        "combinations": [{"combination": "0.80 k1 + 0.60 k2", "verdict": "informed"}],
+    }
+    extra = {"identifiability": told, "paper_view": {"f2": {"value": 0.7}}}
+    world.store.add_model_version("bench-1", "candidate", "", DOCUMENT | extra, 1)
+    client = world.client("engineer")
+    version = (await client.get(MODELS)).json()["items"][0]["version"]
+    whole = (await client.get(f"{MODELS}/{version}")).json()
+    assert whole["identifiability"] == told
+    assert whole["paper_view"] == {"f2": {"value": 0.7}}
+    (listed,) = [
+        item for item in (await client.get(MODELS)).json()["items"] if item["version"] == version
+    ]
+    assert listed["identifiability"] == {"rank": 2, "condition": 30.0, "informed": 1}
+
+
+async def test_versions_of_older_releases_say_nothing_about_it(models: Any) -> None:
+    for path in (f"{MODELS}/2", MODELS):
+        document = (await models.client("engineer").get(path)).json()
+        shown = document["items"][0] if "items" in document else document
+        assert shown["identifiability"] is None
+        assert shown["paper_view"] is None
+
+
 async def test_activating_and_rolling_back_are_journaled(models: Any) -> None:
     response = await activate(models, 2)
     assert ModelDocument.model_validate(response.json()).status == "active"

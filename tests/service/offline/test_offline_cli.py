@@ -89,6 +89,11 @@ def test_identify_then_forecast_as_a_user_does(run: Run, data: Path, tmp_path: P
     assert found["seconds"] > 0.0
     assert found["condition"] > 1.0
     assert 0 < found["rank"] <= len(found["parameters"])
+    told = found["identifiability"]
+    assert (told["rank"], told["condition"]) == (found["rank"], found["condition"])
+    assert told["informed"] == found["informed_combinations"] > 1
+    assert len(told["combinations"]) == len(found["parameters"])
+    assert set(told["combinations"][0]["weights"]) <= set(found["parameters"])
     assert set(found["naive"]) == {"persistence", "static_linear", "arx"}
     assert found["naive"]["static_linear"]["t_inner_ring_c"] > found["rms_error_k"]
 
@@ -163,6 +168,8 @@ def test_same_seed_same_result_and_a_readable_table(
     command(*arguments[:-1], 4, "--out", models[1])
     assert models[0].read_text() != models[1].read_text()
     text = command(*arguments, "--out", models[0])
+    assert "what the data tell" in text
+    assert "rest on the prior alone; rank" in text
     assert "M0" in text
     assert "informed" in text
     assert "static linear" in text
@@ -220,8 +227,12 @@ def test_wrong_options_are_refused_in_one_line(
     assert "without --config" in refusal("--asset", "pump", "--bearing", "6311")
     assert "cannot be read" in refusal("--config", tmp_path / "none.toml", "--asset", "pump")
     chosen = ("--bearing", "6311")
-    assert refusal(*chosen, "--method", "pso") == (
-        "--method 'pso': expected one of noa+refine, noa, refine"
+    assert refusal(*chosen, "--method", "swarm") == (
+        "--method 'swarm': expected one of noa+refine, noa, refine, pso, pso+refine, de, "
+        "de+refine, cma-es, cma-es+refine, trf, trf+refine"
+    )
+    assert refusal(*chosen, "--model", "mine") == (
+        "--model 'mine': expected one of default, paper, paper-reduced"
     )
     assert refusal(*chosen, "--budget", 10) == "--budget 10: expected at least 25"
     assert refusal(*chosen, "--seed", -1) == "--seed -1: expected 0 or more"

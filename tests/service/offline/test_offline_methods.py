@@ -1,0 +1,106 @@
+"""``identify`` with other searches than NOA, and with other models than the default one."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from service.cli.identify import MODELS
+from service.offline.identification import (
+    METHOD_NAMES,
+    OTHER_SEARCHES,
+    UnusableDataError,
+    check_options,
+)
+from twin_core.identification.identify import Method
+from twin_core.models import ModelName
+
+from .files import Run, write
+
+Command = Callable[..., Any]
+
+
+@pytest.fixture
+def data(run: Run, tmp_path: Path) -> Path:
+    """The first hour and a half of the bench, every minute."""
+    return write(tmp_path / "data.csv", run.rows(60)[:90])
+
+
+def identify(command: Command, data: Path, *options: object) -> Any:
+    out = data.with_name("model.json")
+    return command(
+        "identify", data, "--bearing", "6311", "--at-rest", *options, "--out", out, "--json"
+    )
+
+
+@pytest.mark.parametrize("search", OTHER_SEARCHES)
+def test_a_librarys_search_followed_by_the_refinement_ends_where_noa_does(
+    data: Path, command: Command, search: str
+) -> None:
+    ours = identify(command, data, "--budget", 100)
+    theirs = identify(command, data, "--budget", 100, "--method", f"{search}+refine")
+    assert theirs["method"] == f"{search}+refine"
+    assert ours["method"] == "noa+refine"
+    assert theirs["rms_error_k"] == pytest.approx(ours["rms_error_k"], abs=0.03)
+    assert theirs["evaluations"] > 100
+
+
+@pytest.mark.parametrize(("search", "budget"), [("trf", 1000)])
+def test_alone_it_is_given_its_budget_and_no_more(
+    data: Path, command: Command, search: str, budget: int
+) -> None:
+    few, more = (
+        identify(command, data, "--method", search, "--budget", evaluations)
+        for evaluations in (budget, budget + 500)
+    )
+    assert more["evaluations"] - few["evaluations"] == 500
+    assert more["rms_error_k"] < 0.5
+
+
+def test_every_method_is_known_by_its_name() -> None:
+    assert set(get_args(Method)) < set(METHOD_NAMES)
+    for name in METHOD_NAMES:
+        procedure = check_options(name, None, 0)
+        assert procedure.name == name
+        assert procedure.method in get_args(Method)
+        assert (procedure.search is None) == (name in get_args(Method))
+    assert check_options("de+refine", 50, 0).method == "noa+refine"
+    assert check_options("de", 50, 0).method == "noa"
+
+
+def test_a_search_whose_library_is_missing_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search, _ = OTHER_SEARCHES["pso"]
+    monkeypatch.setitem(OTHER_SEARCHES, "pso", (search, "no_such_library"))
+    with pytest.raises(UnusableDataError) as refused:
+        check_options("pso+refine", None, 0)
+    assert str(refused.value) == (
+        "--method 'pso+refine': no_such_library is not installed: pip install 'bearing-twin[bench]'"
+    )
+
+
+def test_the_models_of_configuration_command_line_and_twin_are_the_same() -> None:
+    assert get_args(ModelName) == MODELS
+
+
+def test_the_reduced_paper_model_shows_the_papers_15_numbers(data: Path, command: Command) -> None:
+    found = identify(command, data, "--model", "paper-reduced", "--budget", 100)
+    assert found["model"] == "paper-reduced"
+    assert found["rms_error_k"] < 0.4
+    assert len(found["paper_view"]) == 15
+    for number in found["paper_view"].values():
+        assert number["low"] <= number["high"]
+    f2 = found["paper_view"]["f2"]
+    assert f2["low"] < f2["value"] < f2["high"]
+    assert found["paper_view"]["K41"] == {"value": 2.0, "low": 2.0, "high": 2.0}
+    text = command(
+        "identify", data, "--bearing", "6311", "--at-rest", "--model", "paper-reduced",
+        "--method", "refine", "--out", data.with_name("other.json"),
+    )  # fmt: skip
+    assert "the paper's number" in text
+
+
+def test_other_models_have_no_view(data: Path, command: Command) -> None:
+    assert "paper_view" not in identify(command, data, "--method", "refine")
