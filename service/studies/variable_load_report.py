@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 Found = Mapping[str, Mapping[str, Any]]
 """Figures by load law and training."""
 
+# A band that reaches into a runaway would press all else flat.
+_HIGHEST_SHOWN_C = 130.0
 _TRAINING_NAMES = {"single": "2650 N", "with_stage": "2650, 3300 N"}
 
 
@@ -187,7 +189,9 @@ def draw_loads(drawn: Sequence["LoadRun"]) -> "Figure":
         draw_curves(axes, one.fitted, legend=True)
         draw_curves(axes, one.shown, legend=False)
         axes.axvspan(0.0, one.rows[0] / 60.0, color="0.92", zorder=0)
-        axes.set_ylim(15.0, 1.05 * max(values.max() for values in one.shown.measured_c.values()))
+        hottest = max(values.max() for values in one.shown.measured_c.values())
+        upper = max(quantiles.max() for quantiles in one.shown.quantiles_c.values())
+        axes.set_ylim(15.0, 1.05 * max(hottest, min(upper, _HIGHEST_SHOWN_C)))
         errors = [
             f"{load} N {pair({ring: score.steady_error_k for ring, score in found.rings.items()})}"
             for load, found in one.conditions.items()
