@@ -33,7 +33,7 @@ class LimitMap(_Answer):
         description="Share of the members that reach it within the horizon."
     )
     steady_probability: Matrix = Field(
-        description="Share of the members whose steady state is at or over it."
+        description="Probability that the steady state is at or over it, smooth over the map."
     )
     median_s: Matrix = Field(
         description="Seconds until half of the members have reached it; null where fewer do."

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import config as numba_config
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.ensemble import (
@@ -38,6 +39,7 @@ _EARLIEST = 0.025
 # What a member without a steady state counts as: over every limit, and finite.
 _CEILING_C = 500.0
 _CHUNKS_PER_THREAD = 4
+_NARROWEST_K = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,8 @@ class LimitMap:
     probability
         (loads, speeds) share of the members that reach it within the horizon.
     steady_probability
-        (loads, speeds) share of the members whose steady temperature is at or over it.
+        (loads, speeds) probability that the steady temperature is at or over it: members count
+        smoothly, so that its contours are no staircases.
     median_s, earliest_s
         (loads, speeds) times at which half and 2.5 % of the members have reached it; infinite
         where fewer do.
@@ -237,10 +240,20 @@ def _limit_map(
     return LimitMap(
         limit_c=float(limit_c),
         probability=np.mean(np.isfinite(times), axis=0).reshape(shape),
-        steady_probability=np.mean(readings >= limit_c, axis=0).reshape(shape),
+        steady_probability=_smooth_share(readings, limit_c).reshape(shape),
         median_s=time_of(0.5),
         earliest_s=time_of(_EARLIEST),
     )
+
+
+def _smooth_share(readings: FloatArray, limit_c: float) -> FloatArray:
+    """Share (points,) of readings (members, points) over a limit, each member a small normal.
+
+    Silverman's width for a normal kernel, from the quartiles: members that ran away do not count.
+    """
+    low, high = np.quantile(readings, (0.25, 0.75), axis=0)
+    width = 0.9 * (high - low) / 1.349 * len(readings) ** -0.2
+    return np.asarray(np.mean(ndtr((readings - limit_c) / np.maximum(width, _NARROWEST_K)), axis=0))
 
 
 def _hold(

@@ -10,12 +10,14 @@ import { currentSession, logInFromAddress, logOut, showLogin } from './login.js'
 import { liveDetail, situation } from './situation.js';
 import { emptyAsset, Store } from './store.js';
 import { EngineerView } from './views/engineer.js';
+import { EnvelopeView } from './views/envelope.js';
 import { OperatorView } from './views/operator.js';
 import { WhatIfView } from './views/whatif.js';
 
 const VIEWS = {
   operator: { title: 'Operator', view: OperatorView, from: 'viewer' },
   whatif: { title: 'What-if', view: WhatIfView, from: 'operator' },
+  envelope: { title: 'Envelope', view: EnvelopeView, from: 'viewer' },
   engineer: { title: 'Engineer', view: EngineerView, from: 'engineer' },
 };
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
@@ -51,6 +53,7 @@ async function acknowledgeAlarm(alarm, button) {
 
 const page = {
   store, clock, live, may, notify,
+  wish: null, // a point that one view hands over to another: { speed_rpm, load_n }
   acknowledge: acknowledgeAlarm,
   mayAcknowledge: () => may('operator'),
 };

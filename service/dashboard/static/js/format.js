@@ -78,6 +78,9 @@ function spanParts(seconds) {
 
 export const spanText = (seconds) => spanParts(seconds).flat().join(' ');
 
+/** The same for round figures: 8 h, not 8 h 00 min. */
+export const wholeSpan = (seconds) => spanText(seconds).replace(' h 00 min', ' h');
+
 /** The same with small units, for large figures. */
 export const spanNodes = (seconds) =>
   spanParts(seconds).map(([number, name], i) => [i ? ' ' : '', number, unit(name)]);

@@ -1,4 +1,5 @@
-// Engineer: windows -> identification -> versions.
+// Engineer: windows -> identification -> versions; what to measure next.
+import { AdvicePanel } from '../advice.js';
 import { assetPath, call, callPages } from '../api.js';
 import { ConvergenceChart } from '../convergence.js';
 import { askReason } from '../dialogs.js';
@@ -21,7 +22,7 @@ export class EngineerView {
     this.chosen = null;
     this.lastJob = null;
     put(box, h('h1', { class: 'vh' }, 'Engineer'), this.createWindows(), this.createJob(),
-      this.createVersions());
+      this.createVersions(), new AdvicePanel(page).element);
     this.chart = new ConvergenceChart(this.plot);
     this.endings = [
       page.store.on(['jobs', 'link'], () => this.showJob(), 250),

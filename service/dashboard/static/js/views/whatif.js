@@ -104,6 +104,13 @@ export class WhatIfView {
     return steps.length > 1 && this.fromEnd ? steps.slice(1, MOST_STEPS) : steps.slice(0, MOST_STEPS);
   }
 
+  /** The point that another view hands over, as a profile; null when there is none. */
+  wished() {
+    const { wish } = this.page;
+    this.page.wish = null;
+    return wish && [{ ...wish, minutes: 120 }];
+  }
+
   /** The plan from now on, the present step first. */
   coming() {
     const { store, clock } = this.page;
@@ -218,7 +225,7 @@ export class WhatIfView {
   follow() {
     const now = situation(this.page.store.state, this.page.clock);
     if (!now) return;
-    if (!this.steps && this.page.store.get('forecast')) this.use(this.plannedSteps());
+    if (!this.steps && this.page.store.get('forecast')) this.use(this.wished() ?? this.plannedSteps());
     this.show();
   }
 

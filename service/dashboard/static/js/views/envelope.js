@@ -1,0 +1,228 @@
+// Safe operating envelope over speed and load: where the machine may go from here.
+import { assetPath, call } from '../api.js';
+import { h, put, s, setText } from '../dom.js';
+import { EnvelopeMap } from '../envelope_map.js';
+import { distinctSteps, stepsFrom } from '../forecast.js';
+import { celsius, channelName, fixed, isNumber, percent, spanText, wholeSpan } from '../format.js';
+import { icon } from '../icons.js';
+import { nearestAt, planeOf, valueAt } from '../plane.js';
+import { readChannel } from '../readings.js';
+import { THRESHOLDS } from '../verdict.js';
+
+const REFRESH_MS = 15000;
+const AWAY_C = 450; // stands for a member that has run away
+const WORDS = { safe: 'Safe', risk: 'At risk', unsafe: 'Not safe' };
+
+/** The word for a point, from its probabilities; `priority` 0 is calm. */
+export function verdictAt(warning, alarm) {
+  const word = warning < THRESHOLDS.atRisk ? 'safe'
+    : warning < THRESHOLDS.notSafe ? 'risk' : 'unsafe';
+  const priority = alarm >= THRESHOLDS.alarm ? 1 : warning >= THRESHOLDS.atRisk ? 2 : 0;
+  return { word, priority };
+}
+
+const symbol = (priority, size) =>
+  (priority ? icon(priority, 'dashed', size) : icon('ok', 'filled', size));
+
+export class EnvelopeView {
+  constructor(box, page) {
+    this.page = page;
+    this.mode = 'temperature';
+    this.sensor = null;
+    this.answer = null;
+    this.probe = null;
+    this.side = {
+      point: h('section', { class: 'panel', id: 'probe', 'aria-live': 'polite' }),
+      steps: h('section', { class: 'panel' }),
+      key: h('section', { class: 'panel' }),
+    };
+    put(box, h('h1', { class: 'vh' }, 'Envelope'), this.createMap(),
+      h('div', { class: 'side' }, Object.values(this.side)));
+    this.map = new EnvelopeMap(this.mapBox, (probe) => {
+      this.probe = probe;
+      this.show();
+    });
+    this.endings = [page.store.on(['forecast', 'link', 'tags'], () => this.show(), 1000)];
+    this.timer = setInterval(() => this.load(), REFRESH_MS);
+    this.load();
+  }
+
+  destroy() {
+    clearInterval(this.timer);
+    this.endings.forEach((end) => end());
+    this.map.destroy();
+  }
+
+  createMap() {
+    this.title = h('h2', {}, 'Safe operating envelope');
+    this.note = h('p', { class: 's mut' });
+    this.sensorChoice = h('span', { class: 'seg' });
+    this.modeChoice = h('span', { class: 'seg' });
+    this.problem = h('p', { class: 'problem', role: 'alert' });
+    this.mapBox = h('div', { class: 'map' });
+    return h('section', { class: 'panel p-map' },
+      h('header', {}, this.title, h('span', { class: 'sp' }), this.sensorChoice, this.modeChoice),
+      this.problem, this.mapBox, this.note);
+  }
+
+  /** The envelope as the service has it; it keeps one until the machine has changed. */
+  async load() {
+    if (this.page.store.get('link').status !== 'live' && this.answer) return;
+    try {
+      this.answer = await call(assetPath(this.page.live.assetId, '/envelope'));
+      setText(this.problem, '');
+    } catch (error) {
+      setText(this.problem, `No envelope: ${error.message}.`);
+      return;
+    }
+    this.show();
+  }
+
+  limits() {
+    const own = this.answer.sensors[this.sensor].limits;
+    return own.warning ? { warning: own.warning.limit_c, alarm: own.alarm.limit_c } : null;
+  }
+
+  show() {
+    if (!this.answer) return;
+    const { store, clock } = this.page;
+    const sensors = Object.keys(this.answer.sensors);
+    if (!sensors.includes(this.sensor)) [this.sensor] = sensors;
+    const limits = this.limits();
+    if (!limits) this.mode = 'temperature';
+    const maps = this.answer.sensors[this.sensor];
+    const plane = planeOf(this.answer);
+    const now = (name, kept) => {
+      const reading = readChannel(store.state, clock, name);
+      return reading.usable ? reading.value : kept;
+    };
+    const { speed_rpm: speed, load_n: load } = this.answer.present;
+    const present = { speed: now('speed_rpm', speed), load: now('load_n', load) };
+    const ahead = clock.now() === null ? []
+      : distinctSteps(stepsFrom(store.get('forecast'), clock.now()));
+    const steps = ahead.slice(1).map((step) => ({ speed: step.speed_rpm, load: step.load_n }));
+    this.probe ??= steps[0] ?? {
+      speed: Math.max(present.speed, plane.low.speed), load: Math.max(present.load, plane.low.load),
+    };
+    this.showHead(sensors, limits);
+    this.map.update({
+      answer: this.answer, maps, limits, mode: this.mode, probe: this.probe, present, steps,
+    });
+    this.showPoint(plane, maps, limits);
+    this.showSteps(plane, maps, limits, [present, ...steps]);
+    this.showKey(limits);
+  }
+
+  showHead(sensors, limits) {
+    const key = JSON.stringify([sensors, this.sensor, this.mode, limits]);
+    const hours = wholeSpan(this.answer.horizon_s);
+    setText(this.note, [`Every point held until steady, from the present state; times within ${hours}`,
+      ...this.answer.labels].join('; '));
+    if (key === this.headKey) return;
+    this.headKey = key;
+    const choice = (text, pressed, choose) => h('button', {
+      type: 'button', 'aria-pressed': String(pressed),
+      onclick: () => {
+        choose();
+        this.show();
+      },
+    }, text);
+    put(this.sensorChoice, sensors.map((name) =>
+      choice(channelName(name), name === this.sensor, () => { this.sensor = name; })));
+    put(this.modeChoice,
+      choice('steady temperature', this.mode === 'temperature',
+        () => { this.mode = 'temperature'; }),
+      limits && choice(`time to ${limits.warning} °C`, this.mode === 'time',
+        () => { this.mode = 'time'; }));
+  }
+
+  showPoint(plane, maps, limits) {
+    const { speed, load } = this.probe;
+    // Made anew only when it says something new, so that its buttons keep focus and clicks.
+    const key = JSON.stringify([speed, load, this.sensor, this.answer.made_at,
+      this.answer.model_version]);
+    if (key === this.pointKey) return;
+    this.pointKey = key;
+    const at = (matrix) => valueAt(plane, matrix, speed, load);
+    const degrees = (value) => (isNumber(value) && value < AWAY_C ? celsius(value) : 'runs away');
+    const rows = [['Steady, median', degrees(at(maps.steady_c.q50))],
+      ['97.5 % below', degrees(at(maps.steady_c.q975))]];
+    let head = null;
+    if (limits) {
+      const [warning, alarm] = ['warning', 'alarm'].map((level) => maps.limits[level]);
+      const { word, priority } = verdictAt(at(warning.steady_probability), at(alarm.steady_probability));
+      head = h('div', { class: `verd${priority ? ` p${priority}` : ''}` },
+        symbol(priority, '1em'), h('span', { class: 'word' }, WORDS[word]));
+      for (const [level, map] of [['warning', warning], ['alarm', alarm]]) {
+        const median = nearestAt(plane, map.median_s, speed, load);
+        const first = nearestAt(plane, map.earliest_s, speed, load);
+        const hours = wholeSpan(this.answer.horizon_s);
+        rows.push([`Over ${limits[level]} °C`, percent(at(map.steady_probability))],
+          ['median time to it', median === null ? `not within ${hours}` : spanText(median)],
+          ['earliest', first === null ? '–' : spanText(first)]);
+      }
+    }
+    const open = nearestAt(plane, this.answer.runaway.not_excluded, speed, load);
+    put(this.side.point, h('header', {},
+      h('h2', {}, `At ${fixed(speed, 0)} rpm, ${fixed(load, 0)} N`)), head,
+    h('dl', { class: 'kv' }, rows.map(([name, value]) => [h('dt', {}, name), h('dd', {}, value)])),
+    open && h('p', { class: 'open' }, icon(2, 'dashed'), 'Thermal runaway is not excluded here'),
+    h('div', { class: 'row foot' },
+      this.page.may('operator') && h('button', {
+        class: 'btn', type: 'button', onclick: () => this.handOver('whatif'),
+      }, 'Try in what-if'),
+      this.page.may('engineer') && h('button', {
+        class: 'btn', type: 'button', onclick: () => this.handOver('engineer'),
+      }, 'How to learn this point')));
+  }
+
+  showSteps(plane, maps, limits, steps) {
+    const row = (step, i) => {
+      const chance = limits && ['warning', 'alarm'].map((level) =>
+        valueAt(plane, maps.limits[level].steady_probability, step.speed, step.load));
+      const { word, priority } = limits ? verdictAt(...chance) : {};
+      return h('tr', {}, h('td', {}, i ? h('b', {}, String(i)) : 'now'),
+        h('td', { class: 'r' }, fixed(step.speed, 0), h('span', { class: 'u' }, 'rpm')),
+        h('td', { class: 'r' }, fixed(step.load, 0), h('span', { class: 'u' }, 'N')),
+        limits && h('td', { class: 'nw' }, symbol(priority, '1.3em'), ' ', WORDS[word]),
+        limits && h('td', { class: 'r b' }, percent(chance[0])));
+    };
+    put(this.side.steps, h('header', {}, h('h2', {}, 'Planned steps')),
+      h('table', {}, h('tbody', {}, steps.map(row))));
+  }
+
+  showKey(limits) {
+    if (this.keyFor === JSON.stringify(limits)) return;
+    this.keyFor = JSON.stringify(limits);
+    const box = (parts) => s('svg', { viewBox: '0 0 34 22', 'aria-hidden': 'true' }, parts);
+    const ground = (fill, opacity) => s('rect', { width: 34, height: 22, fill, opacity });
+    const circle = (r, more) => s('circle', { cx: 17, cy: 11, r, ...more });
+    const items = limits ? [
+      [box(s('rect', { width: 34, height: 22, fill: 'var(--panel-2)', stroke: 'var(--line)' })),
+        `under 5 % over ${limits.warning} °C`],
+      [box([ground('var(--p2)', 0.3), s('path', {
+        d: 'M0 22 22 0M12 22 34 0', stroke: 'var(--p2)', 'stroke-width': 2,
+      })]), '5 to 50 %: the twin is not sure'],
+      [box(ground('var(--p2)', 0.55)), `over ${limits.warning} °C likely`],
+      [box(ground('var(--p1)', 0.7)), `over ${limits.alarm} °C likely`],
+    ] : [];
+    items.push(
+      [box([circle(8, { fill: 'none', stroke: 'var(--ink)', 'stroke-width': 3 }),
+        circle(2.5, { fill: 'var(--ink)' })]), 'present point'],
+      [box([s('path', {
+        d: 'M2 11H32', stroke: 'var(--ink)', 'stroke-width': 2, 'stroke-dasharray': '5 4',
+      }), circle(6, { fill: 'var(--panel)', stroke: 'var(--ink)', 'stroke-width': 2 })]),
+      'planned steps in order'],
+      [box(s('rect', {
+        x: 2, y: 2, width: 30, height: 18, fill: 'none', stroke: 'var(--twin)', 'stroke-width': 2,
+      })), 'low-risk region, model learned here']);
+    put(this.side.key, h('header', {}, h('h2', {}, 'Key')),
+      h('div', { class: 'lk' }, items.map(([drawn, text]) => [drawn, h('span', {}, text)])));
+  }
+
+  /** Hand the point over to another view. */
+  handOver(view) {
+    this.page.wish = { speed_rpm: this.probe.speed, load_n: this.probe.load };
+    location.hash = view;
+  }
+}
