@@ -4,7 +4,7 @@ import re
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, Route
 
 from service.dashboard import static_directory
 
@@ -234,6 +234,173 @@ def test_rows_stay_in_place_while_their_texts_change(parts: Page) -> None:
     assert same["same"] is True
     assert same["before"].replace("\u00a0", " ") == "predicted in 30 min · 40 %"
     assert same["after"].replace("\u00a0", " ") == "predicted in 10 min · 40 %"
+
+
+# A plane of 3 speeds and 2 loads; time to a limit that slow points never reach.
+PLANE = """
+const { planeOf, valueAt, nearestAt, contour } = await import('/js/plane.js');
+const plane = planeOf({ speed_rpm: [1000, 2000, 3000], load_n: [500, 1500] });
+const temperatures = [[30, 40, 50], [40, 50, 60]];
+const times = [[null, null, 3600], [null, 7200, 1800]];
+"""
+
+
+def test_values_between_grid_points_are_interpolated(parts: Page) -> None:
+    found = run(
+        parts,
+        PLANE
+        + """return {
+          corner: valueAt(plane, temperatures, 1000, 500),
+          between: valueAt(plane, temperatures, 1500, 1000),
+          outside: valueAt(plane, temperatures, 9000, 9000),
+          unknown: valueAt(plane, times, 1500, 1000),
+          nearest: nearestAt(plane, times, 2900, 1400),
+          never: nearestAt(plane, times, 1100, 600),
+        };""",
+    )
+    assert found == {
+        "corner": 30,
+        "between": 40,
+        "outside": 60,
+        "unknown": None,
+        "nearest": 1800,
+        "never": None,
+    }
+
+
+def test_contours_lie_where_the_level_is(parts: Page) -> None:
+    """On this plane T = 30 + (speed - 1000) / 100 + (load - 500) / 100."""
+    segments = run(parts, PLANE + "return contour(plane, temperatures, 45, 30);")
+    assert len(segments) >= 30
+    for segment in segments:
+        for speed, load in segment:
+            assert 30 + (speed - 1000) / 100 + (load - 500) / 100 == pytest.approx(45, abs=0.01)
+    loads = [load for segment in segments for _, load in segment]
+    assert min(loads) == pytest.approx(500, abs=40)
+    assert max(loads) == pytest.approx(1500, abs=40)
+    assert run(parts, PLANE + "return contour(plane, temperatures, 99, 30);") == []
+
+
+@pytest.mark.parametrize(
+    ("warning", "alarm", "word", "priority"),
+    [
+        (0.049, 0.0, "safe", 0),
+        (0.05, 0.0, "risk", 2),
+        (0.5, 0.1, "unsafe", 2),
+        (0.9, 0.2, "unsafe", 1),
+    ],
+)
+def test_the_word_for_a_point_of_the_envelope(
+    parts: Page, warning: float, alarm: float, word: str, priority: int
+) -> None:
+    found = run(
+        parts,
+        "const { verdictAt } = await import('/js/views/envelope.js');"
+        "return verdictAt(warning, alarm);",
+        warning=warning,
+        alarm=alarm,
+    )
+    assert found == {"word": word, "priority": priority}
+
+
+def test_steps_of_the_advice_are_said_shortly(parts: Page) -> None:
+    text = run(
+        parts,
+        """const { stepText } = await import('/js/advice.js');
+        return stepText([
+          { speed_rpm: 4200, load_n: 2000, duration_s: 2700 },
+          { speed_rpm: 4200, load_n: 3400, duration_s: 7200 },
+          { speed_rpm: 3000, load_n: 3400, duration_s: 600 },
+        ]);""",
+    )
+    assert text == "4200 rpm, 2000 N 45 min, then 3400 N 2 h 00 min, then 3000 rpm, 3400 N 10 min"
+
+
+ADVICE = {
+    "target": {
+        "speed_rpm": 6200,
+        "load_n": 5500,
+        "duration_s": 7200,
+        "inside_low_risk": False,
+        "sensor": "t_inner_ring_c",
+        "sensors": {"t_inner_ring_c": {"q025": 70, "q50": 88.1, "q975": 122, "half_width_k": 26.0}},
+        "labels": ["runaway not excluded"],
+    },
+    "worth_while": True,
+    "steps": [
+        {
+            "rank": 1,
+            "levels": [
+                {"speed_rpm": 4200, "load_n": 2000, "duration_s": 2700},
+                {"speed_rpm": 4200, "load_n": 3400, "duration_s": 2700},
+            ],
+            "duration_s": 5400,
+            "half_width_k": {"t_inner_ring_c": 4.1},
+            "cautious_half_width_k": {"t_inner_ring_c": 6.5},
+            "narrower_by": 0.75,
+            "peak_c": {"t_inner_ring_c": 61.2},
+            "why": "<b>two loads</b>",
+        }
+    ],
+    "excluded": [
+        {
+            "levels": [{"speed_rpm": 2600, "load_n": 3400, "duration_s": 5400}],
+            "reason": "changes speed and load at once",
+        }
+    ],
+    "stop_rule": {
+        "rules": ["Change one quantity at a time."],
+        "levels": [
+            {
+                "speed_rpm": 5100,
+                "load_n": 2650,
+                "expected_c": {"t_inner_ring_c": 70.0},
+                "stop_above_c": {"t_inner_ring_c": 78.4},
+                "runaway_not_excluded": False,
+                "allowed": True,
+                "reason": "",
+            }
+        ],
+    },
+}
+
+
+def test_advice_shows_steps_refusals_and_the_stop_rule(parts: Page) -> None:
+    asked = []
+
+    def answer(route: Route) -> None:
+        asked.append(route.request.url)
+        route.fulfill(json=ADVICE)
+
+    parts.route("**/api/v1/assets/bench-1/advice*", answer)
+    text = run(
+        parts,
+        """const { AdvicePanel } = await import('/js/advice.js');
+        const page = {
+          store: { get: () => ({ low_risk: { speed_rpm_max: 4300, load_n_max: 3400 } }) },
+          live: { assetId: 'bench-1' }, wish: { speed_rpm: 6200, load_n: 5500 },
+        };
+        const panel = new AdvicePanel(page);
+        document.body.append(panel.element);
+        while (!panel.element.querySelector('.adv table')) {
+          await new Promise((resolve) => setTimeout(resolve, 20));
+        }
+        panel.element.querySelectorAll('details').forEach((one) => { one.open = true; });
+        return panel.element.innerText;""",
+    )
+    assert asked[0].endswith("/api/v1/assets/bench-1/advice?speed_rpm=6200&load_n=5500")
+    for said in (
+        "4200 rpm, 2000 N 45 min, then 3400 N 45 min",
+        "± 26.0",
+        "± 6.5",
+        "runaway not excluded",
+        "1 step refused",
+        "changes speed and load at once",
+        "Change one quantity at a time.",
+        "78.4",
+        "<b>two loads</b>",
+    ):
+        assert said in text, said
 
 
 def test_files_keep_to_the_rules_of_the_page() -> None:

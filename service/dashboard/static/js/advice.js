@@ -123,7 +123,7 @@ export class AdvicePanel {
   refusals(excluded) {
     const byReason = Map.groupBy(excluded, (step) => step.reason);
     return h('details', { class: 's' },
-      h('summary', {}, `${excluded.length} steps refused`),
+      h('summary', {}, `${excluded.length} ${excluded.length > 1 ? 'steps' : 'step'} refused`),
       [...byReason].map(([reason, steps]) => h('p', {}, h('b', {},
         steps.map((step) => stepText(step.levels)).slice(0, 3).join('; '),
         steps.length > 3 && ' …'), `: ${reason}.`)));
