@@ -17,12 +17,12 @@ different points not at all, and S is too small. S is multiplied by a factor for
 (`twin_core.likeness`).
 
 What moved is decided between the groups of parameters (`twin_core.quantities`): a change of one
-group alone, as wide as its prior, makes d a sample of
+group alone, s times as wide as its prior, makes d a sample of
 
-    N(0, S + M E E' M'),   M = I - B,   E the group's columns,
+    N(0, S + s^2 M E E' M'),   M = I - B,   E the group's columns,
 
-and the group that makes the d found most probable is named, with the probabilities of the others.
-Nothing outside the directions that both data sets inform takes part.
+and the group that makes the d found most probable, over some sizes s, is named, with the
+probabilities of the others. Nothing outside the directions that both data sets inform takes part.
 """
 
 from collections.abc import Sequence
@@ -62,6 +62,8 @@ CANDIDATES: tuple[Group, ...] = (
 )
 """What may change on a machine; heat capacities do not, and no sensor tells heat splits apart."""
 
+# Standard deviations of a change, in those of the prior: machines differ more than one changes.
+_CHANGE_SIZES = (0.1, 0.3, 1.0)
 # Directions in which the mean posterior variance is below this share of the prior's. Weaker ones
 # have more than one optimum at times, and no normal distribution describes a difference there.
 _INFORMED_VARIANCE = 0.25
@@ -209,10 +211,8 @@ def compare(
     evidence: dict[Group, float] = {}
     moves: dict[Group, Move] = {}
     for group, own in columns.items():
-        effect = response[:, own]
-        evidence[group] = _log_normal(found.value, found.covariance + effect @ effect.T)
+        evidence[group], change, covariance = _explained(found, response[:, own])
         row = next(k for k, one in enumerate(described) if one.group == group)
-        change, covariance = _regressed(found, effect)
         z = before.z.copy()
         z[own] += change
         gradient = log_gradient(model, z, where, own)[row]
@@ -298,11 +298,36 @@ def _log_normal(value: FloatArray, covariance: FloatArray) -> float:
     return float(-0.5 * (value @ np.linalg.solve(covariance, value) + logarithm))
 
 
-def _regressed(found: Difference, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Change of a group's coordinates and its covariance, were that group the one that moved."""
+def _explained(found: Difference, effect: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """How well a change of some coordinates alone explains a difference, and which change.
+
+    Parameters
+    ----------
+    found
+        k informed directions.
+    effect
+        (k, g) what the g coordinates do to the difference.
+
+    Returns
+    -------
+    evidence, change, covariance
+        Logarithm of the probability density of the difference; mean (g,) and covariance (g, g) of
+        the change. Changes of every size of `_CHANGE_SIZES` count as equally probable.
+    """
     weighted = np.linalg.solve(found.covariance, effect)
-    covariance = np.linalg.inv(np.eye(effect.shape[1]) + effect.T @ weighted)
-    return np.asarray(covariance @ (weighted.T @ found.value)), np.asarray(covariance)
+    evidence, means, covariances = [], [], []
+    for size in _CHANGE_SIZES:
+        covariance = np.linalg.inv(np.eye(effect.shape[1]) / size**2 + effect.T @ weighted)
+        means.append(covariance @ (weighted.T @ found.value))
+        covariances.append(covariance)
+        whole = found.covariance + size**2 * effect @ effect.T
+        evidence.append(_log_normal(found.value, whole))
+    total = float(np.logaddexp.reduce(evidence))
+    shares = np.exp(np.array(evidence) - total)
+    change = np.einsum("s,sg->g", shares, np.array(means))
+    apart = np.array(means) - change
+    spread = np.array(covariances) + apart[:, :, None] * apart[:, None, :]
+    return total, change, np.einsum("s,sgh->gh", shares, spread)
 
 
 def _text(

@@ -235,6 +235,9 @@ class ModelDocument(_Answer):
     windows: Any
     scores: Any
     naive: Any
+    drift: Any = Field(
+        None, description="Comparison with earlier versions; see `GET …/drift`. Null: none made."
+    )
 
 
 class ModelList(Page):

@@ -27,6 +27,7 @@ from service.api.context import (
 from service.clock import rfc3339
 from service.jobs.activation import Activations
 from service.jobs.documents import job_json
+from service.jobs.drift import earlier_versions, tell, with_drift
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
@@ -288,11 +289,13 @@ class IdentificationJobs:
         asset, history = self._assets[job.asset], self._histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
+        versions = await anyio.to_thread.run_sync(self._store.model_versions, job.asset)
         order = JobOrder(
             folder=folder,
             machine=machine_of(asset.settings),
             data=data,
             active=asset.active.posterior.to_dict(),
+            earlier=earlier_versions(versions),
             method=job.request["method"],
             seed=job.request["seed"],
             budget=job.request["budget"],
@@ -339,13 +342,14 @@ class IdentificationJobs:
                 self._store.add_model_version,
                 job.asset,
                 status,
-                result.reason,
+                with_drift(result.reason, result.drift),
                 document,
                 self._clock.now_us(),
             )
             version = await anyio.to_thread.run_sync(self._store.model_version, job.asset, number)
             if version is None:
                 raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
+            tell(job.asset, version)
             await self._take_effect(still_wanted, version)
 
     async def _take_effect(self, job: Job, version: ModelVersion) -> None:

@@ -38,6 +38,7 @@ def first_model(asset: AssetSection) -> dict[str, Any]:
         "scores": {},
         "naive": {},
         "gates": None,
+        "drift": None,
         "job": None,
     }
 
@@ -61,6 +62,7 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dic
         "scores": result.scores,
         "naive": result.naive,
         "gates": result.gates,
+        "drift": result.drift,
         "job": job.id,
     }
 
@@ -109,9 +111,10 @@ def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, An
         name: version.document[name]
         for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
     }
-    # Versions of older releases carry neither.
+    # Versions of older releases carry none of these.
     shown["identifiability"] = version.document.get("identifiability")
     shown["paper_view"] = version.document.get("paper_view")
+    shown["drift"] = version.document.get("drift")
     if not combinations and shown["identifiability"] is not None:
         shown["identifiability"] = {
             name: value

@@ -2,10 +2,11 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from service.jobs.drift import EarlierVersion, drift_document
 from service.jobs.workspace import JobFolder, Progress
 from service.machines.machine import Machine
 from twin_core.identification.checkpoint import CheckpointMismatchError
@@ -48,6 +49,8 @@ class JobOrder:
         Of the search.
     budget : int or None
         Most evaluations; None takes the method's own.
+    earlier : sequence of EarlierVersion
+        Versions that the result is compared with, oldest first.
     """
 
     folder: JobFolder
@@ -57,6 +60,7 @@ class JobOrder:
     method: Method
     seed: int
     budget: int | None
+    earlier: Sequence[EarlierVersion] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,7 @@ class JobResult:
     scores: dict[str, Any] = field(default_factory=dict)
     naive: dict[str, Any] = field(default_factory=dict)
     gates: dict[str, Any] = field(default_factory=dict)
+    drift: dict[str, Any] = field(default_factory=dict)
 
 
 def run_identification(order: JobOrder) -> JobResult:
@@ -112,6 +117,7 @@ def run_identification(order: JobOrder) -> JobResult:
         scores=dict(report.scores),
         naive=dict(report.naive),
         gates=report.to_dict(),
+        drift=drift_document(model, fit.posterior, windows, order.earlier),
     )
 
 

@@ -1,0 +1,251 @@
+"""Whether a new model version says that the machine has changed since earlier ones.
+
+The new version is held against an earlier one whose operation was most like its own, and slow
+changes are summed up over all versions that share no data. Versions from before a change that was
+reported and then made active no longer count: the machine is what it is now.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from service.store.records import ModelVersion
+from twin_core.drift import Drift, compare, usual_point
+from twin_core.drift_series import follow, values_of
+from twin_core.identification.identify import fit_problem
+from twin_core.identification.posterior import Posterior
+from twin_core.likeness import most_alike
+from twin_core.models import ThermalModel
+from twin_core.quantities import ReferencePoint
+from twin_core.windows import Window
+
+# A series of the last weeks; every version in it costs some tens of milliseconds.
+_LONGEST_SERIES = 20
+# Data that overlap by less than this are not the same data.
+_MINUTE_S = 60.0
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierVersion:
+    """What is needed of a stored version; plain types, as it travels to the worker.
+
+    Attributes
+    ----------
+    version : int
+        Its number.
+    posterior : dict
+        Its posterior.
+    window_records : list of dict
+        The windows it was identified from.
+    point : dict or None
+        Where its quantities are stated.
+    reported : bool
+        Whether a change was reported at it.
+    was_active : bool
+        Whether it is or was the active one.
+    """
+
+    version: int
+    posterior: dict[str, Any]
+    window_records: list[dict[str, Any]]
+    point: dict[str, float] | None
+    reported: bool
+    was_active: bool
+
+
+def earlier_versions(versions: Sequence[ModelVersion]) -> list[EarlierVersion]:
+    """Take from stored versions what `drift_document` needs, oldest first."""
+    found = []
+    for version in versions:
+        drift = version.document.get("drift") or {}
+        found.append(
+            EarlierVersion(
+                version.version,
+                version.document["posterior"],
+                version.document["window_records"],
+                drift.get("point"),
+                bool(drift.get("changed")),
+                version.status in ("active", "retired"),
+            )
+        )
+    return found
+
+
+def drift_document(
+    model: ThermalModel,
+    posterior: Posterior,
+    windows: Sequence[Window],
+    earlier: Sequence[EarlierVersion],
+) -> dict[str, Any]:
+    """Compare a newly identified posterior with stored versions.
+
+    Parameters
+    ----------
+    model
+        Of the new posterior; versions of another model are left out.
+    posterior, windows
+        The new posterior and the data behind it.
+    earlier
+        Stored versions, oldest first.
+
+    Returns
+    -------
+    dict
+        Plain JSON types. ``changed`` is None where nothing could be compared; ``text`` says why.
+    """
+    problem = fit_problem(posterior, model.errors)
+    if problem:
+        return _nothing(
+            f"not compared: the fit failed ({problem}); a change amid the data is a possible cause"
+        )
+    known = _comparable(model, earlier)
+    points = [version.point for version, _ in known if version.point is not None]
+    point = ReferencePoint(**points[0]) if points else usual_point(model, posterior)
+    document = _nothing("the first version, nothing to compare with") | {
+        "point": {
+            "speed_rpm": point.speed_rpm,
+            "load_n": point.load_n,
+            "temperature_c": point.temperature_c,
+        },
+        "quantities": {
+            one.quantity.name: {
+                "text": one.quantity.text,
+                "group": one.quantity.group,
+                "unit": one.quantity.unit,
+                "value": one.value,
+                "low": one.low,
+                "high": one.high,
+            }
+            for one in values_of(model, posterior, point)
+        },
+    }
+    unchanged = _since_the_last_change(known)
+    chosen = most_alike([one for _, one in unchanged], posterior)
+    if not chosen:
+        return document
+    version, reference = unchanged[chosen[-1]]
+    shared = _shared([Window.from_dict(window) for window in version.window_records], windows)
+    drift = compare(model, reference, posterior, shared=shared, point=point)
+    series = [one for _, one in _without_shared_data(unchanged, windows)]
+    last = follow(model, [*series[-_LONGEST_SERIES:], posterior], point)[-1]
+    text = drift.text
+    if last.creeping and not drift.changed:
+        text = f"creeping change of {', '.join(last.creeping)} over the last versions"
+    return document | {
+        "changed": drift.changed or bool(last.creeping),
+        "text": text,
+        "comparison": _comparison(version.version, shared, drift),
+        "sums": last.sums,
+        "creeping": list(last.creeping),
+    }
+
+
+def with_drift(reason: str, drift: Mapping[str, Any]) -> str:
+    """Reason of a version's status, with the change that it reports.
+
+    It becomes the comment in the journal of activations when the version is activated by itself.
+    """
+    return f"{reason}; drift: {drift['text']}" if drift.get("changed") else reason
+
+
+def tell(asset_id: str, version: ModelVersion) -> None:
+    """Write it into the service's log when a version reports a change; alarms may join in here."""
+    drift = version.document.get("drift") or {}
+    if drift.get("changed"):
+        _log.warning("drift_reported", asset=asset_id, version=version.version, text=drift["text"])
+
+
+def _nothing(text: str) -> dict[str, Any]:
+    return {
+        "changed": None,
+        "text": text,
+        "point": None,
+        "quantities": {},
+        "comparison": None,
+        "sums": {},
+        "creeping": [],
+    }
+
+
+def _comparison(version: int, shared: float, drift: Drift) -> dict[str, Any]:
+    return {
+        "version": version,
+        "shared": shared,
+        "alike": drift.likeness.text,
+        "statistic": drift.statistic,
+        "dimensions": drift.dimensions,
+        "probability": drift.probability,
+        "groups": dict(drift.groups),
+        "moves": [
+            {
+                "quantity": move.quantity.name,
+                "text": move.text,
+                "change": move.change,
+                "low": move.low,
+                "high": move.high,
+            }
+            for move in drift.moves
+        ],
+    }
+
+
+def _comparable(
+    model: ThermalModel, earlier: Sequence[EarlierVersion]
+) -> list[tuple[EarlierVersion, Posterior]]:
+    """Versions of this model that were identified from data and whose fit did not fail."""
+    found = []
+    for version in earlier:
+        try:
+            posterior = Posterior.from_dict(version.posterior)
+            posterior.check(model)
+        except (KeyError, TypeError, ValueError):
+            continue  # of another machine, or of a release with other parameters
+        if posterior.identified and not fit_problem(posterior, model.errors):
+            found.append((version, posterior))
+    return found
+
+
+def _since_the_last_change(
+    known: Sequence[tuple[EarlierVersion, Posterior]],
+) -> list[tuple[EarlierVersion, Posterior]]:
+    """Versions of the machine as it is now."""
+    start = max(
+        (k for k, (version, _) in enumerate(known) if version.reported and version.was_active),
+        default=0,
+    )
+    return [
+        (version, posterior)
+        for version, posterior in known[start:]
+        if version.was_active or not version.reported
+    ]
+
+
+def _without_shared_data(
+    known: Sequence[tuple[EarlierVersion, Posterior]], windows: Sequence[Window]
+) -> list[tuple[EarlierVersion, Posterior]]:
+    """Of versions those that share data neither with given windows nor with each other."""
+    taken = list(windows)
+    found = []
+    for version, posterior in reversed(known):
+        own = [Window.from_dict(window) for window in version.window_records]
+        if _shared(own, taken) == 0.0:
+            taken += own
+            found.append((version, posterior))
+    return found[::-1]
+
+
+def _shared(windows: Sequence[Window], others: Sequence[Window]) -> float:
+    """Part of the time of windows that lies in others too, 0 to 1."""
+    total = sum(window.duration_s for window in windows)
+    common = sum(
+        max(min(one.end_s, other.end_s) - max(one.start_s, other.start_s), 0.0)
+        for one in windows
+        for other in others
+    )
+    if total <= 0.0 or common <= _MINUTE_S:
+        return 0.0
+    return min(common / total, 1.0)
