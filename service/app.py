@@ -31,7 +31,8 @@ from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.settings import AssetSection, Settings
-from service.store import Alarm, ModelVersion, Store, lock_data_directory
+from service.store import Alarm, ModelVersion, Retention, Store, lock_data_directory
+from service.upkeep import keep_up
 from service.wiring import Wiring, is_loopback, wire
 
 HEALTH_EVERY_WALL_S = 1.0
@@ -154,6 +155,9 @@ class Service:
         """Health of every source, from memory."""
         return [driver.health() for driver in self.drivers]
 
+    def _retention(self) -> Retention:
+        return Retention(**self.settings.retention.model_dump())
+
     async def _tell_health(self) -> None:
         while True:
             await asyncio.sleep(HEALTH_EVERY_WALL_S)
@@ -207,6 +211,7 @@ class Service:
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
                     ("health", self._tell_health()),
+                    ("upkeep", keep_up(self.store, self.clock, self._retention())),
                     (
                         "automatic identification",
                         identify_by_itself(self.jobs, self.histories, self.clock),

@@ -46,6 +46,15 @@ class ServiceSection(Section):
     spool_mib: int = Field(512, ge=1)
 
 
+class RetentionSection(Section):
+    """Days for which history is kept at each resolution; without a number for ever."""
+
+    raw_days: PositiveFloat | None = None
+    second_days: PositiveFloat | None = None
+    minute_days: PositiveFloat | None = None
+    hour_days: PositiveFloat | None = None
+
+
 class ClockSection(Section):
     """Process seconds per wall second; above 1 only with the virtual bench."""
 
@@ -136,7 +145,7 @@ class AssetSection(Section):
 
     id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     network: Annotated[NetworkSection | None, BeforeValidator(network_table)] = None
-    bearing: Annotated[BearingSection | None, BeforeValidator(bearing_table)] = Field(
+    bearing: Annotated[BearingSection, BeforeValidator(bearing_table)] | None = Field(
         None, validate_default=True
     )
     model: ModelName = "default"
@@ -186,6 +195,7 @@ class Settings(BaseSettings):
     )
 
     service: ServiceSection = ServiceSection()
+    retention: RetentionSection = RetentionSection()
     clock: ClockSection = ClockSection()
     security: SecuritySection = SecuritySection()
     bearings: dict[str, BearingSection] = {}

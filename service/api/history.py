@@ -61,13 +61,14 @@ def choose_resolution(
 
     Only the part of the span that holds samples counts.
     """
-    probed = channels if channels is not None else store.channels(asset)
-    limit = AUTO_POINTS * max(len(probed), 1)
-    rows = store.read_samples(asset, channels, start_us, end_us, limit + 1)
-    if len(rows) <= limit:
+    found = store.span_of_samples(asset, channels, start_us, end_us, AUTO_POINTS + 1)
+    kept_from_us = store.raw_kept_from_us()
+    if start_us >= kept_from_us and (found is None or found[2] <= AUTO_POINTS):
         return RAW
-    newest = max(sample.time_us for sample in store.latest(asset).values())
-    span_us = min(end_us, newest + 1) - rows[0].time_us
+    # Where raw samples have expired, rollups may begin at the start of the span.
+    first_us = start_us if start_us < kept_from_us or found is None else found[0]
+    last_us = kept_from_us if found is None else found[1]
+    span_us = min(last_us + 1, end_us) - first_us
     fitting = (name for name in _BUCKETS if span_us <= AUTO_POINTS * bucket_us(name))
     return next(fitting, list(_BUCKETS)[-1])
 

@@ -25,6 +25,7 @@ from service.store.records import (
     StoredSample,
     WriteCounts,
 )
+from service.store.rollups import Retention
 from service.store.store import Store
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "MinuteTable",
     "ModelStatus",
     "ModelVersion",
+    "Retention",
     "Role",
     "Rollup",
     "Store",

@@ -5,24 +5,21 @@ from collections.abc import Sequence
 from operator import attrgetter
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, case, func, select
+from sqlalchemy import Connection, func, select
 
-from adapters.samples import Quality
+from service.store import buckets
+from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US, Bucket
 from service.store.records import MinuteTable, Rollup
-from service.store.samples import channel_ids, first_time_us
+from service.store.samples import channel_ids, first_time_us, raw_horizon_us
 from service.store.section import Section
-from service.store.tables import SampleRow
+from service.store.tables import RollupRow, SampleRow, StaleRollupRow
 
-MINUTE_US = 60_000_000
-
-_good_value = case((SampleRow.quality >= Quality.GOOD, SampleRow.value))
-_mean = func.avg(_good_value)
-_good_count = func.count(_good_value)
+_SECOND_US = 1_000_000
 _in_time_order = attrgetter("time_us", "channel")
 
 
 class History(Section):
-    """Computed from the raw samples when asked for."""
+    """Taken from the rollups where they are up to date, else computed from the raw samples."""
 
     def read_rollup(
         self,
@@ -65,7 +62,7 @@ class History(Section):
                 begin_us = first_us
                 if after is not None:
                     begin_us = max(first_us, after[0] + bucket_us * (name <= after[1]))
-                rows = _buckets(connection, channel_id, begin_us, end_us, bucket_us, limit)
+                rows = _read(connection, channel_id, begin_us, end_us, bucket_us, limit)
                 per_channel.append([Rollup(name, *row) for row in rows])
         merged = heapq.merge(*per_channel, key=_in_time_order)
         return [rollup for rollup, _ in zip(merged, range(limit), strict=False)]
@@ -96,8 +93,11 @@ class History(Section):
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
             for name, channel_id in ids.items():
-                minute = _bucket(MINUTE_US, offset_us)
-                query = select(minute, _mean, _good_count, func.count()).where(
+                time_us = SampleRow.time_us.expression
+                minute = buckets.bucket_start(time_us, MINUTE_US, offset_us)
+                query = select(
+                    minute, buckets.mean_of_good, buckets.count_of_good, func.count()
+                ).where(
                     SampleRow.channel_id == channel_id,
                     SampleRow.time_us >= start_us,
                     SampleRow.time_us < end_us,
@@ -126,46 +126,93 @@ class History(Section):
         return table
 
 
-def _bucket(bucket_us: int, offset_us: int = 0) -> ColumnElement[int]:
-    return SampleRow.time_us - (SampleRow.time_us - offset_us) % bucket_us
+def _read(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int, bucket_us: int, limit: int
+) -> list[Bucket]:
+    """Read the first ``limit`` buckets of a channel; gaps are jumped over, not walked through."""
+    horizon_us = raw_horizon_us(connection)
+    found: list[Bucket] = []
+    while len(found) < limit:
+        first_us = _first_us(connection, channel_id, begin_us, horizon_us)
+        if first_us is None or first_us >= end_us:
+            break
+        begin_us = first_us - first_us % bucket_us
+        chunk_end_us = min(begin_us + (limit - len(found)) * bucket_us, end_us)
+        found += _chunk(connection, channel_id, begin_us, chunk_end_us, bucket_us, horizon_us)
+        begin_us = chunk_end_us
+    return found
 
 
-def _buckets(
+def _chunk(
     connection: Connection,
     channel_id: int,
     begin_us: int,
     end_us: int,
     bucket_us: int,
-    limit: int,
-) -> list[tuple[int, float | None, float | None, float | None, int, int]]:
-    """Read the first ``limit`` buckets of a channel; gaps are jumped over, not walked through."""
-    start = _bucket(bucket_us)
-    found: list[tuple[int, float | None, float | None, float | None, int, int]] = []
-    while len(found) < limit:
-        first_us = first_time_us(connection, channel_id, begin_us)
-        if first_us is None or first_us >= end_us:
-            break
-        begin_us = first_us - first_us % bucket_us
-        chunk_end_us = min(begin_us + (limit - len(found)) * bucket_us, end_us)
-        query = (
-            select(
-                start,
-                _mean,
-                func.min(_good_value),
-                func.max(_good_value),
-                _good_count,
-                func.min(SampleRow.quality),
-            )
-            .where(
-                SampleRow.channel_id == channel_id,
-                SampleRow.time_us >= begin_us,
-                SampleRow.time_us < chunk_end_us,
-            )
-            .group_by(start)
-            .order_by(start)
+    horizon_us: int,
+) -> list[Bucket]:
+    """All buckets of a span of whole buckets."""
+
+    def raw(from_us: int, to_us: int) -> list[Bucket]:
+        query = buckets.of_samples(channel_id, from_us, to_us, bucket_us)
+        return buckets.read(connection, query)
+
+    def condensed(resolution_s: int, from_us: int, to_us: int) -> list[Bucket]:
+        query = buckets.of_rollups(channel_id, resolution_s, from_us, to_us, bucket_us)
+        return buckets.read(connection, query)
+
+    if bucket_us % MINUTE_US:
+        parts = raw(max(begin_us, horizon_us), end_us)
+        if begin_us < horizon_us and bucket_us % _SECOND_US == 0:
+            parts += condensed(1, begin_us, min(end_us, horizon_us))
+        return buckets.merged(parts)
+    resolution_s = next(one for one in LEVELS_S if bucket_us % (one * _SECOND_US) == 0)
+    stale = connection.scalars(
+        select(StaleRollupRow.hour_us)
+        .where(
+            StaleRollupRow.channel_id == channel_id,
+            StaleRollupRow.hour_us > begin_us - HOUR_US,
+            StaleRollupRow.hour_us < end_us,
         )
-        for time_us, mean, low, high, good, worst in connection.execute(query):
-            quality = int(Quality.GOOD) if good else worst
-            found.append((time_us, mean, low, high, good, quality))
-        begin_us = chunk_end_us
-    return found
+        .order_by(StaleRollupRow.hour_us)
+    )
+    parts = []
+    at_us = begin_us
+    for from_us, to_us in _runs(stale.all()):
+        parts += condensed(resolution_s, at_us, max(from_us, at_us))
+        parts += raw(max(from_us, at_us), min(to_us, end_us))
+        at_us = min(to_us, end_us)
+    parts += condensed(resolution_s, at_us, end_us)
+    return buckets.merged(parts)
+
+
+def _runs(hours_us: Sequence[int]) -> list[tuple[int, int]]:
+    """Join hours that follow each other into spans."""
+    runs: list[tuple[int, int]] = []
+    for hour_us in hours_us:
+        if runs and runs[-1][1] == hour_us:
+            runs[-1] = (runs[-1][0], hour_us + HOUR_US)
+        else:
+            runs.append((hour_us, hour_us + HOUR_US))
+    return runs
+
+
+def _first_us(
+    connection: Connection, channel_id: int, begin_us: int, horizon_us: int
+) -> int | None:
+    """Time of the first sample, or of the first rollup where samples are not kept."""
+    first_us = first_time_us(connection, channel_id, max(begin_us, horizon_us))
+    if begin_us >= horizon_us:
+        return first_us
+    condensed = connection.scalar(
+        select(RollupRow.time_us)
+        .where(
+            RollupRow.channel_id == channel_id,
+            RollupRow.resolution_s == 3600,
+            RollupRow.time_us > begin_us - HOUR_US,
+            RollupRow.time_us < horizon_us,
+        )
+        .order_by(RollupRow.time_us)
+        .limit(1)
+    )
+    return first_us if condensed is None else max(condensed, begin_us)

@@ -5,13 +5,14 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from operator import itemgetter
 
-from sqlalchemy import Connection, insert, select
+from sqlalchemy import Connection, func, insert, select, text
 
 from adapters.samples import Quality, Sample, is_bad, is_good
+from service.store.buckets import HOUR_US
 from service.store.database import PATIENCE_S, Database, SampleColumns
 from service.store.records import StoredSample, WriteCounts
 from service.store.section import Section
-from service.store.tables import ChannelRow, SampleRow
+from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
 _LONG = 2**63
 _in_time_order = itemgetter(1, 0)
@@ -23,6 +24,8 @@ class Samples(Section):
     def __init__(self, database: Database) -> None:
         super().__init__(database)
         self._ids: dict[tuple[str, str], int] = {}
+        # Hours that are known to be marked as stale, so that not every batch marks them again.
+        self._stale: set[tuple[int, int]] = set()
 
     def write_samples(
         self, samples: Collection[Sample], patience_s: float = PATIENCE_S
@@ -30,8 +33,9 @@ class Samples(Section):
         """Store a batch in one transaction; when this returns, it is on the disk.
 
         The first good value of a channel and time wins. A good one replaces a bad or uncertain
-        one of the same time; anything else that is sent again is a duplicate. A value that is
-        not a finite number is stored as none, and then its quality cannot be good.
+        one of the same time; anything else that is sent again is a duplicate, and so is what is
+        older than the raw samples that are kept. A value that is not a finite number is stored
+        as none, and then its quality cannot be good.
 
         Parameters
         ----------
@@ -57,11 +61,16 @@ class Samples(Section):
             ids = self._ids
             if missing := names - ids.keys():
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
-            rows = list(_rows(samples, ids))
-            stored = self._database.dialect.upsert_samples(connection, rows)
-        # Only now: had the transaction failed, the new channels would not be there.
+            horizon_us = raw_horizon_us(connection)
+            rows = [row for row in _rows(samples, ids) if row[1] >= horizon_us]
+            stored = self._database.dialect.upsert_samples(connection, rows) if rows else 0
+            hours = {(row[0], row[1] - row[1] % HOUR_US) for row in rows}
+            if fresh := hours - self._stale:
+                _mark_stale(connection, fresh)
+        # Only now: had the transaction failed, neither channels nor marks would be there.
         self._ids = ids
-        return WriteCounts(stored, len(rows) - stored)
+        self._stale |= fresh
+        return WriteCounts(stored, len(samples) - stored)
 
     def channels(self, asset: str) -> list[str]:
         """Names of the channels of an asset that were ever stored, sorted."""
@@ -116,6 +125,56 @@ class Samples(Section):
         merged = heapq.merge(*per_channel, key=_in_time_order)
         return [sample for sample, _ in zip(merged, range(limit), strict=False)]
 
+    def span_of_samples(
+        self,
+        asset: str,
+        channels: Sequence[str] | None,
+        start_us: int,
+        end_us: int,
+        count_max: int,
+    ) -> tuple[int, int, int] | None:
+        """Where in a span the samples lie, and how many the fullest channel has.
+
+        Parameters
+        ----------
+        asset : str
+            Asset to look at.
+        channels : sequence of str or None
+            Which channels; None for all.
+        start_us, end_us : int
+            UTC microseconds; the start is included, the end is not.
+        count_max : int
+            Count no further than this.
+
+        Returns
+        -------
+        tuple of int or None
+            Time of the first and of the last sample, and the count; None without any sample.
+        """
+        firsts, lasts, counts = [], [], []
+        with self._database.reading() as connection:
+            for channel_id in channel_ids(connection, asset, channels).values():
+                inside = (
+                    SampleRow.channel_id == channel_id,
+                    SampleRow.time_us >= start_us,
+                    SampleRow.time_us < end_us,
+                )
+                some = select(SampleRow.time_us).where(*inside)
+                first = connection.scalar(some.order_by(SampleRow.time_us).limit(1))
+                if first is None:
+                    continue
+                firsts.append(first)
+                last = connection.scalar(some.order_by(SampleRow.time_us.desc()).limit(1))
+                lasts.append(first if last is None else last)
+                count = select(func.count()).select_from(some.limit(count_max).subquery())
+                counts.append(connection.scalar(count) or 0)
+        return (min(firsts), max(lasts), max(counts)) if firsts else None
+
+    def raw_kept_from_us(self) -> int:
+        """Time from which on raw samples are kept, UTC microseconds; 0 when all are."""
+        with self._database.reading() as connection:
+            return raw_horizon_us(connection)
+
     def latest(self, asset: str) -> dict[str, StoredSample]:
         """Give the newest sample of each channel of an asset, whatever its quality."""
         newest = {}
@@ -158,6 +217,11 @@ def channel_ids(
     return dict(connection.execute(query.order_by(ChannelRow.name)).all())
 
 
+def raw_horizon_us(connection: Connection) -> int:
+    """Time before which raw samples are not kept any more, UTC microseconds."""
+    return connection.scalar(select(RawHorizonRow.time_us)) or 0
+
+
 def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int | None:
     """Time of the first sample of a channel at or after a time."""
     query = (
@@ -190,6 +254,17 @@ def _make_channel(connection: Connection, asset: str, name: str) -> int:
     return connection.execute(
         insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
     ).scalar_one()
+
+
+def _mark_stale(connection: Connection, hours: Iterable[tuple[int, int]]) -> None:
+    """Remember that rollups of these channels and hours are not those of their samples."""
+    statement = text(
+        "INSERT INTO stale_rollups (channel_id, hour_us) VALUES (:channel_id, :hour_us) "
+        "ON CONFLICT DO NOTHING"
+    )
+    connection.execute(
+        statement, [{"channel_id": channel_id, "hour_us": hour} for channel_id, hour in hours]
+    )
 
 
 def _rows(samples: Iterable[Sample], ids: dict[tuple[str, str], int]) -> Iterator[SampleColumns]:

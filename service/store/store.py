@@ -11,10 +11,10 @@ from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
-from service.store.samples import Samples
+from service.store.rollups import Rollups
 
 
-class Store(Samples, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access):
+class Store(Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access):
     """Samples, models, jobs, alarms and keys in one database.
 
     The methods come from the parts, one module per noun. All are synchronous and safe to call

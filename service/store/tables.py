@@ -60,6 +60,41 @@ class SampleRow(Base):
     quality: Mapped[int] = mapped_column(SmallInteger)
 
 
+class RollupRow(Base):
+    """Statistics of one bucket of one channel over its good samples."""
+
+    __tablename__ = "rollups"
+    __table_args__ = ({"sqlite_with_rowid": False},)
+
+    channel_id: Mapped[int] = mapped_column(Integer, ForeignKey("channels.id"), primary_key=True)
+    resolution_s: Mapped[int] = mapped_column(SmallInteger, primary_key=True, autoincrement=False)
+    time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    mean: Mapped[float | None]
+    low: Mapped[float | None]
+    high: Mapped[float | None]
+    good: Mapped[int] = mapped_column(Integer)
+    quality: Mapped[int] = mapped_column(SmallInteger)
+
+
+class StaleRollupRow(Base):
+    """An hour of a channel whose rollups are not, or not yet again, those of its samples."""
+
+    __tablename__ = "stale_rollups"
+    __table_args__ = ({"sqlite_with_rowid": False},)
+
+    channel_id: Mapped[int] = mapped_column(Integer, ForeignKey("channels.id"), primary_key=True)
+    hour_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+
+
+class RawHorizonRow(Base):
+    """The time before which raw samples are not kept any more; one row, or none."""
+
+    __tablename__ = "raw_horizon"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True)
+    time_us: Mapped[int]
+
+
 class ModelVersionRow(Base):
     """One model of one asset; at most one is active."""
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.samples import Sample
-from service.store import Rollup, Store
+from service.store import Retention, Rollup, Store
 
 SERIES = st.dictionaries(
     st.tuples(st.sampled_from(["a", "b"]), st.integers(0, 200)),
@@ -122,3 +122,109 @@ def test_minute_averages_are_those_of_numpy(
             assert table.bad_count[channel][index] == len(inside) - good.size
             mean = good.mean() if good.size else np.nan
             np.testing.assert_allclose(table.mean[channel][index], mean, rtol=1e-9, atol=1e-9)
+
+
+HOUR_US = 3_600_000_000
+LONG = st.dictionaries(
+    st.tuples(st.sampled_from(["a", "b"]), st.integers(0, 6 * 3600 * 2)),  # half seconds
+    st.tuples(
+        st.floats(-1e6, 1e6, allow_subnormal=False), st.sampled_from([0, 24, 64, 192, 192, 216])
+    ),
+    max_size=80,
+)
+
+
+@given(
+    parts=st.lists(LONG, min_size=1, max_size=3),
+    refreshed=st.lists(st.integers(0, 7), min_size=3, max_size=3),
+    bucket_s=st.sampled_from([60, 300, 1800, 3600, 7200]),
+    page=st.integers(1, 50),
+)
+@settings(max_examples=60, deadline=None)
+def test_rollups_are_right_whenever_they_were_computed(
+    shared_store: Store, parts: list[Series], refreshed: list[int], bucket_s: int, page: int
+) -> None:
+    asset = uuid.uuid4().hex
+    series: Series = {}
+    for part, until in zip(parts, refreshed, strict=False):
+        shared_store.write_samples(
+            [
+                Sample(asset, channel, half * 500_000, value, quality, 0)
+                for (channel, half), (value, quality) in part.items()
+            ]
+        )
+        for key, (value, quality) in part.items():
+            if key not in series or (series[key][1] < 192 <= quality):
+                series[key] = (value, quality)
+        while shared_store.refresh_rollups(until * HOUR_US):
+            pass
+    rollups: list[Rollup] = []
+    while True:
+        after = (rollups[-1].time_us, rollups[-1].channel) if rollups else None
+        bucket_us = bucket_s * 1_000_000
+        items = shared_store.read_rollup(asset, None, 0, 7 * HOUR_US, bucket_us, page, after)
+        rollups += items
+        if len(items) < page:
+            break
+    expected: dict[tuple[int, str], list[tuple[float, int]]] = {}
+    for (channel, half), one in series.items():
+        expected.setdefault((half // 2 // bucket_s * bucket_us, channel), []).append(one)
+    assert [(one.time_us, one.channel) for one in rollups] == sorted(expected)
+    for rollup in rollups:
+        inside = expected[rollup.time_us, rollup.channel]
+        good = np.array([value for value, quality in inside if quality >= 192])
+        assert rollup.count == good.size
+        if good.size:
+            assert rollup.mean == pytest.approx(good.mean(), rel=1e-9, abs=1e-6)
+            assert (rollup.min, rollup.max, rollup.quality) == (good.min(), good.max(), 192)
+        else:
+            assert (rollup.mean, rollup.min, rollup.max) == (None, None, None)
+            assert rollup.quality == min(quality for _, quality in inside)
+
+
+def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
+    times_us = [k * 500_000 for k in range(0, 3 * 7200, 7)]
+    store.write_samples(
+        [Sample("a", "x", time_us, float(time_us % 97), 192, 0) for time_us in times_us]
+    )
+    day_us = 24 * HOUR_US
+
+    def all_levels() -> list[list[Rollup]]:
+        return [
+            store.read_rollup("a", None, 0, 9 * HOUR_US, seconds * 1_000_000, 10**6)
+            for seconds in (1, 60, 3600)
+        ]
+
+    before = all_levels()
+    retention = Retention(raw_days=1.0)
+    removed = store.expire(retention, day_us + 2 * HOUR_US + 5)
+    assert removed == sum(time_us < 2 * HOUR_US for time_us in times_us)
+    for level, now in zip(before, all_levels(), strict=True):
+        assert [(r.time_us, r.count, r.min, r.max) for r in now] == [
+            (r.time_us, r.count, r.min, r.max) for r in level
+        ]
+        assert [r.mean for r in now] == pytest.approx([r.mean for r in level])
+    raw = store.read_samples("a", None, 0, 9 * HOUR_US, 10**6)
+    assert raw[0].time_us >= 2 * HOUR_US
+
+    # What is sent again, or comes this late, changes nothing that is condensed already.
+    assert store.write_samples([Sample("a", "x", 500_000, 1e9, 192, 0)]) == (0, 1)
+    while store.refresh_rollups(10 * HOUR_US):
+        pass
+    assert [len(level) for level in all_levels()] == [len(level) for level in before]
+    assert store.expire(retention, day_us + 2 * HOUR_US + 5) == 0
+
+    # Each level has its own end.
+    store.expire(Retention(minute_days=1.0), day_us + 2 * HOUR_US)
+    seconds, minutes, hours = all_levels()
+    assert seconds[0].time_us == hours[0].time_us == 0
+    assert minutes[0].time_us == 2 * HOUR_US
+
+
+def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -> None:
+    store.write_samples([Sample("a", "x", 5, 1.0, 192, 0)])
+    store.refresh_rollups(HOUR_US)
+    store.write_samples([Sample("a", "x", 6, 3.0, 192, 0)])
+    assert store.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
+    (hour,) = store.read_rollup("a", None, 0, HOUR_US, HOUR_US, 9)
+    assert (hour.mean, hour.min, hour.max, hour.count) == (2.0, 1.0, 3.0, 2)

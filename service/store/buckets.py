@@ -1,0 +1,117 @@
+"""Statistics of samples per bucket of time, as SQL."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from sqlalchemy import ColumnElement, Connection, Select, case, func, select
+
+from adapters.samples import Quality
+from service.store.tables import RollupRow, SampleRow
+
+MINUTE_US = 60_000_000
+HOUR_US = 3_600_000_000
+#: Lengths of the buckets that are kept computed, coarsest first; each divides the one before.
+LEVELS_S = (3600, 600, 60)
+
+good_value = case((SampleRow.quality >= Quality.GOOD, SampleRow.value))
+mean_of_good = func.avg(good_value)
+count_of_good = func.count(good_value)
+
+
+BucketQuery = Select[int, float | None, float | None, float | None, int, int]
+
+
+class Bucket(NamedTuple):
+    """One bucket of one channel.
+
+    ``good`` counts the good samples; without any the statistics are None and ``quality`` is the
+    worst of the bucket.
+    """
+
+    time_us: int
+    mean: float | None
+    low: float | None
+    high: float | None
+    good: int
+    quality: int
+
+
+def bucket_start(
+    time_us: ColumnElement[int], bucket_us: int, offset_us: int = 0
+) -> ColumnElement[int]:
+    """Start of the bucket that a time belongs to."""
+    return time_us - (time_us - offset_us) % bucket_us
+
+
+def of_samples(channel_id: int, begin_us: int, end_us: int, bucket_us: int) -> BucketQuery:
+    """Select the buckets of a span from the raw samples, in the columns of `Bucket`."""
+    start = bucket_start(SampleRow.time_us.expression, bucket_us)
+    return (
+        select(
+            start,
+            mean_of_good,
+            func.min(good_value),
+            func.max(good_value),
+            count_of_good,
+            case((count_of_good > 0, int(Quality.GOOD)), else_=func.min(SampleRow.quality)),
+        )
+        .where(
+            SampleRow.channel_id == channel_id,
+            SampleRow.time_us >= begin_us,
+            SampleRow.time_us < end_us,
+        )
+        .group_by(start)
+    )
+
+
+def of_rollups(
+    channel_id: int, resolution_s: int, begin_us: int, end_us: int, bucket_us: int
+) -> BucketQuery:
+    """Select the buckets of a span from finer or equal rollups, in the columns of `Bucket`."""
+    start = bucket_start(RollupRow.time_us.expression, bucket_us)
+    good = func.sum(RollupRow.good)
+    return (
+        select(
+            start,
+            func.sum(RollupRow.mean * RollupRow.good) / func.nullif(good, 0),
+            func.min(RollupRow.low),
+            func.max(RollupRow.high),
+            good,
+            case((good > 0, int(Quality.GOOD)), else_=func.min(RollupRow.quality)),
+        )
+        .where(
+            RollupRow.channel_id == channel_id,
+            RollupRow.resolution_s == resolution_s,
+            RollupRow.time_us >= begin_us,
+            RollupRow.time_us < end_us,
+        )
+        .group_by(start)
+    )
+
+
+def read(connection: Connection, query: BucketQuery) -> list[Bucket]:
+    """Run one of the queries above."""
+    return [Bucket(*row) for row in connection.execute(query).all()]
+
+
+def merged(parts: Iterable[Bucket]) -> list[Bucket]:
+    """Join parts of the same bucket; ascending by time."""
+    found: dict[int, Bucket] = {}
+    for part in parts:
+        other = found.get(part.time_us)
+        found[part.time_us] = part if other is None else _joined(other, part)
+    return sorted(found.values())
+
+
+def _joined(a: Bucket, b: Bucket) -> Bucket:
+    if not (a.good and b.good):
+        worst = min(a.quality, b.quality)
+        return max(a, b, key=lambda one: one.good)._replace(
+            quality=int(Quality.GOOD) if a.good or b.good else worst
+        )
+    good = a.good + b.good
+    assert a.mean is not None and b.mean is not None  # noqa: PT018, S101 - both have good samples
+    assert a.low is not None and b.low is not None  # noqa: PT018, S101
+    assert a.high is not None and b.high is not None  # noqa: PT018, S101
+    mean = (a.mean * a.good + b.mean * b.good) / good
+    return Bucket(a.time_us, mean, min(a.low, b.low), max(a.high, b.high), good, int(Quality.GOOD))
