@@ -142,6 +142,59 @@ def test_what_if_answers_and_follows_the_sliders(page: Page, problems: list[str]
     assert problems == []
 
 
+def test_envelope_is_drawn_and_asked_about(page: Page, problems: list[str]) -> None:
+    page.goto(page.url.split("#")[0] + "#envelope")
+    point = page.locator("#probe")
+    expect(point.locator(".word")).to_have_text(re.compile("Safe|At risk|Not safe"))
+    canvas = page.locator(".map canvas")
+    colours = canvas.evaluate(
+        """(canvas) => {
+          const { data } = canvas.getContext('2d')
+            .getImageData(0, 0, canvas.width, canvas.height);
+          const seen = new Set();
+          for (let i = 0; i < data.length; i += 4) seen.add(data[i] << 16 | data[i + 1] << 8);
+          return seen.size;
+        }"""
+    )
+    assert colours > 20, "ground, regions, contours and text have colours of their own"
+
+    def steady() -> float:
+        return float(point.locator("dd").first.inner_text().split("°")[0])
+
+    head = point.locator("h2")
+    canvas.focus()
+    for _ in range(20):
+        canvas.press("Shift+ArrowLeft")
+        canvas.press("Shift+ArrowDown")
+    slow, cool = head.inner_text(), steady()
+    for _ in range(20):
+        canvas.press("Shift+ArrowRight")
+        canvas.press("Shift+ArrowUp")
+    assert head.inner_text() != slow
+    assert steady() > cool + 10
+    page.get_by_role("button", name=re.compile("^time to")).click()
+    expect(page.get_by_role("button", name=re.compile("^time to"))).to_have_attribute(
+        "aria-pressed", "true"
+    )
+    page.get_by_role("button", name="Try in what-if").click()
+    expect(page.get_by_role("spinbutton", name="Speed, step 1, rpm")).to_have_value("7000")
+    assert problems == []
+
+
+def test_a_point_of_the_envelope_can_be_asked_about(page: Page, problems: list[str]) -> None:
+    """Before the first identification the answer is that there is nothing to improve yet."""
+    page.goto(page.url.split("#")[0] + "#envelope")
+    page.get_by_role("button", name="How to learn this point").click()
+    answered = page.locator(".e-adv .problem:not(:empty), .adv table").first
+    expect(answered).to_be_visible()
+    if answered.evaluate("(element) => element.className") == "problem":
+        expect(answered).to_contain_text("no identified model yet")
+    else:
+        expect(page.locator(".adv").first).to_contain_text("Low-risk step")
+    # the browser itself notes a refusal, nothing else is wrong
+    assert [text for text in problems if "409" not in text] == []
+
+
 def test_engineer_sees_windows_jobs_and_versions(page: Page, problems: list[str]) -> None:
     page.goto(page.url.split("#")[0] + "#engineer")
     expect(page.locator(".e-ver .chip.on").first).to_have_text("active")
