@@ -32,9 +32,10 @@ def describe(error: ValidationError, prefix: str = "") -> str:
     """Say in one line which key of a configuration is wrong, its value and what was expected."""
     first = error.errors()[0]
     key = prefix
-    for part in first["loc"]:
-        # Names of kinds are how pydantic tells which of several tables it checked; no keys.
-        if part in ("[key]", *EDGE_KINDS, *SOURCE_KINDS):
+    for before, part in zip(("", *first["loc"]), first["loc"], strict=False):
+        # A kind in the place of a key is how pydantic tells which of several tables it checked.
+        of_table = isinstance(before, int) or before == "source"
+        if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS)):
             continue
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
     message = first["msg"].removeprefix("Value error, ")

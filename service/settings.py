@@ -126,18 +126,10 @@ def _listed(asset: dict[str, Any]) -> str:
     return ", ".join((*OPERATING_CHANNELS, *(_temperatures(asset) or ())))
 
 
-def _default_limits(asset: dict[str, Any]) -> dict[str, Limits]:
-    """Limits of a bearing's rings; what a network of one's own bears only its user knows."""
-    if asset.get("network") is not None:
-        return {}
-    return {
-        "t_inner_ring_c": Limits(warning=90, alarm=105),
-        "t_outer_ring_c": Limits(warning=80, alarm=95),
-    }
-
-
-ModelName = Literal["default", "paper", "paper-reduced"]
-"""Models of a bearing; see `twin_core.models`."""
+_RING_LIMITS = {
+    "t_inner_ring_c": {"warning": 90, "alarm": 105},
+    "t_outer_ring_c": {"warning": 80, "alarm": 95},
+}
 
 
 class AssetSection(Section):
@@ -150,12 +142,18 @@ class AssetSection(Section):
     )
     model: ModelName = "default"
     low_risk: LowRisk
-    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(
-        default_factory=_default_limits
-    )
+    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = {}
     channels: dict[Annotated[str, AfterValidator(_channel_name)], dict[str, Any]]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _limit_the_rings(cls, given: Any) -> Any:
+        """A bearing has usual limits; what a network of one's own bears only its user knows."""
+        if isinstance(given, dict) and given.get("network") in (None, BEARING_14):
+            return {"limits": _RING_LIMITS} | given
+        return given
 
     @field_validator("bearing")
     @classmethod

@@ -210,8 +210,12 @@ def bearing_from_dimensions(
         )
     pitch_mm = (bore_mm + outer_mm) / 2.0
     ball_mm = 0.31 * (outer_mm - bore_mm) if ball_diameter_mm is None else ball_diameter_mm
-    if not ball_mm > 0.0:
-        raise ValueError(f"bearing {designation!r}: ball_diameter_mm is {ball_mm}, expected > 0")
+    section_mm = (outer_mm - bore_mm) / 2.0
+    if not 0.0 < ball_mm < section_mm:
+        raise ValueError(
+            f"bearing {designation!r}: ball_diameter_mm is {ball_mm}, expected > 0 and less than "
+            f"the section {section_mm}"
+        )
     balls = round(0.6 * math.pi * pitch_mm / ball_mm) if ball_count is None else ball_count
 
     def given(value: float | None, estimate: float) -> float:

@@ -87,10 +87,10 @@ class ParameterSet:
         half_range = Z_LIMIT * spread
         # The clip at |z| = 4 becomes part of the bounds, so that `lower` and `upper` are always
         # finite and a searcher in physical units needs nothing else.
-        low = np.where(is_log, np.exp(np.log(np.where(is_log, centre, 1.0)) - half_range), 0.0)
-        high = np.where(is_log, np.exp(np.log(np.where(is_log, centre, 1.0)) + half_range), 0.0)
-        low = np.where(is_log, low, centre - half_range)
-        high = np.where(is_log, high, centre + half_range)
+        # A spread in the parameter's unit is none of a logarithm: kept away from the exponential.
+        ratio = np.exp(np.where(is_log, half_range, 0.0))
+        low = np.where(is_log, centre / ratio, centre - half_range)
+        high = np.where(is_log, centre * ratio, centre + half_range)
         lower = np.maximum(low, np.array([p.lower for p in self.parameters], dtype=np.float64))
         upper = np.minimum(high, np.array([p.upper for p in self.parameters], dtype=np.float64))
         for name, value in (

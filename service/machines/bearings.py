@@ -50,8 +50,16 @@ def bearing_table(value: object) -> object:
     ------
     UnknownBearingError
         If the designation is not in the catalogue.
+    ValueError
+        If it is neither.
     """
-    return asdict(bearing(value)) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return asdict(bearing(value))
+    if not isinstance(value, Mapping | BearingSection):
+        raise ValueError(
+            "expected a designation such as '6311', or a table with bore_mm, outer_mm and width_mm"
+        )
+    return value
 
 
 def named_bearing(name: str, known: Mapping[str, BearingSection]) -> BearingSection:

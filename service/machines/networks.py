@@ -415,7 +415,7 @@ class NetworkSection(Section):
             for field, information in type(section).model_fields.items():
                 value = getattr(section, field)
                 checks = {_positive, _not_negative}
-                bounded = any(
+                bounded = field == "of_rest" or any(
                     isinstance(extra, AfterValidator) and extra.func in checks
                     for extra in information.metadata
                 )
