@@ -132,6 +132,10 @@ _RING_LIMITS = {
 }
 
 
+ModelName = Literal["default", "paper", "paper-reduced"]
+"""Models of a bearing; see `twin_core.models`."""
+
+
 class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
@@ -142,7 +146,7 @@ class AssetSection(Section):
     )
     model: ModelName = "default"
     low_risk: LowRisk
-    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = {}
+    limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(default_factory=dict)
     channels: dict[Annotated[str, AfterValidator(_channel_name)], dict[str, Any]]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
