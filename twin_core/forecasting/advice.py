@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_core.forecasting.design import Design, Level, Present, held_profile
 from twin_core.forecasting.ensemble import forecast
@@ -32,6 +33,8 @@ from twin_core.operating_points import (
     distinct_values,
 )
 from twin_core.windows import LowRiskRegion
+
+FloatArray = NDArray[np.float64]
 
 LOAD_FRACTIONS = (0.4, 0.6, 0.8, 1.0)
 SPEED_FRACTIONS = (0.6, 1.0)
@@ -81,7 +84,8 @@ class RankedStep:
     narrower_by
         By which part `cautious_half_width_k` of the decisive sensor is narrower than now.
     peak_c
-        Per sensor, the highest upper edge (97.5 %) of its forecast during the step.
+        Per sensor, the highest upper edge (97.5 %) of its forecast during the step, once a
+        machine that is too hot at present has cooled down.
     why
         One line for people.
     """
@@ -226,7 +230,7 @@ def advise(
             }
             for after in (std_k, cautious_std_k)
         )
-        peak = {name: float(upper_c[k]) for k, name in enumerate(sensors)}
+        peak = dict(zip(sensors, _peak_c(upper_c, sensors, limits).tolist(), strict=True))
         if reason := _too_hot(peak, limits):
             excluded.append(ExcludedStep(levels, reason))
             continue
@@ -332,6 +336,16 @@ def why_not(levels: Sequence[Level], trained: Sequence[OperatingPoint]) -> str |
         if before.speed_rpm != after.speed_rpm and before.load_n != after.load_n:
             return "changes speed and load at once within the step"
     return None
+
+
+def _peak_c(upper_c: FloatArray, sensors: Sequence[str], limits: Mapping[str, float]) -> FloatArray:
+    """Highest upper edges (sensors,) of a step (rows, sensors).
+
+    A machine that is over a limit at the beginning is given the time to cool down on the step: its
+    peak counts from when all sensors are below their limits, if that ever happens.
+    """
+    below = np.all(upper_c < [limits.get(name, np.inf) for name in sensors], axis=1)
+    return np.asarray(np.max(upper_c[int(np.argmax(below)) :], axis=0))
 
 
 def _too_hot(peak_c: Mapping[str, float], limits: Mapping[str, float]) -> str | None:

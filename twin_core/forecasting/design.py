@@ -136,7 +136,7 @@ class Design:
             (sensors,) the same if the machine's friction during the step may differ by
             `FRICTION_SHIFT` from what it was before and will be.
         upper_c : ndarray
-            (sensors,) highest upper edge (97.5 %) of the readings during the step.
+            (rows, sensors) upper edge (97.5 %) of the readings, minute by minute.
         """
         path, gradient = self._sensitivities(levels)
         count = len(gradient)
@@ -156,7 +156,7 @@ class Design:
         return (
             self._std_k(self._information + plain @ plain.T),
             self._std_k(self._information + white @ white.T),
-            np.asarray(np.max(upper, axis=0)),
+            np.asarray(upper),
         )
 
     def _std_k(self, information: FloatArray) -> FloatArray:

@@ -211,6 +211,23 @@ def test_a_step_that_may_pass_a_warning_is_refused(
     assert "its limit is" in hot[0].reason
 
 
+def test_a_hot_machine_may_cool_down_on_the_step(
+    model: ThermalModel, single_load: Posterior, present: Present
+) -> None:
+    inner = float(model.sensor_row("t_inner_ring_c") @ present.state_c)
+    limits = {"t_inner_ring_c": inner + 2.5}
+    hot = replace(present, state_c=present.state_c + 15.0)
+    found, from_hot = (
+        advise(model, single_load, start, TARGET, REGION, limits) for start in (present, hot)
+    )
+    cool = {step.levels for step in found.steps if step.levels[-1].load_n < 2000.0}
+    # two hours at a light load are enough to cool down, and no reason to refuse the step
+    assert {levels for levels in cool if len(levels) == 2} <= {s.levels for s in from_hot.steps}
+    assert all(step.peak_c["t_inner_ring_c"] < inner + 2.5 for step in from_hot.steps)
+    refused = [s for s in from_hot.excluded if "too hot" in s.reason]
+    assert any(level.load_n == 3400.0 for step in refused for level in step.levels)
+
+
 def test_candidates_stay_inside_the_region() -> None:
     for region in (REGION, LowRiskRegion(4300.0, 3000.0), LowRiskRegion(1000.0, 500.0)):
         steps = list(candidates(TRAINED, TARGET, region))

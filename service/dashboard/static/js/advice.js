@@ -95,7 +95,8 @@ export class AdvicePanel {
         + `${fixed(target.load_n, 0)} N: `, h('b', {}, celsius(now.q50)), ' ', kelvin(now.half_width_k),
       target.labels.map((label) => [' ', h('span', { class: 'chip dash' }, label)])),
       !answer.worth_while && h('p', { class: 's b' },
-        'No step of the low-risk region narrows this by a tenth.'),
+        steps.length ? 'No step of the low-risk region narrows this by a tenth.'
+          : 'Every step is refused at present.'),
       steps.length > 0 && this.stepTable(steps, sensor, now.half_width_k),
       excluded.length > 0 && this.refusals(excluded),
       this.approach(rule, sensor));
