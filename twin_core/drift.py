@@ -64,6 +64,9 @@ CANDIDATES: tuple[Group, ...] = (
 
 # Standard deviations of a change, in those of the prior: machines differ more than one changes.
 _CHANGE_SIZES = (0.1, 0.3, 1.0)
+# Error of a change relative to its size, in the logarithm: a model that is wrong about a machine is
+# wrong about its changes. On virtual benches 95 of 100 intervals then hold the truth.
+_CHANGE_ERROR = 0.3
 # Directions in which the mean posterior variance is below this share of the prior's. Weaker ones
 # have more than one optimum at times, and no normal distribution describes a difference there.
 _INFORMED_VARIANCE = 0.25
@@ -217,7 +220,8 @@ def compare(
         z[own] += change
         gradient = log_gradient(model, z, where, own)[row]
         moved = float(np.log(evaluate(model, z, where)[row] / start[row]))
-        half = _Z95 * float(np.sqrt(gradient @ covariance @ gradient))
+        error = float(np.hypot(np.sqrt(gradient @ covariance @ gradient), _CHANGE_ERROR * moved))
+        half = _Z95 * error
         ends = np.expm1([moved, moved - half, moved + half])
         moves[group] = Move(described[row], *(float(end) for end in ends))
     ranked = sorted(evidence, key=lambda group: -evidence[group])

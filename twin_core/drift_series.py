@@ -48,8 +48,10 @@ class Reading:
 
     Attributes
     ----------
+    against
+        Position of the newest unchanged version of most alike operation; None at the first.
     drift
-        Comparison with the newest unchanged version of most alike operation; None at the first.
+        Comparison with it; None at the first.
     sums
         Larger of the two cumulative sums of every quantity, with the sign of its direction; by
         name of the quantity.
@@ -57,6 +59,7 @@ class Reading:
         Names of the quantities whose sum is at its limit.
     """
 
+    against: int | None
     drift: Drift | None
     sums: dict[str, float]
     creeping: tuple[str, ...]
@@ -105,12 +108,14 @@ def follow(
     """
     names = [quantity.name for quantity in quantities(model, point)]
     up, down = np.zeros(len(names)), np.zeros(len(names))
-    unchanged: list[Posterior] = []
+    unchanged: list[int] = []
     readings = []
-    for posterior in posteriors:
+    for position, posterior in enumerate(posteriors):
         drift = None
-        before = [unchanged[k] for k in most_alike(unchanged, posterior)]
-        if before:
+        alike = most_alike([posteriors[k] for k in unchanged], posterior)
+        chosen = [unchanged[k] for k in alike]
+        if chosen:
+            before = [posteriors[k] for k in chosen]
             drift = compare(model, before[-1], posterior, point=point)
             deviation = _deviation(model, before, posterior, point)
             up = np.maximum(up + deviation - ALLOWANCE, 0.0)
@@ -120,9 +125,9 @@ def follow(
             name for name, size in zip(names, np.abs(larger), strict=True) if size >= LIMIT
         )
         sums = {name: float(size) for name, size in zip(names, larger, strict=True)}
-        readings.append(Reading(drift, sums, creeping))
+        readings.append(Reading(chosen[-1] if chosen else None, drift, sums, creeping))
         if not readings[-1].changed:
-            unchanged.append(posterior)
+            unchanged.append(position)
     return tuple(readings)
 
 

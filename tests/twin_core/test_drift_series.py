@@ -62,6 +62,7 @@ def test_an_unchanged_machine_is_left_in_peace(model: ThermalModel) -> None:
     for seed in range(2):
         readings = follow(model, series(model, np.zeros((7, model.parameters.size)), seed), POINT)
         assert readings[0].drift is None
+        assert [reading.against for reading in readings] == [None, *range(6)]
         assert not readings[0].changed
         reported += sum(reading.changed for reading in readings)
     assert reported == 0
@@ -71,6 +72,7 @@ def test_a_sudden_change_is_reported_until_it_is_accepted(model: ThermalModel) -
     steps = np.where(np.arange(6) >= 3, 1.0, 0.0)
     readings = follow(model, series(model, _path(model, "M0", steps), 3), POINT)
     assert [reading.changed for reading in readings] == [False] * 3 + [True] * 3
+    assert [reading.against for reading in readings] == [None, 0, 1, 2, 2, 2]
     last = readings[-1].drift
     assert last is not None
     assert next(iter(last.groups)) == "friction"
