@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from service.studies.bench_runs import NODES, RINGS, BenchRun, Twin, with_sensors
 from service.studies.common import Table
-from service.studies.forecasters import ForecastScore, compare
+from service.studies.forecasters import TWIN, ForecastScore, rivals, score
 from twin_core import scores
-from twin_core.forecasting import Forecast
+from twin_core.forecasting import Forecast, of_ensemble
 from twin_core.simulation import OperatingProfile
 
 FloatArray = NDArray[np.float64]
@@ -148,10 +148,9 @@ def beside(
     made: Forecast,
     ahead: OperatingProfile,
     begun: int,
-    first: int,
-    end: int,
-) -> tuple[ForecastScore, ...]:
-    """The twin and the methods beside it, scored over the rows from ``first`` to before ``end``.
+    spans: Sequence[tuple[int, int]],
+) -> list[tuple[ForecastScore, ...]]:
+    """The twin and the methods beside it, scored over one span of rows after another.
 
     Parameters
     ----------
@@ -159,24 +158,29 @@ def beside(
         The twin, its forecast and what that was made for.
     run
         What then happened.
-    begun, first, end
-        Row of the run at which the forecasts begin, and the rows that count.
+    begun
+        Row of the run at which the forecasts begin.
+    spans
+        First row, and the row after the last, of each span.
     """
     low = with_sensors(run.minutes.take(slice(0, twin.rows)), RINGS)
-    last = begun + ahead.time_s.size
-    counts = (np.arange(begun, last) >= first) & (np.arange(begun, last) < end)
-    measured = {
-        name: np.where(counts, run.minutes.temperatures_c[name][begun:last], np.nan)
-        for name in RINGS
-    }
-    return compare(
-        [low],
-        ahead,
-        {name: float(run.minutes.temperatures_c[name][begun]) for name in RINGS},
-        measured,
-        made,
-        {name: run.truth_c[name][begun:last] for name in RINGS},
-    )
+    initial = {name: float(run.minutes.temperatures_c[name][begun]) for name in RINGS}
+    forecasts = {TWIN: of_ensemble(made)}
+    for method, forecaster in rivals([low]).items():
+        forecasts[method] = forecaster(ahead, initial)
+    rows = np.arange(begun, begun + ahead.size)
+    truth = {name: run.truth_c[name][rows] for name in RINGS}
+    found = []
+    for first, end in spans:
+        counts = (rows >= first) & (rows < end)
+        measured = {
+            name: np.where(counts, run.minutes.temperatures_c[name][rows], np.nan) for name in RINGS
+        }
+        scored: tuple[ForecastScore, ...] = ()
+        for method, one in forecasts.items():
+            scored += score(method, one, measured, truth)
+        found.append(scored)
+    return found
 
 
 def figures(found: Sequence[RingScores]) -> dict[str, Any]:

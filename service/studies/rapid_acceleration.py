@@ -111,7 +111,7 @@ def examine(seed: int) -> BenchResult:
         score_rings(made, bench, begun, first, end, turning),
         score_rings(made, bench, begun, first, end, ~turning),
         score_rings(planned, bench, begun, first, end),
-        beside(twin, bench, made, ahead, begun, first, end),
+        beside(twin, bench, made, ahead, begun, [(first, end)])[0],
         curves(bench, made, begun).since(begun),
     )
 

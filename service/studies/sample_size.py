@@ -142,7 +142,7 @@ def _scheme(bench: BenchRun, rows: int, end: int) -> SchemeRun:
         rings=score_rings(made, bench, begun, rows, end),
         planned=score_rings(planned, bench, begun, rows, end),
         node_errors_k=node_errors(made, bench, begun, rows, end),
-        methods=beside(twin, bench, made, ahead, begun, rows, end),
+        methods=beside(twin, bench, made, ahead, begun, [(rows, end)])[0],
         seconds=twin.seconds,
         shown=curves(bench, made, begun),
     )

@@ -9,6 +9,7 @@ must say so. Benches that truly run away are counted apart, with the verdict tha
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from adapters.virtual_bench import BenchParameters
@@ -113,7 +114,7 @@ class Condition:
     load_law_labelled
         Whether it said that its load law is the prior's.
     methods
-        The twin and the methods beside it; none for the training itself.
+        The twin and the methods beside it; none for the training itself and for other laws.
     """
 
     rings: RingScores
@@ -189,14 +190,18 @@ def examine(task: Task) -> LoadRun:
     fitted = forecast_from(twin, bench, 0, bench.measured(0, first))
     light = score_rings(fitted, bench, 0, 1, LIGHT.minutes)
     conditions = {LOADS[0]: Condition(light, False, False, False, ())}
-    for load, start, stop in zip(LOADS[1:], rows, rows[1:], strict=False):
+    spans = list(pairwise(rows))
+    # What other methods make of other laws is of no interest: theirs is none.
+    compared = task.law == "catalogue"
+    methods = beside(twin, bench, made, ahead, begun, spans) if compared else [()] * len(spans)
+    for load, (start, stop), scored in zip(LOADS[1:], spans, methods, strict=True):
         labels = forecast_from(twin, bench, begun, bench.planned(begun, stop)).labels
         conditions[load] = Condition(
             score_rings(made, bench, begun, start, stop),
             bench.ran_away(first, stop),
             RUNAWAY in labels,
             LOAD_LAW in labels,
-            beside(twin, bench, made, ahead, begun, start, stop),
+            scored,
         )
     return LoadRun(
         task,

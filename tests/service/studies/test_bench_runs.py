@@ -130,7 +130,8 @@ def test_the_forecast_is_far_better_than_none(run: BenchRun, twin: Twin, made: F
     for name in RINGS:
         assert found[name].max_error_k < 0.5 * np.ptp(run.truth_c[name][LAST:])
         assert found[name].coverage_95 > 0.8
-    rows = beside(twin, run, made, run.measured(LAST, 120), LAST, LAST + 1, 120)
+    ahead = run.measured(LAST, 120)
+    rows, late = beside(twin, run, made, ahead, LAST, [(LAST + 1, 120), (110, 120)])
     by_key = {(row.method, row.sensor): row for row in rows}
     for name in RINGS:
         own = by_key["twin", name]
@@ -138,6 +139,9 @@ def test_the_forecast_is_far_better_than_none(run: BenchRun, twin: Twin, made: F
         assert own.max_error_k == pytest.approx(found[name].max_error_k)
         assert own.coverage == found[name].coverage_95
         assert own.rms_k < by_key["persistence", name].rms_k
+    by_key = {(row.method, row.sensor): row for row in late}
+    for name, expected in score_rings(made, run, LAST, 110, 120).items():
+        assert by_key["twin", name].rms_k == pytest.approx(expected.rms_error_k)
 
 
 def test_nodes_are_scored_against_the_benchs_own(run: BenchRun, made: Forecast) -> None:
