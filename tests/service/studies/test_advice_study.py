@@ -69,3 +69,10 @@ def test_a_fit_that_must_not_forecast_is_counted_not_averaged(bench: BenchResult
     for name in ARMS:
         found = made.document["arms"][name]
         assert (found["benches"], found["fits_refused"]) == (1, 1)
+
+
+def test_a_bench_too_hot_for_any_step_stands_apart(bench: BenchResult) -> None:
+    hot = replace(bench, seed=9, arms={"none": bench.arms["none"]})
+    made = report([bench, hot])
+    assert made.document["no_feasible_step"] == [9]
+    assert made.document["arms"]["none"]["benches"] == 1
