@@ -171,7 +171,7 @@ def identifiability(problem: IdentificationProblem, unknowns: FloatArray) -> Ide
         (d,) where: the optimum, or `IdentificationProblem.with_nuisance` of any parameters.
     """
     p, m = problem.parameter_count, problem.measurement_count
-    jacobian = problem.jacobian(unknowns, central=True)
+    jacobian = problem.jacobian(unknowns)
     return of_sensitivities(problem.model.parameters.names, jacobian[:m, :p], jacobian[:m, p:])
 
 

@@ -17,7 +17,13 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.identification.whitening import Whitening, whitening
 from twin_core.models import ThermalModel
 from twin_core.observer import initial_state
-from twin_core.simulation import OperatingProfile, hold_operating_point, simulate_batch
+from twin_core.simulation import (
+    OperatingProfile,
+    SimulationError,
+    hold_operating_point,
+    simulate_batch,
+    simulate_sensitivities,
+)
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +31,6 @@ FloatArray = NDArray[np.float64]
 _INITIAL_STATE_LIMIT = 6.0
 # A machine that stood still is at the temperature of its hall, give or take a day's swing.
 _REST_SPREAD_K = 0.3
-_DIFFERENCE_Z = 1e-3
 # A PT100 in its bore follows within some 5 to 30 s. Unaccounted for, that looks like a weaker
 # dependence of the friction on temperature wherever a temperature climbs.
 SENSOR_LAG_S = 15.0
@@ -45,10 +50,25 @@ class _Channel:
 
     def errors_c(self, temperatures_c: FloatArray, lag_s: FloatArray) -> FloatArray:
         """Twin minus measurement (B, n) for node temperatures (B, rows, nodes), lags (B, 1)."""
-        now = temperatures_c[:, self.index] @ self.row
-        before = temperatures_c[:, np.maximum(self.index - 1, 0)] @ self.row
+        readings = temperatures_c @ self.row
+        now = readings[:, self.index]
+        before = readings[:, np.maximum(self.index - 1, 0)]
         share = np.minimum(lag_s / self.since_before_s, 1.0)
         return np.asarray(now + share * (before - now) - self.measured_c)
+
+    def slopes(self, readings_c: FloatArray, tangents: FloatArray, lag_s: float) -> FloatArray:
+        """Whitened derivatives (n, q + 1) of the errors along q directions and by the lag.
+
+        From the twin's readings (rows,) and their derivatives (rows, q).
+        """
+        before = np.maximum(self.index - 1, 0)
+        share = np.minimum(lag_s / self.since_before_s, 1.0)
+        along = np.empty((tangents.shape[1] + 1, self.index.size))
+        along[:-1] = (tangents[self.index] * (1.0 - share[:, None])).T
+        along[:-1] += (tangents[before] * share[:, None]).T
+        difference = readings_c[before] - readings_c[self.index]
+        along[-1] = np.where(share < 1.0, difference / self.since_before_s, 0.0)
+        return np.asarray(self.whitening.apply(along).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +106,7 @@ class IdentificationProblem:
     parameter_count, unknown_count
         p, and p plus one for the sensor lag plus the coordinates of unknown initial states.
     evaluations
-        Simulations of the whole data set so far, finite differences included.
+        Simulations of the whole data set so far; one with its derivatives counts as one.
     """
 
     def __init__(
@@ -115,6 +135,8 @@ class IdentificationProblem:
         self.lower: FloatArray = np.concatenate((model.parameters.z_lower, lag[:1], -limit))
         self.upper: FloatArray = np.concatenate((model.parameters.z_upper, lag[1:], limit))
         self._nuisance_sensitivity: FloatArray | None = None
+        self._spread = np.array([p.spread for p in model.parameters.parameters])
+        self._is_log = np.array([p.transform == "log" for p in model.parameters.parameters])
 
     # ------------------------------------------------------------------ residuals
     def residuals(self, unknowns: FloatArray) -> FloatArray:
@@ -162,78 +184,57 @@ class IdentificationProblem:
         )
         return np.asarray(np.clip(lag_s, 0.0, _LONGEST_LAG_S))
 
-    def jacobian(
-        self, unknowns: FloatArray, at: FloatArray | None = None, central: bool = False
-    ) -> FloatArray:
-        """Derivatives of `residuals` by finite differences, all in one parallel batch per window.
+    def jacobian(self, unknowns: FloatArray) -> FloatArray:
+        """Derivatives of `residuals`, from one simulation with its sensitivities per window.
 
         Parameters
         ----------
         unknowns
-            (d,) where.
-        at
-            (m + d,) residuals there, for one-sided differences; computed if not given.
-        central
-            Differences on both sides, twice the work. At a bound always one-sided.
+            (d,) where. At a bound the derivative is the one towards the inside.
 
         Returns
         -------
         ndarray
-            (m + d, d). A derivative towards a failing simulation is taken from the other side; if
-            both fail it is zero.
+            (m + d, d). Zero for the measurements of a window whose simulation fails.
         """
-        d = self.unknown_count
-        forward = np.where(unknowns + _DIFFERENCE_Z <= self.upper, _DIFFERENCE_Z, 0.0)
-        backward = np.where(unknowns - _DIFFERENCE_Z >= self.lower, -_DIFFERENCE_Z, 0.0)
-        if not central:
-            backward = np.where(forward > 0.0, 0.0, backward)
-        centre = self.residuals(unknowns)[0] if at is None else at
+        self.evaluations += 1
+        d, p = self.unknown_count, self.parameter_count
+        parameters = self.model.parameters
+        values = parameters.values_from_z(unknowns[:p])
+        inside = (unknowns >= self.lower) & (unknowns <= self.upper)
+        by_z = np.where(inside[:p], self._spread * np.where(self._is_log, values, 1.0), 0.0)
+        lag_s = self.lag_s(unknowns)
+        by_lag = _LAG_SPREAD_S if inside[p] else 0.0
         jacobian = np.zeros((self.measurement_count + d, d))
         jacobian[self.measurement_count :] = np.eye(d)
-        used = 0
         for span in self._spans:
-            own = np.concatenate(
-                (
-                    np.arange(self.parameter_count + 1),
-                    np.arange(span.unknown.start, span.unknown.stop),
+            try:
+                found = simulate_sensitivities(
+                    self.model,
+                    values,
+                    span.profile,
+                    span.initial_c + span.initial_factor @ unknowns[span.unknown],
+                    span.revolutions,
+                    initial_directions=span.initial_factor,
+                    outputs=np.array([channel.row for channel in span.channels]),
                 )
-            )
-            high, low = forward[own], backward[own]
-            columns = self._differences(span, unknowns, own, high, low, centre[span.residuals])
-            used = max(used, int(np.count_nonzero(high) + np.count_nonzero(low)))
-            jacobian[span.residuals, own] = columns.T
-        self.evaluations += used
+            except SimulationError:
+                continue
+            first = span.residuals.start
+            for number, channel in enumerate(span.channels):
+                slopes = channel.slopes(
+                    found.temperatures_c[:, number],
+                    np.concatenate(
+                        (found.by_value[:, number] * by_z, found.by_initial[:, number]), axis=1
+                    ),
+                    lag_s,
+                )
+                rows = slice(first, first + channel.index.size)
+                jacobian[rows, :p] = slopes[:, :p]
+                jacobian[rows, p] = slopes[:, -1] * by_lag
+                jacobian[rows, span.unknown] = slopes[:, p:-1]
+                first = rows.stop
         return jacobian
-
-    def _differences(
-        self,
-        span: _Span,
-        unknowns: FloatArray,
-        own: NDArray[np.intp],
-        high: FloatArray,
-        low: FloatArray,
-        centre: FloatArray,
-    ) -> FloatArray:
-        """Difference quotients (own, residuals of the span)."""
-        steps = [(k, step) for k, step in enumerate(high) if step != 0.0]
-        steps += [(k, step) for k, step in enumerate(low) if step != 0.0]
-        batch = np.tile(unknowns, (len(steps), 1))
-        for member, (k, step) in enumerate(steps):
-            batch[member, own[k]] += step
-        moved = self._whitened(span, batch)
-        ends: list[list[tuple[float, FloatArray]]] = [[] for _ in own]
-        for (k, step), values in zip(steps, moved, strict=True):
-            if np.all(np.isfinite(values)):
-                ends[k].append((float(step), values))
-        quotients = np.zeros((own.size, centre.size))
-        for k, found in enumerate(ends):
-            if len(found) == 2:
-                (first, above), (second, below) = found
-                quotients[k] = (above - below) / (first - second)
-            elif len(found) == 1:
-                step, values = found[0]
-                quotients[k] = (values - centre) / step
-        return quotients
 
     # ------------------------------------------------------------------ for a global search
     def costs(self, z: FloatArray) -> FloatArray:

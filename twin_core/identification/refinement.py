@@ -94,7 +94,7 @@ def refine(
     for iteration in range(1, iterations + 1):
         if cancelled is not None and cancelled():
             raise IdentificationCancelled
-        jacobian = problem.jacobian(unknowns, residuals)
+        jacobian = problem.jacobian(unknowns)
         trials = damped_steps(jacobian, residuals, unknowns, problem.lower, problem.upper)
         tried = problem.residuals(trials)
         costs = np.sum(tried**2, axis=1)

@@ -46,7 +46,7 @@ def posterior_samples(
         return np.empty((0, problem.parameter_count))
     rng = np.random.default_rng(seed)
     at_optimum = problem.residuals(optimum)[0]
-    jacobian = problem.jacobian(optimum, at_optimum, central=True)
+    jacobian = problem.jacobian(optimum)
     towards = np.linalg.solve(jacobian.T @ jacobian, jacobian.T)
     half = rng.standard_normal((count // 2, at_optimum.size))
     target = at_optimum + np.concatenate((half, -half))

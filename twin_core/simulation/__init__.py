@@ -7,6 +7,7 @@ from twin_core.simulation.profile import (
     hold_operating_point,
     total_revolutions,
 )
+from twin_core.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from twin_core.simulation.simulate import (
     heat_balance_w,
     simulate,
@@ -16,12 +17,14 @@ from twin_core.simulation.simulate import (
 
 __all__ = [
     "OperatingProfile",
+    "Sensitivities",
     "SimulationError",
     "Trajectory",
     "heat_balance_w",
     "hold_operating_point",
     "simulate",
     "simulate_batch",
+    "simulate_sensitivities",
     "steady_state",
     "total_revolutions",
 ]

@@ -57,6 +57,43 @@ def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def edge_gradient(kind, c, speed, load, out):  # type: ignore[no-untyped-def]
+    """Fill out (MAX_COEFFICIENTS,) with the derivatives of `edge_conductance` by c."""
+    out[:] = 0.0
+    conductance = edge_conductance(kind, c, speed, load)
+    if kind == CONTACT:
+        product = max(load, CONTACT_MIN_LOAD_N) * max(speed, CONTACT_MIN_SPEED_RPM)
+        out[0] = out[1] = -conductance * conductance
+        out[2] = out[0] / math.sqrt(product)
+    elif kind == CONVECTIVE:
+        power = speed ** c[3]
+        out[0] = -conductance / c[0]
+        out[1] = 1.0 / c[0]
+        out[2] = power / c[0]
+        if speed > 0.0:
+            out[3] = c[2] * power * math.log(speed) / c[0]
+    elif kind == CONVECTIVE_REFERENCE:
+        power = (speed / REFERENCE_SPEED_RPM) ** c[3]
+        out[0] = -conductance / c[0]
+        out[1] = (1.0 - power) / c[0]
+        out[2] = power / c[0]
+        if speed > 0.0:
+            out[3] = (c[2] - c[1]) * power * math.log(speed / REFERENCE_SPEED_RPM) / c[0]
+    elif kind == FILM:
+        out[0] = 1.0
+    elif kind == SHAFT_SINK:
+        out[0] = 1.0
+        out[1] = (speed / 6000.0) ** (2.0 / 3.0)
+    elif kind == SPEED_POWER:
+        relative = max(speed, POWER_MIN_SPEED_RPM) / c[1]
+        out[0] = -conductance / c[0]
+        out[1] = conductance * c[2] / c[1]
+        out[2] = -conductance * math.log(relative)
+    else:
+        out[0] = -conductance * conductance
+
+
+@compiled
 def friction_at_point(kind, c, speed, load):  # type: ignore[no-untyped-def]
     """Everything of a friction law that does not change while speed and load stay.
 
@@ -122,6 +159,59 @@ def friction_heat_w(kind, c, point, temperature, revolutions):  # type: ignore[n
 
 
 @compiled
+def friction_gradient(  # type: ignore[no-untyped-def]
+    kind, c, speed, load, temperature, revolutions, out
+):
+    """Fill out (coefficients,) with the derivatives of the heat by c; gives that by temperature."""
+    out[:] = 0.0
+    if kind == LINEAR:
+        out[0], out[1], out[2] = speed, load, 1.0
+        return 0.0
+    point = friction_at_point(kind, c, speed, load)
+    if friction_heat_w(kind, c, point, temperature, revolutions) >= HEAT_LIMIT_W:
+        return 0.0
+    if kind == PALMGREN:
+        logarithm = point[2] - point[3] * temperature
+        flows = logarithm >= PALMGREN_BRANCH
+        viscous = math.exp(2.0 / 3.0 * logarithm) if flows else 160.0
+        heat = point[0] * point[4] * viscous
+        out[0] = point[0] * 1e-7 * c[1] ** 3 * viscous
+        out[1] = point[0] * point[1] / c[1] + 3.0 * heat / c[1]
+        out[2] = -0.55 * point[0] * point[1] / c[2]
+        if not flows:
+            return 0.0
+        out[3] = 2.0 / 3.0 * heat / c[3]
+        out[4] = 2.0 / 3.0 * heat * (c[5] - temperature)
+        out[5] = 2.0 / 3.0 * heat * c[4]
+        return -2.0 / 3.0 * heat * c[4]
+    distance = max(temperature + 95.0, 35.0)
+    viscosity = 989.0 / distance - 989.0 / 155.0
+    relative_speed = math.log(max(speed / REFERENCE_SPEED_RPM, LAW_MIN_FRACTION))
+    relative_load = math.log(max(load / REFERENCE_LOAD_N, LAW_MIN_FRACTION))
+    exponent = (c[1] + c[2] * relative_speed) * relative_speed + c[6] * relative_load
+    exponent += (c[3] + c[4] * relative_speed) * viscosity
+    left = math.exp(-revolutions / c[9])
+    fresh = 1.0 + c[8] * left
+    viscous, sliding = math.exp(exponent), math.exp(c[7] * relative_load)
+    both = (1.0 - c[5]) * viscous + c[5] * sliding
+    level = point[0] * c[0]
+    rolling = level * (1.0 - c[5]) * viscous * fresh
+    out[0] = point[0] * both * fresh
+    out[1] = rolling * relative_speed
+    out[2] = rolling * relative_speed * relative_speed
+    out[3] = rolling * viscosity
+    out[4] = rolling * relative_speed * viscosity
+    out[5] = level * (sliding - viscous) * fresh
+    out[6] = rolling * relative_load
+    out[7] = level * c[5] * sliding * fresh * relative_load
+    out[8] = level * both * left
+    out[9] = level * both * c[8] * left * revolutions / (c[9] * c[9])
+    if temperature + 95.0 <= 35.0:
+        return 0.0
+    return -rolling * (c[3] + c[4] * relative_speed) * 989.0 / (distance * distance)
+
+
+@compiled
 def film_excess_w(conductance, exponent, difference):  # type: ignore[no-untyped-def]
     """Heat in W that a film takes up beyond its linear part, and its slope in W/K."""
     size = abs(difference)
@@ -132,3 +222,23 @@ def film_excess_w(conductance, exponent, difference):  # type: ignore[no-untyped
         conductance * (relative - 1.0) * difference,
         conductance * ((1.0 + exponent) * relative - 1.0),
     )
+
+
+@compiled
+def film_gradient(conductance, exponent, difference, out):  # type: ignore[no-untyped-def]
+    """Derivatives of what `film_excess_w` gives.
+
+    Fills out (2, 3): rows for heat and slope, columns by conductance, exponent and difference.
+    """
+    size = abs(difference)
+    out[:] = 0.0
+    if size < 1e-9:
+        return
+    ratio = math.log(size / FILM_REFERENCE_K)
+    relative = math.exp(exponent * ratio)
+    out[0, 0] = (relative - 1.0) * difference
+    out[0, 1] = conductance * relative * ratio * difference
+    out[0, 2] = conductance * ((1.0 + exponent) * relative - 1.0)
+    out[1, 0] = (1.0 + exponent) * relative - 1.0
+    out[1, 1] = conductance * relative * (1.0 + (1.0 + exponent) * ratio)
+    out[1, 2] = conductance * (1.0 + exponent) * exponent * relative / difference

@@ -38,6 +38,33 @@ def combine(_typing: Any, out: Any, weights: Any, rows: Any) -> Any:
 
 
 @intrinsic
+def combine_wide(
+    _typing: Any, out: Any, first: Any, first_rows: Any, second: Any, second_rows: Any
+) -> Any:
+    """``combine_wide(out, first, first_rows, second, second_rows)``: two sums of `combine` in one.
+
+    For long rows: m is a multiple of 16.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        target, weight, row, other_weight, other_row = (
+            make_array(kind)(context, builder, arg) for kind, arg in _paired(signature, args)
+        )
+        _accumulate(builder, target, weight, row, lambda _: None, 2)
+        _accumulate(
+            builder,
+            target,
+            other_weight,
+            other_row,
+            lambda place: _load(builder, target.data, place),
+            2,
+        )
+        return context.get_dummy_value()
+
+    return types.void(out, first, first_rows, second, second_rows), generate
+
+
+@intrinsic
 def advance(_typing: Any, out: Any, factor: Any, start: Any, weights: Any, rows: Any) -> Any:
     """``advance(out, factor, start, weights, rows)``: as `combine`, plus factor * start (m,).
 
@@ -72,7 +99,9 @@ def _load(builder: Any, base: Any, offset: Any) -> Any:
     return builder.load(builder.bitcast(pointer, _vector().as_pointer()), align=8)
 
 
-def _accumulate(builder: Any, out: Any, weights: Any, rows: Any, begin: Any) -> None:
+def _accumulate(
+    builder: Any, out: Any, weights: Any, rows: Any, begin: Any, columns: int = 1
+) -> None:
     """Emit the loops: over blocks of columns, within them over rows, four sums at a time."""
     (width,) = cgutils.unpack_tuple(builder, out.shape)
     (count,) = cgutils.unpack_tuple(builder, weights.shape)
@@ -80,27 +109,36 @@ def _accumulate(builder: Any, out: Any, weights: Any, rows: Any, begin: Any) -> 
     undefined = ir.Constant(_vector(), ir.Undefined)
     first_lane = ir.Constant(ir.VectorType(index, LANES), [0] * LANES)
     zero = ir.Constant(_vector(), [0.0] * LANES)
-    sums = [cgutils.alloca_once(builder, _vector()) for _ in range(STRIDE)]
-    with cgutils.for_range_slice(builder, number(0), width, number(LANES), number) as (column, _):
-        initial = begin(column)
-        for place, total in enumerate(sums):
-            builder.store(zero if place or initial is None else initial, total)
-        with cgutils.for_range_slice(builder, number(0), count, number(STRIDE), number) as (row, _):
-            for place, total in enumerate(sums):
-                here = builder.add(row, number(place))
+    together = STRIDE // columns
+    sums = [
+        [cgutils.alloca_once(builder, _vector()) for _ in range(columns)] for _ in range(together)
+    ]
+    block = number(LANES * columns)
+    with cgutils.for_range_slice(builder, number(0), width, block, number) as (first, _):
+        places = [builder.add(first, number(LANES * c)) for c in range(columns)]
+        for r in range(together):
+            for c in range(columns):
+                initial = begin(places[c]) if r == 0 else None
+                builder.store(zero if initial is None else initial, sums[r][c])
+        step = number(together)
+        with cgutils.for_range_slice(builder, number(0), count, step, number) as (row, _):
+            for r in range(together):
+                here = builder.add(row, number(r))
                 weight = builder.load(builder.gep(weights.data, [here], inbounds=True))
-                spread = builder.shuffle_vector(
+                wide = builder.shuffle_vector(
                     builder.insert_element(undefined, weight, index(0)), undefined, first_lane
                 )
-                values = _load(builder, rows.data, builder.add(builder.mul(here, width), column))
-                product = builder.fmul(spread, values, flags=_FAST)
-                builder.store(builder.fadd(builder.load(total), product, flags=_FAST), total)
-        parts = [builder.load(total) for total in sums]
-        low = builder.fadd(parts[0], parts[1], flags=_FAST)
-        high = builder.fadd(parts[2], parts[3], flags=_FAST)
-        pointer = builder.gep(out.data, [column], inbounds=True)
-        builder.store(
-            builder.fadd(low, high, flags=_FAST),
-            builder.bitcast(pointer, _vector().as_pointer()),
-            align=8,
-        )
+                start = builder.mul(here, width)
+                for place, total in zip(places, sums[r], strict=True):
+                    values = _load(builder, rows.data, builder.add(start, place))
+                    product = builder.fmul(wide, values, flags=_FAST)
+                    builder.store(builder.fadd(builder.load(total), product, flags=_FAST), total)
+        for c, place in enumerate(places):
+            parts = [builder.load(sums[r][c]) for r in range(together)]
+            while len(parts) > 1:
+                parts = [
+                    builder.fadd(parts[r], parts[r + 1], flags=_FAST)
+                    for r in range(0, len(parts), 2)
+                ]
+            pointer = builder.gep(out.data, [place], inbounds=True)
+            builder.store(parts[0], builder.bitcast(pointer, _vector().as_pointer()), align=8)

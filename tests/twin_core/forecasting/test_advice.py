@@ -55,7 +55,7 @@ def rows_of(model: ThermalModel, levels: tuple[Level, ...]) -> IdentificationDat
 def information_of(model: ThermalModel, data: IdentificationData) -> FloatArray:
     """J'J of an identification at the prior's centre: data and priors."""
     problem = IdentificationProblem(model, data)
-    jacobian = problem.jacobian(np.zeros(problem.unknown_count), central=True)
+    jacobian = problem.jacobian(np.zeros(problem.unknown_count))
     return np.asarray(jacobian.T @ jacobian)
 
 
