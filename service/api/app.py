@@ -13,7 +13,7 @@ import service.dashboard
 from service.api.access import make_door
 from service.api.context import ServiceContext
 from service.api.docs import install_docs
-from service.api.middleware import AtTheDoor, BodyLimit, LastResort, SecurityHeaders
+from service.api.middleware import AtTheDoor, BodyLimit, Gunzip, LastResort, SecurityHeaders
 from service.api.problems import install_handlers
 from service.api.routes import (
     advice,
@@ -83,6 +83,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(SecurityHeaders),
             Middleware(LastResort),
             Middleware(AtTheDoor, door=make_door(authenticator)),
+            Middleware(Gunzip),
             Middleware(BodyLimit),
         ],
     )

@@ -2,6 +2,7 @@
 
 import re
 import traceback
+import zlib
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Final
 
@@ -18,6 +19,9 @@ _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
 )
+
+#: A small body may hold a very long one: it is unpacked in pieces, each counted.
+_UNPACKED_BYTES = 64 * KIB
 
 _SECURITY_HEADERS: Final[Mapping[str, str]] = {
     # The charts and the API page set inline styles; scripts come from here only.
@@ -161,3 +165,56 @@ class BodyLimit:
             return message
 
         await self.app(scope, receive_and_count, send)
+
+
+class Gunzip:
+    """Unpack a body that came with ``Content-Encoding: gzip``, piece by piece.
+
+    It stands before `BodyLimit`, which so counts what the body really holds.
+
+    Parameters
+    ----------
+    app
+        What lies behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on with a plain body, or answer 400 or 415."""
+        encoding = ""
+        if scope["type"] == "http":
+            encoding = Request(scope).headers.get("content-encoding", "").strip().lower()
+        if encoding in ("", "identity"):
+            await self.app(scope, receive, send)
+            return
+        if encoding != "gzip":
+            response = problem_response(
+                415, f"Content-Encoding {encoding!r}, expected gzip or none", scope["path"]
+            )
+            await response(scope, receive, send)
+            return
+        plain = (b"content-encoding", b"content-length")
+        scope = {**scope, "headers": [one for one in scope["headers"] if one[0] not in plain]}
+        unpacker = zlib.decompressobj(zlib.MAX_WBITS | 16)
+        waiting, ended = b"", False
+
+        async def receive_unpacked() -> Message:
+            nonlocal waiting, ended
+            while not (waiting or ended):
+                message = await receive()
+                if message["type"] != "http.request":
+                    return message
+                waiting, ended = message.get("body", b""), not message.get("more_body", False)
+            try:
+                body = unpacker.decompress(waiting, _UNPACKED_BYTES)
+            except zlib.error as error:
+                raise Problem(400, f"the body is not gzip: {error}") from None
+            waiting = unpacker.unconsumed_tail
+            more = bool(waiting) or not ended
+            if not (more or unpacker.eof):
+                raise Problem(400, "the body is not gzip: it ends too early")
+            return {"type": "http.request", "body": body, "more_body": more}
+
+        await self.app(scope, receive_unpacked, send)

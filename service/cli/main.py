@@ -15,6 +15,7 @@ from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.serve import serve
 from service.cli.study import study
+from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
 
 _OURS = ("service", "adapters", "twin_core")
@@ -32,6 +33,8 @@ app.command("virtual-bench")(virtual_bench)
 app.command()(identify)
 app.command()(forecast)
 app.command()(study)
+app.command("import")(import_)
+app.command()(export)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(keys, name="keys")
 app.add_typer(db, name="db")

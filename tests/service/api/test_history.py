@@ -4,6 +4,7 @@ import csv
 import io
 from typing import Any
 
+import pyarrow.parquet as parquet
 import pytest
 
 from service.api.bodies import Measurements
@@ -197,3 +198,14 @@ async def test_cursor_that_is_not_ours_is_refused(world: Any, cursor: str) -> No
     response = await world.client("viewer").get(PATH, params={"cursor": cursor})
     assert response.status_code == 422
     assert response.json()["errors"][0]["parameter"] == "cursor"
+
+
+async def test_parquet_gives_the_whole_span_in_one_file(world: Any) -> None:
+    world.write("bench-1", INNER, START_US, [60.0, float("nan"), 62.0])
+    response = await world.client("viewer").get(PATH, params={"format": "parquet"} | span(60))
+    assert response.status_code == 200
+    assert response.headers["content-type"] == "application/vnd.apache.parquet"
+    assert "bench-1-measurements.parquet" in response.headers["content-disposition"]
+    table = parquet.read_table(io.BytesIO(response.content))
+    assert table["value"].to_pylist() == [60.0, None, 62.0]
+    assert table.schema.metadata[b"unit:t_inner_ring_c"].decode() == "°C"

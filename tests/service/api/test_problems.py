@@ -100,7 +100,6 @@ async def test_several_errors_are_all_listed(world: Any) -> None:
         ("limit=50001", "limit"),
         ("resolution=2s", "resolution"),
         ("format=xml", "format"),
-        ("format=parquet", "format"),
         ("cursor=abc", "cursor"),
         ("channel=t_missing_c", "channel"),
         ("start=2026-11-21T08:00:00Z&end=2026-11-21T08:00:00Z", "start"),

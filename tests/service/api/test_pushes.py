@@ -1,5 +1,7 @@
 """POST measurements, through the real ingest into the real store."""
 
+import gzip
+import json
 from typing import Any
 
 import pytest
@@ -122,3 +124,42 @@ async def test_nothing_to_store_is_fine(world: Any) -> None:
 async def test_many_samples_in_one_call(world: Any) -> None:
     samples = [sample(world, 3000 - number, value=number) for number in range(3000)]
     assert (await push(world, *samples)).accepted == 3000
+
+
+async def push_packed(world: Any, body: bytes, encoding: str = "gzip") -> Any:
+    return await world.client("gateway").post(
+        PATH,
+        content=body,
+        headers={"Content-Type": "application/json", "Content-Encoding": encoding},
+    )
+
+
+async def test_a_gzip_body_is_as_good_as_a_plain_one(world: Any) -> None:
+    now_us = world.clock.now_us()
+    samples = [sample(world) | {"time": rfc3339(now_us - k * 1000)} for k in range(5000)]
+    packed = gzip.compress(json.dumps({"samples": samples}).encode())
+    response = await push_packed(world, packed)
+    assert response.status_code == 200, response.text
+    assert response.json()["accepted"] == 5000
+
+
+async def test_a_bomb_is_refused_as_what_it_holds(world: Any) -> None:
+    response = await push_packed(world, gzip.compress(b" " * 50_000_000))
+    assert response.status_code == 413
+
+
+@pytest.mark.parametrize(
+    ("body", "encoding", "status"),
+    [
+        (b"plain", "gzip", 400),
+        (gzip.compress(b'{"samples": []}')[:-9], "gzip", 400),
+        (b"", "gzip", 400),
+        (b"plain", "br", 415),
+    ],
+)
+async def test_a_body_that_cannot_be_unpacked_is_refused(
+    world: Any, body: bytes, encoding: str, status: int
+) -> None:
+    response = await push_packed(world, body, encoding)
+    assert response.status_code == status
+    assert response.headers["content-type"] == "application/problem+json"

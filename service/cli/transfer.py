@@ -1,0 +1,177 @@
+"""``bearing-twin import`` and ``export``: history as files."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from service.cli.serve import ConfigFile
+from service.clock import from_rfc3339
+from service.configuration import SettingsError
+from service.settings import Settings, load_settings
+
+_SHOWN_REJECTED = 20
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+AssetId = Annotated[str, typer.Option(help="Asset that the data belong to.")]
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet.")],
+    asset: AssetId,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="RFC3339", help="Time of 0 s, for a file with a column time_s."),
+    ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Which column is which channel (TOML).")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file, store nothing.")] = (
+        False
+    ),
+    config: ConfigFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Bring recorded data into the store.
+
+    Columns are named as channels, or a mapping says which is which. Rows that cannot be used are
+    told with their lines and left out; the status is 2 then. Importing a file again changes
+    nothing.
+    """
+    from service.clock import ProcessClock
+    from service.store import Store
+    from service.transfer.importing import import_file
+
+    settings = load_settings(config)
+    channels = _channels(settings, asset)
+    start_us = None if start is None else _time_us("--start", start)
+    with ExitStack() as stack:
+        store = None
+        if not dry_run:
+            store = stack.enter_context(
+                Store.open(settings.service.database_url, settings.data_dir)
+            )
+        report = import_file(
+            file,
+            asset,
+            store,
+            mapping=mapping,
+            start_us=start_us,
+            more_channels=channels,
+            now_us=ProcessClock().now_us(),
+            progress=stack.enter_context(_progress_bar(f"import {file.name}")),
+        )
+    if as_json:
+        document = {
+            "rows": report.rows,
+            "samples": report.samples,
+            "stored": report.stored,
+            "duplicates": report.duplicates,
+            "rejected": report.rejected,
+            "errors": [{"line": one.line, "detail": one.detail} for one in report.first_rejected],
+            "dry_run": dry_run,
+        }
+        typer.echo(json.dumps(document))
+    else:
+        done = "would be stored" if dry_run else f"{report.stored} stored"
+        known = "" if dry_run else f", {report.duplicates} known already"
+        typer.echo(f"{file.name}: {report.rows} rows, {report.samples} samples: {done}{known}.")
+    if report.rejected:
+        for one in report.first_rejected[:_SHOWN_REJECTED]:
+            typer.echo(f"{file.name}: line {one.line}: {one.detail}", err=True)
+        typer.echo(f"{file.name}: {report.rejected} rows or cells were not taken", err=True)
+        sys.exit(2)
+
+
+def export(
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Ends in .csv or .parquet.", dir_okay=False)
+    ],
+    asset: AssetId,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="Repeatable; all channels if absent.")
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="RFC3339", help="From this time on; else from the first.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option(metavar="RFC3339", help="Before this time; else to the last.")
+    ] = None,
+    resolution: Annotated[str, typer.Option(help="raw, 1s, 1min, 1h, or minutes.")] = "raw",
+    config: ConfigFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write history into a file.
+
+    One row per sample or bucket with its quality; "import" reads raw samples back. With the
+    resolution "minutes" one row per minute and a column per channel, as "identify" reads it.
+    """
+    from service.store import Store
+    from service.transfer.exporting import export_file, export_minutes
+    from service.transfer.pages import Place, is_resolution
+
+    settings = load_settings(config)
+    _channels(settings, asset)
+    start_us = 0 if start is None else _time_us("--start", start)
+    end_us = 2**62 - 1 if end is None else _time_us("--end", end)
+    if end_us <= start_us:
+        raise SettingsError(f"--end {end}: expected a time after --start {start}")
+    minutes = resolution == "minutes"
+    if not minutes and not is_resolution(resolution):
+        raise SettingsError(f"--resolution {resolution}: expected raw, 1s, 1min, 1h or minutes")
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        known = store.channels(asset)
+        for name in channel or ():
+            if name not in known:
+                raise SettingsError(
+                    f"--channel {name}: asset {asset!r} has no such history; "
+                    f"expected one of {', '.join(known) or 'none, there is no history'}"
+                )
+        if minutes:
+            rows = export_minutes(out, store, asset, channel or known, start_us, end_us)
+        else:
+            place = Place(resolution=resolution, start_us=start_us, end_us=end_us, channels=channel)
+            rows = export_file(out, store, asset, place)
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), "rows": rows}))
+    else:
+        typer.echo(f"{out}: {rows} rows.")
+
+
+def _channels(settings: Settings, asset: str) -> list[str]:
+    """Channels of an asset; of any asset, when the configuration has none."""
+    if not settings.assets:
+        return []
+    for one in settings.assets:
+        if one.id == asset:
+            return list(one.channels)
+    known = ", ".join(one.id for one in settings.assets)
+    raise SettingsError(f"--asset {asset}: no such asset; expected one of {known}")
+
+
+def _time_us(option: str, text: str) -> int:
+    try:
+        return from_rfc3339(text)
+    except ValueError as error:
+        raise SettingsError(f"{option}: {error}") from None
+
+
+@contextmanager
+def _progress_bar(title: str) -> Iterator[Callable[[float], None]]:
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda share: bar.update(task, completed=share)

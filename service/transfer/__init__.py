@@ -1,0 +1,1 @@
+"""History in and out as files: import and export."""

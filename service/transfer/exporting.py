@@ -1,0 +1,175 @@
+"""The store into files: one sample per row with its quality, or one column per channel."""
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from service.clock import rfc3339
+from service.live.presentation import unit_of
+from service.store import Rollup, Store, StoredSample
+from service.transfer.errors import TransferError
+from service.transfer.importing import load_pyarrow
+from service.transfer.mapping import REQUIRED as ORDER
+from service.transfer.pages import RAW, Place, as_csv, csv_header, read_page
+
+PAGE_ROWS = 20_000
+MINUTE_US = 60_000_000
+
+
+def pages(store: Store, asset: str, place: Place) -> Iterator[Sequence[StoredSample | Rollup]]:
+    """All rows of a query, page by page, so that memory stays small."""
+    following: Place | None = place
+    while following is not None:
+        page = read_page(store, asset, following, PAGE_ROWS)
+        yield page.rows
+        following = page.following
+
+
+def write_csv(file: BinaryIO, store: Store, asset: str, place: Place) -> int:
+    """Write the rows of a query as CSV; returns how many."""
+    rows = 0
+    file.write(csv_header(place.resolution).encode())
+    for page in pages(store, asset, place):
+        file.write(as_csv(page).encode())
+        rows += len(page)
+    return rows
+
+
+def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
+    """Write the rows of a query as Parquet, with units in the metadata of the schema.
+
+    Parameters
+    ----------
+    file
+        A binary file to write to; it need not be seekable.
+    store, asset, place
+        What to write.
+
+    Returns
+    -------
+    int
+        How many rows.
+
+    Raises
+    ------
+    TransferError
+        If pyarrow is not installed.
+    """
+    pa, parquet = load_pyarrow()
+    channels = place.channels if place.channels is not None else store.channels(asset)
+    units = {f"unit:{name}": unit_of(name) or "1" for name in channels}
+    values = ["value"] if place.resolution == RAW else ["mean", "min", "max"]
+    fields = [
+        pa.field("time", pa.timestamp("us", tz="UTC"), nullable=False),
+        pa.field("channel", pa.string(), nullable=False),
+        *(pa.field(name, pa.float64()) for name in values),
+        *([] if place.resolution == RAW else [pa.field("count", pa.int64(), nullable=False)]),
+        pa.field("quality", pa.uint8(), nullable=False),
+    ]
+    facts = {"asset": asset, "resolution": place.resolution, **units}
+    schema = pa.schema(fields, metadata=facts)
+    count = 0
+    with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
+        for page in pages(store, asset, place):
+            names = ("time_us", *schema.names[1:])
+            columns = [[getattr(row, name) for row in page] for name in names]
+            arrays = [
+                pa.array(column, one.type) for column, one in zip(columns, schema, strict=True)
+            ]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            count += len(page)
+    return count
+
+
+def export_file(path: Path, store: Store, asset: str, place: Place) -> int:
+    """Write a query to a file, CSV or Parquet by its suffix; complete, or not at all.
+
+    Returns
+    -------
+    int
+        How many rows.
+
+    Raises
+    ------
+    TransferError
+        If the suffix is another or the file cannot be written.
+    """
+    writers = {".csv": write_csv, ".parquet": write_parquet, ".pq": write_parquet}
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise TransferError(f"{path}: expected a name that ends in .csv or .parquet")
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            rows = writer(file, store, asset, place)
+        part.replace(path)
+    except OSError as error:
+        raise TransferError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return rows
+
+
+def export_minutes(
+    path: Path, store: Store, asset: str, channels: Sequence[str], start_us: int, end_us: int
+) -> int:
+    """Write minute averages with a column per channel, as `identify` and `import` read them.
+
+    Speed, load and ambient are averages over the minute that begins at a row's time, temperatures
+    of rings and nodes over the minute around it: a row's operating point holds from its time on,
+    its temperatures are those at its time. Only good samples count; a cell without any is empty.
+
+    Returns
+    -------
+    int
+        How many rows.
+
+    Raises
+    ------
+    TransferError
+        If the file cannot be written.
+    """
+    measured = [name for name in channels if _is_input(name) or _is_temperature(name)]
+    inputs = [name for name in measured if _is_input(name)]
+    temperatures = [name for name in measured if not _is_input(name)]
+    over = store.minute_averages(asset, inputs, start_us, end_us)
+    around = store.minute_averages(asset, temperatures, start_us, end_us, -MINUTE_US // 2)
+    cells: dict[int, dict[str, float]] = {}
+    for table, names, shift_us in ((over, inputs, 0), (around, temperatures, MINUTE_US // 2)):
+        for at, minute_us in enumerate(table.minute_us.tolist()):
+            row = cells.setdefault(minute_us + shift_us, {})
+            for name in names:
+                value = float(table.mean[name][at])
+                if math.isfinite(value):
+                    row[name] = value
+    part = path.with_name(f"{path.name}.part")
+    header = [name for name in ORDER if name in measured]
+    header += sorted(set(measured) - set(header))
+    try:
+        with part.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["time", *header])
+            for time_us in sorted(cells):
+                values = (cells[time_us].get(name) for name in header)
+                writer.writerow(
+                    [
+                        rfc3339(time_us),
+                        *("" if value is None else f"{value:.6g}" for value in values),
+                    ]
+                )
+        part.replace(path)
+    except OSError as error:
+        raise TransferError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return len(cells)
+
+
+def _is_input(name: str) -> bool:
+    return name in ("speed_rpm", "load_n", "ambient_c")
+
+
+def _is_temperature(name: str) -> bool:
+    return name.startswith("t_") and name.endswith("_c")

@@ -1,0 +1,291 @@
+"""Files into the store: CSV and Parquet, every bad row named, sending again does no harm."""
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from adapters.samples import Quality, Sample
+from service.store import Store
+from service.transfer.errors import RowError, TransferError
+from service.transfer.mapping import Layout, layout_of, read_mapping, time_reader
+
+BATCH_SAMPLES = 20_000
+#: So many bad rows are told one by one; all are counted.
+REJECTED_TOLD = 100
+
+# What no machine shows: sentinels and shifted columns must not pass as measurements.
+_RANGES = {"_c": (-100.0, 500.0), "_rpm": (-1e5, 1e5), "_n": (-1e3, 1e7)}
+
+Row = Mapping[str, object]
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A row, or a cell of it, that was not taken."""
+
+    line: int
+    detail: str
+
+
+@dataclass(slots=True)
+class ImportReport:
+    """What became of a file.
+
+    Attributes
+    ----------
+    rows, samples
+        Read from it.
+    stored, duplicates
+        Of the samples; both stay 0 in a dry run.
+    rejected
+        How many rows or cells were not taken; `first_rejected` tells of the first of them.
+    """
+
+    rows: int = 0
+    samples: int = 0
+    stored: int = 0
+    duplicates: int = 0
+    rejected: int = 0
+    first_rejected: list[Rejected] = field(default_factory=list)
+
+    def reject(self, line: int, detail: str) -> None:
+        """Count a row or cell that is not taken."""
+        self.rejected += 1
+        if len(self.first_rejected) < REJECTED_TOLD:
+            self.first_rejected.append(Rejected(line, detail))
+
+
+def import_file(
+    path: Path,
+    asset: str,
+    store: Store | None,
+    *,
+    mapping: Path | None = None,
+    start_us: int | None = None,
+    more_channels: Sequence[str] = (),
+    now_us: int,
+    progress: Progress,
+) -> ImportReport:
+    """Read a file and store its samples.
+
+    Parameters
+    ----------
+    path
+        A CSV file, or a Parquet file by its suffix.
+    asset
+        Whose channels they are.
+    store
+        Where they go; None only reads, as a dry run.
+    mapping
+        Mapping file, if the columns do not carry the names of channels.
+    start_us
+        What a column of seconds counts from, UTC microseconds.
+    more_channels
+        Channels that the asset has besides those of every bearing.
+    now_us
+        Receipt time of the samples, UTC microseconds.
+    progress
+        Told how much of the file has been read, from 0 to 1.
+
+    Raises
+    ------
+    TransferError
+        If the file cannot be used as a whole; nothing is stored then.
+    StoreUnavailableError
+        If the store goes away; what was stored stays, and importing again completes it.
+    """
+    plan = None if mapping is None else read_mapping(mapping)
+    open_rows = _parquet if path.suffix.lower() in (".parquet", ".pq") else _csv
+    delimiter = "," if plan is None else plan.delimiter
+    report = ImportReport()
+    with open_rows(path, delimiter) as (columns, rows):
+        layout = layout_of(path.name, columns, plan, more_channels)
+        if layout.seconds and start_us is None:
+            raise TransferError(
+                f"{path.name}: {layout.time} counts seconds; expected --start with the time of 0 s"
+            )
+        batch: list[Sample] = []
+        for read, line, row in rows:
+            report.rows += 1
+            batch += _samples(row, line, layout, asset, start_us, now_us, report)
+            if len(batch) >= BATCH_SAMPLES:
+                _store(store, batch, report)
+                batch = []
+                progress(read)
+        _store(store, batch, report)
+    if report.rows == 0:
+        raise TransferError(f"{path.name}: line 2: no rows; expected at least one")
+    progress(1.0)
+    return report
+
+
+def _store(store: Store | None, samples: Sequence[Sample], report: ImportReport) -> None:
+    report.samples += len(samples)
+    if store is not None:
+        counts = store.write_samples(samples)
+        report.stored += counts.stored
+        report.duplicates += counts.duplicates
+
+
+def _samples(
+    row: Row | RowError,
+    line: int,
+    layout: Layout,
+    asset: str,
+    start_us: int | None,
+    now_us: int,
+    report: ImportReport,
+) -> Iterator[Sample]:
+    try:
+        if isinstance(row, RowError):
+            raise row
+        time_us = time_reader(layout, start_us)(row[layout.time])
+        if not 0 <= time_us < 2**62:
+            raise RowError(f"{layout.time}: {row[layout.time]!r}: expected a time after 1970")
+        if not layout.channels:
+            yield _long(row, asset, time_us, now_us)
+            return
+    except RowError as error:
+        report.reject(line, str(error))
+        return
+    for channel, source in layout.channels.items():
+        try:
+            value = _number(source.column, row[source.column])
+            if value is None:
+                continue
+            value = value * source.scale + source.offset
+            _check_range(channel, value)
+        except RowError as error:
+            report.reject(line, str(error))
+        else:
+            yield Sample(asset, channel, time_us, value, Quality.GOOD, now_us)
+
+
+def _long(row: Row, asset: str, time_us: int, now_us: int) -> Sample:
+    channel = str(row["channel"] or "").strip()
+    if not channel:
+        raise RowError("channel is empty; expected the name of a channel")
+    value = _number("value", row["value"])
+    quality = _number("quality", row.get("quality"))
+    if quality is None:
+        quality = Quality.GOOD if value is not None else Quality.BAD
+    if not (0 <= quality <= 255 and quality == int(quality)):
+        raise RowError(f"quality = {quality:g}: expected a whole number from 0 to 255")
+    if value is None:
+        value = math.nan
+    else:
+        _check_range(channel, value)
+    return Sample(asset, channel, time_us, value, int(quality), now_us)
+
+
+def _number(column: str, cell: object) -> float | None:
+    """Value of a cell; None where it is empty."""
+    if cell is None or (isinstance(cell, str) and not cell.strip()):
+        return None
+    try:
+        value = float(str(cell))
+    except ValueError:
+        value = math.nan
+    if isinstance(cell, float) and math.isnan(cell):
+        return None  # how data frames write an empty cell
+    if not math.isfinite(value):
+        raise RowError(f"{column} = {cell!r}: expected a number or an empty cell")
+    return value
+
+
+def _check_range(channel: str, value: float) -> None:
+    name = channel.partition(".")[0]
+    for suffix, (low, high) in _RANGES.items():
+        if name.endswith(suffix) and not low <= value <= high:
+            raise RowError(f"{channel} = {value:g}: expected {low:g} to {high:g}")
+
+
+_Rows = Iterable[tuple[float, int, Row | RowError]]
+
+
+@contextmanager
+def _csv(path: Path, delimiter: str) -> Iterator[tuple[list[str], _Rows]]:
+    try:
+        size = max(path.stat().st_size, 1)
+        with path.open("rb") as binary:
+
+            def lines() -> Iterator[str]:
+                for raw in binary:
+                    yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
+
+            reader = csv.reader(lines(), delimiter=delimiter)
+            header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
+            if header is None:
+                raise TransferError(f"{path.name}: line 1: empty file; expected a header line")
+            columns = [cell.strip() for cell in header]
+
+            def rows() -> _Rows:
+                for cells in reader:
+                    if not any(cell.strip() for cell in cells):
+                        continue
+                    row: Row | RowError = dict(zip(columns, cells, strict=False))
+                    if len(cells) != len(columns):
+                        row = RowError(f"{len(cells)} cells; expected {len(columns)}")
+                    yield binary.tell() / size, reader.line_num, row
+
+            yield columns, rows()
+    except OSError as error:
+        raise TransferError(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TransferError(f"{path.name}: not CSV in UTF-8 ({error})") from error
+
+
+@contextmanager
+def _parquet(path: Path, _delimiter: str) -> Iterator[tuple[list[str], _Rows]]:
+    pa, parquet = load_pyarrow()
+    try:
+        file = parquet.ParquetFile(path)
+    except OSError as error:
+        raise TransferError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except pa.ArrowInvalid as error:
+        raise TransferError(f"{path.name}: not a Parquet file ({error})") from error
+    with file:
+        total = max(file.metadata.num_rows, 1)
+
+        def rows() -> _Rows:
+            line = 1
+            for batch in file.iter_batches():
+                columns = {
+                    name: _plain(pa, column)
+                    for name, column in zip(batch.schema.names, batch.columns, strict=True)
+                }
+                for at in range(batch.num_rows):
+                    line += 1
+                    yield line / total, line, {name: cells[at] for name, cells in columns.items()}
+
+        yield list(file.schema_arrow.names), rows()
+
+
+def _plain(pa: Any, column: Any) -> list[object]:
+    if pa.types.is_timestamp(column.type):
+        if column.type.tz is None:
+            # Without a zone nobody knows what time it was: such cells are refused row by row.
+            return [str(cell) for cell in column.to_pylist()]
+        return list(column.cast(pa.timestamp("us", tz="UTC")).cast(pa.int64()).to_pylist())
+    return list(column.to_pylist())
+
+
+def load_pyarrow() -> tuple[Any, Any]:
+    """Import pyarrow and its Parquet module.
+
+    Raises
+    ------
+    TransferError
+        If it is not installed; says how to install it.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise TransferError("Parquet needs pyarrow: pip install 'bearing-twin[parquet]'") from None
+    return pyarrow, pyarrow.parquet

@@ -1,0 +1,168 @@
+"""Which column of a file is which channel."""
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from service.clock import from_rfc3339
+from service.configuration import describe
+from service.transfer.errors import RowError, TransferError
+
+REQUIRED = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
+_LONG = ("channel", "value")
+_HEADER = f"time or time_s, {', '.join(REQUIRED)} and t_node_1_c to t_node_13_c"
+_NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeColumn(_Model):
+    """The column with the times: RFC 3339, or seconds counted from a given start."""
+
+    column: str
+    seconds: bool = False
+
+
+class ChannelColumn(_Model):
+    """Where a channel comes from: its value is that of the column times scale plus offset."""
+
+    column: str
+    scale: float = Field(1.0, allow_inf_nan=False)
+    offset: float = Field(0.0, allow_inf_nan=False)
+
+
+class Mapping(_Model):
+    """A mapping file.
+
+    Attributes
+    ----------
+    time
+        The column with the times.
+    channels
+        By name of the channel.
+    delimiter
+        Of a CSV file.
+    """
+
+    time: TimeColumn
+    channels: dict[str, ChannelColumn] = Field(min_length=1)
+    delimiter: str = Field(",", min_length=1, max_length=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the rows of one file are read.
+
+    Attributes
+    ----------
+    time
+        Column with the times.
+    seconds
+        Whether these are seconds from a start that the user gives.
+    channels
+        Columns by channel; empty for a file with one sample per row (``time, channel, value`` and
+        perhaps ``quality``).
+    """
+
+    time: str
+    seconds: bool
+    channels: dict[str, ChannelColumn]
+
+
+def read_mapping(path: Path) -> Mapping:
+    """Read a mapping file (TOML).
+
+    Raises
+    ------
+    TransferError
+        If it cannot be read or a key is wrong; one line that names the key.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        return Mapping(**document)
+    except OSError as error:
+        raise TransferError(f"{path}: cannot be read ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise TransferError(f"{path}: not valid TOML ({error})") from error
+    except ValidationError as error:
+        raise TransferError(f"{path}: {describe(error)}") from error
+    except TypeError as error:
+        raise TransferError(f"{path}: {error}") from error
+
+
+def layout_of(
+    file: str, columns: Sequence[str], mapping: Mapping | None, more_channels: Sequence[str]
+) -> Layout:
+    """Find out how a file with these columns is read.
+
+    Parameters
+    ----------
+    file
+        For messages.
+    columns
+        Names of its columns.
+    mapping
+        What the user says of them; None takes them by their names.
+    more_channels
+        Further channels that the asset has.
+
+    Raises
+    ------
+    TransferError
+        If a column is missing, unknown or there twice; one line that names it.
+    """
+
+    def wrong(text: str) -> TransferError:
+        return TransferError(f"{file}: line 1: {text}")
+
+    for name in columns:
+        if columns.count(name) > 1:
+            raise wrong(f"column {name!r} stands there twice; expected once")
+    if mapping is not None:
+        wanted = [mapping.time.column, *(one.column for one in mapping.channels.values())]
+        for name in wanted:
+            if name not in columns:
+                raise wrong(f"missing column {name!r}; the mapping names {', '.join(wanted)}")
+        return Layout(mapping.time.column, mapping.time.seconds, dict(mapping.channels))
+    times = [name for name in ("time", "time_s") if name in columns]
+    if len(times) != 1:
+        found = "both time and time_s" if times else "missing column time or time_s"
+        raise wrong(f"{found}; expected one of the two, then {_HEADER}")
+    layout = Layout(times[0], times[0] == "time_s", {})
+    if all(name in columns for name in _LONG):
+        for name in columns:
+            if name not in (*times, *_LONG, "quality"):
+                raise wrong(f"unknown column {name!r}; expected time, channel, value, quality")
+        return layout
+    for name in REQUIRED:
+        if name not in columns:
+            raise wrong(f"missing column {name!r}; expected {_HEADER}, or a mapping")
+    for name in columns:
+        if name not in times:
+            if name not in (*REQUIRED, *_NODES, *more_channels):
+                raise wrong(f"unknown column {name!r}; expected {_HEADER}, or a mapping")
+            layout.channels[name] = ChannelColumn(column=name)
+    return layout
+
+
+def time_reader(layout: Layout, start_us: int | None) -> Callable[[object], int]:
+    """Make the function that turns a cell of the time column into UTC microseconds."""
+
+    def read(cell: object) -> int:
+        if isinstance(cell, int) and not isinstance(cell, bool) and not layout.seconds:
+            return cell  # a Parquet time stamp
+        try:
+            if not layout.seconds:
+                return from_rfc3339(str(cell).strip())
+            assert start_us is not None  # noqa: S101 - asked for before the first row
+            return start_us + round(float(str(cell)) * 1e6)
+        except (ValueError, OverflowError) as error:
+            text = str(error) if not layout.seconds else f"{cell!r}: expected seconds"
+            raise RowError(f"{layout.time}: {text}") from None
+
+    return read

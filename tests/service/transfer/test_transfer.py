@@ -1,0 +1,252 @@
+"""Import and export, on real files and a real store, through the command line's functions."""
+
+import json
+import math
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from adapters.samples import Sample
+from service.cli.main import app
+from service.clock import from_rfc3339, rfc3339
+from service.store import Store
+
+Run = Callable[..., tuple[int, dict[str, Any], str]]
+
+START = "2026-03-01T12:00:00Z"
+START_US = from_rfc3339(START)
+HEADER = "time,speed_rpm,load_n,ambient_c,t_inner_ring_c,t_outer_ring_c"
+CONFIG = """
+[service]
+data_dir = "data"
+[[assets]]
+id = "a"
+bearing = "6311"
+network = "bearing-14"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+[assets.limits]
+t_inner_ring_c = { warning = 70, alarm = 95 }
+[assets.channels]
+t_inner_ring_c = { source = "push" }
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    config = tmp_path / "c.toml"
+    config.write_text(CONFIG)
+
+    def run(*arguments: object) -> tuple[int, dict[str, Any], str]:
+        texts = [str(one) for one in arguments]
+        result = CliRunner().invoke(app, [*texts, "-c", str(config), "--asset", "a", "--json"])
+        if isinstance(result.exception, ValueError):
+            return 2, {}, str(result.exception)
+        assert result.exception is None or isinstance(result.exception, SystemExit), result
+        return result.exit_code, json.loads(result.stdout), result.stderr
+
+    return run
+
+
+def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
+    with Store.open("", tmp_path / "data") as store:
+        rows = store.read_samples("a", None, 0, 2**62, 10**6)
+    return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
+
+
+def table(tmp_path: Path, *rows: str, header: str = HEADER) -> Path:
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8-sig")
+    return path
+
+
+def test_a_table_is_stored_once_however_often_it_is_imported(tmp_path: Path, run: Run) -> None:
+    path = table(
+        tmp_path,
+        f"{START},1500,2650,21.5,40.1,38.2",
+        "2026-03-01T13:00:01+01:00,1500,,21.5,40.2,",
+        "",
+    )
+    dry = run("import", path, "--dry-run")[1]
+    assert (dry["rows"], dry["samples"], dry["stored"]) == (2, 8, 0)
+    assert stored(tmp_path) == []
+    status, report, _ = run("import", path)
+    assert (status, report["stored"], report["duplicates"], report["rejected"]) == (0, 8, 0, 0)
+    assert run("import", path)[1]["duplicates"] == 8
+    rows = stored(tmp_path)
+    assert ("load_n", START_US, 2650.0, 192) in rows
+    assert ("t_inner_ring_c", START_US + 1_000_000, 40.2, 192) in rows
+    assert len(rows) == 8
+
+
+def test_bad_rows_and_cells_are_told_with_their_lines_and_the_rest_is_stored(
+    tmp_path: Path, run: Run
+) -> None:
+    path = table(
+        tmp_path,
+        f"{START},1500,2650,21.5,40.1,38.2",
+        "yesterday,1500,2650,21.5,40.1,38.2",
+        "2026-03-01T12:00:02Z,1500,2650,21.5,40.1",
+        "2026-03-01T12:00:03Z,fast,2650,21.5,3276.7,nan",
+        "2026-03-01T12:00:04,1500,2650,21.5,40.1,38.2",
+    )
+    status, report, errors = run("import", path)
+    assert status == 2
+    assert (report["rows"], report["samples"], report["rejected"]) == (5, 7, 6)
+    told = {(one["line"], one["detail"].partition(":")[0]) for one in report["errors"]}
+    assert told == {
+        (3, "time"),
+        (4, "5 cells; expected 6"),
+        (5, "speed_rpm = 'fast'"),
+        (5, "t_inner_ring_c = 3276.7"),
+        (5, "t_outer_ring_c = 'nan'"),
+        (6, "time"),
+    }
+    assert "data.csv: line 3: time: time 'yesterday': expected RFC 3339" in errors
+    assert len(stored(tmp_path)) == 7
+
+
+@pytest.mark.parametrize(
+    ("header", "complaint"),
+    [
+        (HEADER.replace(",load_n", ""), "line 1: missing column 'load_n'"),
+        (HEADER + ",t_gear_c", "line 1: unknown column 't_gear_c'"),
+        (HEADER + ",load_n", "line 1: column 'load_n' stands there twice"),
+        (HEADER.replace("time,", ""), "missing column time or time_s"),
+        (HEADER.replace("time,", "time_s,"), "expected --start"),
+        ("time,channel,value,colour", "unknown column 'colour'"),
+        ("", "line 1: "),
+    ],
+)
+def test_a_header_that_cannot_be_used_is_one_line_and_stores_nothing(
+    tmp_path: Path, run: Run, header: str, complaint: str
+) -> None:
+    status, _, text = run("import", table(tmp_path, "0,1,2,3,4,5", header=header))
+    assert status == 2
+    assert complaint in text
+    assert "\n" not in text
+    assert stored(tmp_path) == []
+
+
+def test_seconds_count_from_a_given_start(tmp_path: Path, run: Run) -> None:
+    path = table(tmp_path, "0.5,1500,2650,21,40,38", header=HEADER.replace("time", "time_s"))
+    assert run("import", path, "--start", START)[0] == 0
+    assert {row[1] for row in stored(tmp_path)} == {START_US + 500_000}
+
+
+def test_a_mapping_names_scales_and_shifts_columns(tmp_path: Path, run: Run) -> None:
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(
+        'delimiter = ";"\n[time]\ncolumn = "timestamp_utc"\n'
+        '[channels.speed_rpm]\ncolumn = "gen_rpm"\n'
+        '[channels.t_node_5_c]\ncolumn = "bearing_f"\nscale = 0.5555555555555556\n'
+        "offset = -17.77777777777778\n"
+    )
+    path = tmp_path / "farm.csv"
+    path.write_text(f"timestamp_utc;gen_rpm;other;bearing_f\n{START};1200;x;212\n")
+    assert run("import", path, "--mapping", mapping)[0] == 0
+    assert stored(tmp_path) == [
+        ("speed_rpm", START_US, 1200.0, 192),
+        ("t_node_5_c", START_US, pytest.approx(100.0), 192),
+    ]
+    mapping.write_text(mapping.read_text().replace("bearing_f", "bearing_k"))
+    assert "missing column 'bearing_k'" in run("import", path, "--mapping", mapping)[2]
+    mapping.write_text('[time]\ncolumn = "t"\n[channels.speed_rpm]\nscale = 2\n')
+    assert "channels.speed_rpm.column: missing" in run("import", path, "--mapping", mapping)[2]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run, suffix: str) -> None:
+    dice = random.Random(3)
+    samples = [
+        Sample(
+            "a",
+            dice.choice(["t_inner_ring_c", "phase", "t_inner_ring_c.twin"]),
+            START_US + k * 137_000,
+            dice.choice([dice.uniform(20, 80), math.nan]),
+            dice.choice([0, 24, 64, 192, 216]),
+            0,
+        )
+        for k in range(500)
+    ]
+    with Store.open("", tmp_path / "data") as store:
+        store.write_samples(samples)
+    before = stored(tmp_path)
+    out = tmp_path / f"out.{suffix}"
+    assert run("export", "--out", out)[1]["rows"] == 500
+    (tmp_path / "data").rename(tmp_path / "elsewhere")
+    status, report, _ = run("import", out)
+    assert (status, report["stored"]) == (0, 500)
+    assert stored(tmp_path) == before
+
+
+def test_parquet_carries_units_and_the_rollups_their_extremes(tmp_path: Path, run: Run) -> None:
+    with Store.open("", tmp_path / "data") as store:
+        store.write_samples(
+            [
+                Sample("a", name, START_US + k * 10_000_000, float(k), 192, 0)
+                for k in range(12)
+                for name in ("t_inner_ring_c", "speed_rpm")
+            ]
+        )
+    out = tmp_path / "out.parquet"
+    report = run("export", "--out", out, "--resolution", "1min", "--channel", "speed_rpm")[1]
+    assert report["rows"] == 2
+    file = pq.read_table(out)
+    assert file.schema.metadata[b"unit:speed_rpm"] == b"rpm"
+    assert file.schema.field("time").type == pa.timestamp("us", tz="UTC")
+    assert file.to_pylist()[0]["max"] == 5.0
+    assert file.to_pylist()[0]["count"] == 6
+
+
+def test_minutes_are_what_identify_reads(tmp_path: Path, run: Run) -> None:
+    with Store.open("", tmp_path / "data") as store:
+        store.write_samples(
+            [
+                Sample("a", name, START_US + k * 1_000_000, float(k // 60), 192, 0)
+                for k in range(180)
+                for name in HEADER.split(",")[1:]
+            ]
+        )
+    out = tmp_path / "minutes.csv"
+    assert run("export", "--out", out, "--resolution", "minutes")[0] == 0
+    lines = out.read_text().splitlines()
+    assert lines[0] == HEADER
+    assert lines[2] == f"{rfc3339(START_US + 60_000_000)},1,1,1,0.5,0.5"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--out", "x.xls"), "expected a name that ends in .csv or .parquet"),
+        (("--out", "x.csv", "--channel", "t_gear_c"), "--channel t_gear_c"),
+        (("--out", "x.csv", "--resolution", "2s3"), "--resolution 2s3"),
+        (("--out", "x.csv", "--start", "now"), "--start: time 'now'"),
+        (("--out", "x.csv", "--start", START, "--end", START), "--end"),
+    ],
+)
+def test_a_wrong_option_is_named(
+    tmp_path: Path,
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    complaint: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, text = run("export", *arguments)
+    assert status == 2
+    assert complaint in text
+    assert list(tmp_path.glob("x.*")) == []
+
+
+def test_an_asset_that_is_not_configured_is_named(tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text(CONFIG)
+    path = table(tmp_path, f"{START},1500,2650,21.5,40.1,38.2")
+    result = CliRunner().invoke(app, ["import", str(path), "-c", str(config), "--asset", "b"])
+    assert "--asset b: no such asset; expected one of a" in str(result.exception)
