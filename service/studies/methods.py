@@ -22,6 +22,7 @@ EXPLORATION = 300
 """Evaluations of NOA before the refinement; as always with NOA they are its schedule too."""
 
 PSO_PARTICLES = 25
+CONSTRICTION, ATTRACTION = 0.7298, 1.49618
 DE_MEMBERS_PER_DIMENSION = 5
 CMA_SPREAD = 0.3
 
@@ -114,12 +115,29 @@ def cma_es(search: SearchSpace, seed: int) -> None:
 
 def particle_swarm(search: SearchSpace, seed: int) -> None:
     """Particle swarm as pymoo has it, with its adaptive coefficients."""
+    _swarm(search, seed)
+
+
+def constricted_swarm(search: SearchSpace, seed: int) -> None:
+    """Particle swarm with the constant coefficients of Clerc and Kennedy (2002)."""
+    _swarm(
+        search,
+        seed,
+        adaptive=False,
+        w=CONSTRICTION,
+        c1=ATTRACTION,
+        c2=ATTRACTION,
+        pertube_best=False,  # so spelled in pymoo
+    )
+
+
+def _swarm(search: SearchSpace, seed: int, **settings: float) -> None:
     from pymoo.algorithms.soo.nonconvex.pso import PSO
     from pymoo.core.problem import Problem
     from pymoo.termination import get_termination
 
     problem = Problem(n_var=search.dimensions, n_obj=1, xl=0.0, xu=1.0)
-    swarm = PSO(pop_size=PSO_PARTICLES)
+    swarm = PSO(pop_size=PSO_PARTICLES, **settings)
     swarm.setup(problem, termination=get_termination("n_eval", search.budget), seed=seed)
     while swarm.has_next():
         particles = swarm.ask()
@@ -133,6 +151,11 @@ METHODS = {
         particle_swarm,
         BASELINE_BUDGET,
         f"pymoo, {PSO_PARTICLES} particles, adaptive coefficients",
+    ),
+    "pso-constant": Method(
+        constricted_swarm,
+        BASELINE_BUDGET,
+        f"pymoo, {PSO_PARTICLES} particles, constriction coefficients",
     ),
     "noa+refine": Method(
         noa_then_refine, 2_000, f"NOA N {NOA_POPULATION}, T {EXPLORATION}, then trust region"

@@ -115,8 +115,9 @@ def search(task: Task) -> Run:
 def report(runs: Sequence[Run]) -> Report:
     """Put runs together into figures, table and plot."""
     methods = {name: summary([run for run in runs if run.method == name]) for name in METHODS}
-    ratio, is_bound = ratio_of_k4(runs, "k4_first")
-    lasting_ratio, lasting_is_bound = ratio_of_k4(runs, "k4_for_good")
+    # A best point that is still far from the target passes k4's by chance, again and again.
+    ratio, is_bound = ratio_of_k4(runs, "k4_for_good")
+    first_ratio, first_is_bound = ratio_of_k4(runs, "k4_first")
     seeds = sorted({run.seed for run in runs})
     document = {
         "study": NAME,
@@ -126,9 +127,9 @@ def report(runs: Sequence[Run]) -> Report:
         "methods": methods,
         "ratio_pso_over_noa": ratio,
         "ratio_is_lower_bound": is_bound,
-        "ratio_of": "median simulations until k4 of the best point is within 1 %, first time",
-        "ratio_for_good": lasting_ratio,
-        "ratio_for_good_is_lower_bound": lasting_is_bound,
+        "ratio_of": "median simulations from which on k4 of the best point is within 1 %",
+        "ratio_first_time": first_ratio,
+        "ratio_first_time_is_lower_bound": first_is_bound,
         "paper": {
             "noa_seconds": PAPER_NOA_S,
             "pso_seconds": PAPER_PSO_S,
@@ -148,13 +149,15 @@ def report(runs: Sequence[Run]) -> Report:
         ),
         tuple(_row(name, facts) for name, facts in methods.items()),
         (
-            f"Until k4 is within 1 % PSO needs {_times(ratio, is_bound)} the simulations of NOA, "
-            f"until it stays there {_times(lasting_ratio, lasting_is_bound)}. The paper, in "
-            f"seconds, one run each: {PAPER_NOA_S:.0f} s against {PAPER_PSO_S:.0f} s, "
-            f"{_times(PAPER_PSO_S / PAPER_NOA_S, False)}.",
+            f"Until k4 is within 1 % for good PSO needs {_times(ratio, is_bound)} the simulations "
+            f"of NOA. The paper, in seconds, one run each: {PAPER_NOA_S:.0f} s against "
+            f"{PAPER_PSO_S:.0f} s, {_times(PAPER_PSO_S / PAPER_NOA_S, False)}. The first time, "
+            f"which may be by chance: {_times(first_ratio, first_is_bound)}.",
             "Solved: all seven parameters of the best point within 1 %. Medians, and the most of "
             "any run; a run that fails counts with its budget. Every simulation counts, those of "
             "finite differences too.",
+            "Searched by all: the logarithms of the parameters, and instead of k6 the resistance at "
+            "3000 rpm that it makes with k7, because the two hide each other.",
             "Settings: "
             + "; ".join(f"{name}: {method.settings}" for name, method in METHODS.items())
             + ". T of NOA is its budget and its schedule at once.",
