@@ -156,8 +156,8 @@ def report(runs: Sequence[Run]) -> Report:
             "Solved: all seven parameters of the best point within 1 %. Medians, and the most of "
             "any run; a run that fails counts with its budget. Every simulation counts, those of "
             "finite differences too.",
-            "Searched by all: the logarithms of the parameters, and instead of k6 the resistance at "
-            "3000 rpm that it makes with k7, because the two hide each other.",
+            "Searched by all: the logarithms of the parameters, and instead of k6 the resistance "
+            "at 3000 rpm that it makes with k7, because the two hide each other.",
             "Settings: "
             + "; ".join(f"{name}: {method.settings}" for name, method in METHODS.items())
             + ". T of NOA is its budget and its schedule at once.",
