@@ -20,10 +20,9 @@ from twin_core.surrogates.forecasters import (
     surrogate_forecasters,
 )
 from twin_core.surrogates.maps import SurrogateKind
-from twin_core.surrogates.residual import HYBRID, ResidualModel, fit_residual, with_residual
+from twin_core.surrogates.residual import ResidualModel, fit_residual, with_residual
 
 __all__ = [
-    "HYBRID",
     "SURROGATE_KINDS",
     "ResidualModel",
     "SurrogateKind",

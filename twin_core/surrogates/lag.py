@@ -155,17 +155,18 @@ def _spans(window: MinuteData) -> list[FloatArray]:
 
 def _groups(inputs: FloatArray) -> NDArray[np.int64]:
     """Number (n,) of the operating point of every span: that of the first span like it."""
-    scale = np.maximum(inputs.max(axis=0), 1e-9)
-    leaders: list[FloatArray] = []
-    group = np.empty(len(inputs), dtype=np.int64)
-    for row, values in enumerate(inputs / scale):
-        for number, leader in enumerate(leaders):
-            if np.max(np.abs(values - leader)) <= _SAME_POINT:
-                group[row] = number
-                break
+    scaled = inputs / np.maximum(inputs.max(axis=0), 1e-9)
+    leaders = np.empty_like(scaled)
+    group = np.empty(len(scaled), dtype=np.int64)
+    count = 0
+    for row, values in enumerate(scaled):
+        apart = np.max(np.abs(leaders[:count] - values), axis=1)
+        near = np.flatnonzero(apart <= _SAME_POINT)
+        if near.size:
+            group[row] = near[0]
         else:
-            group[row] = len(leaders)
-            leaders.append(values)
+            leaders[count], group[row] = values, count
+            count += 1
     return group
 
 

@@ -6,15 +6,14 @@ nothing to decide on, and the first setting of each kind is taken. The error at 
 also the method's band; Kriging has its own variance.
 """
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import (
     RBF,
@@ -29,6 +28,8 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.svm import SVR
+
+from twin_core.surrogates.process import predicted, unsettled_fits
 
 FloatArray = NDArray[np.float64]
 
@@ -129,10 +130,7 @@ def fit_map(kind: SurrogateKind, points: FloatArray, steady_k: FloatArray) -> St
     candidates = list(_CANDIDATES[kind]())
     left_out = None
     best = candidates[0]
-    with warnings.catch_warnings():
-        # Likelihoods of few points have flat valleys, and networks of few points do not settle:
-        # what the search finds is judged by cross-validation, not by its own stopping rule.
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with unsettled_fits():
         if len(x) >= 3:
             errors = [_left_out(candidate, x, y) for candidate in candidates]
             chosen = int(np.argmin([np.sum(error**2) for error in errors]))
@@ -256,12 +254,7 @@ def _krigings() -> Iterator[_Candidate]:
 def _kriging(kernel: Kernel) -> Fit:
     def fit(x: FloatArray, y: FloatArray) -> Predict:
         process = GaussianProcessRegressor(kernel, random_state=0).fit(x, y)
-
-        def predict(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-            mean, deviation = process.predict(points, return_std=True)
-            return np.asarray(mean), np.asarray(deviation)
-
-        return predict
+        return partial(predicted, process)
 
     return fit
 

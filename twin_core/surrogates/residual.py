@@ -6,25 +6,22 @@ spread of the residuals. What it can do is repeat a structured error at a point 
 it cannot is to correct an extrapolation.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from twin_core.forecasting.ensemble import QUANTILE_LEVELS
 from twin_core.forecasting.forecasters import SensorForecast
 from twin_core.simulation.profile import OperatingProfile
+from twin_core.surrogates.process import predicted, unsettled_fits
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
-
-HYBRID = "twin_gp"
 
 # What counts as a unit of distance in speed (rpm), load (N), temperature (K) and the logarithm of
 # the minutes since the operating point changed; the process reaches half to twice as far.
@@ -64,9 +61,9 @@ class ResidualModel:
         since = _minutes_since_change(profile.time_s, profile.speed_rpm, profile.load_n)
         returned = -np.expm1(-(profile.time_s - profile.time_s[0]) / _RETURN_S)[:, None]
         found = [
-            process.predict(
+            predicted(
+                process,
                 _features(profile.speed_rpm, profile.load_n, centre_c[:, column], since),
-                return_std=True,
             )
             for column, process in enumerate(self.processes)
         ]
@@ -112,9 +109,7 @@ def fit_residual(
         size = float(np.sqrt(np.mean(residual**2))) + 1e-6
         kernel = ConstantKernel(1.0, (0.1, 10.0)) * RBF(np.ones(4), _REACH)
         process = GaussianProcessRegressor(kernel + WhiteKernel(0.2, (0.01, 1.0)), random_state=0)
-        with warnings.catch_warnings():
-            # A feature that does not vary leaves its reach undetermined, at a bound or anywhere.
-            warnings.simplefilter("ignore", ConvergenceWarning)
+        with unsettled_fits():
             process.fit(features[chosen], residual[chosen] / size)
         processes.append(process)
         spread.append(size)
