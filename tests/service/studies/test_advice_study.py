@@ -6,17 +6,19 @@ from pathlib import Path
 import pytest
 
 from service.studies import advice
-from service.studies.advice import ARMS, BenchResult, examine, report
+from service.studies.advice import ARMS, ARRANGEMENTS, BenchResult, Task, examine, report
 from service.studies.bench_runs import RINGS, Stage
 
 
 @pytest.fixture(scope="module")
 def bench() -> BenchResult:
     """Two and a half hours of training and one of target, instead of six and three."""
+    short = ARRANGEMENTS["known-speed"]._replace(
+        light=(Stage(150, 5800.0, 2650.0),), heavy=Stage(60, 5800.0, 5500.0)
+    )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(advice, "LIGHT", Stage(150, 5800.0, 2650.0))
-        patch.setattr(advice, "HEAVY", Stage(60, 5800.0, 5500.0))
-        return examine(101)
+        patch.setitem(advice.ARRANGEMENTS, "known-speed", short)
+        return examine(Task("known-speed", 101))
 
 
 def test_following_the_advice_narrows_the_forecast_and_betters_it(bench: BenchResult) -> None:
@@ -44,19 +46,22 @@ def test_what_was_ranked_last_or_refused_is_worse(bench: BenchResult) -> None:
 
 
 def test_benches_that_ran_away_stand_apart(bench: BenchResult, tmp_path: Path) -> None:
-    other = replace(bench, seed=7, ran_away=True)
-    made = report([bench, other])
-    assert made.document["seeds"] == [101, 7]
-    assert list(made.document["ran_away"]) == [7]
-    assert set(made.document["arms"]) == set(ARMS)
-    advised = made.document["arms"]["advised"]
+    other = replace(bench, task=Task("known-speed", 7), ran_away=True)
+    elsewhere = replace(bench, task=Task("unknown-speed", 7))
+    made = report([bench, other, elsewhere])
+    assert made.document["seeds"] == [7, 101]
+    known = made.document["arrangements"]["known-speed"]
+    assert list(known["ran_away"]) == [7]
+    assert set(known["arms"]) == set(ARMS)
+    advised = known["arms"]["advised"]
     assert advised["benches"] == 1
     assert advised["half_width_obtained_k"]["t_inner_ring_c"] == pytest.approx(
         bench.arms["advised"].obtained_k["t_inner_ring_c"]
     )
-    assert made.document["arms"]["refused"]["half_width_predicted_k"]["t_inner_ring_c"] is None
-    (table,) = made.tables
+    assert known["arms"]["refused"]["half_width_predicted_k"]["t_inner_ring_c"] is None
+    table, other_table = made.tables
     assert "1 of 2 random benches" in table.notes[0]
+    assert "1 of 1 random benches" in other_table.notes[0]
     assert [row[0] for row in table.rows] == list(ARMS.values())
     written = made.write(tmp_path)
     assert {path.name for path in written} == {"advice.json", "advice.md", "advice-widths.png"}
@@ -65,14 +70,22 @@ def test_benches_that_ran_away_stand_apart(bench: BenchResult, tmp_path: Path) -
 
 def test_a_fit_that_must_not_forecast_is_counted_not_averaged(bench: BenchResult) -> None:
     refused = {name: replace(arm, refused_fit="too bad a fit") for name, arm in bench.arms.items()}
-    made = report([bench, replace(bench, seed=8, arms=refused)])
-    for name in ARMS:
-        found = made.document["arms"][name]
+    made = report([bench, replace(bench, task=Task("known-speed", 8), arms=refused)])
+    for found in made.document["arrangements"]["known-speed"]["arms"].values():
         assert (found["benches"], found["fits_refused"]) == (1, 1)
 
 
 def test_a_bench_too_hot_for_any_step_stands_apart(bench: BenchResult) -> None:
-    hot = replace(bench, seed=9, arms={"none": bench.arms["none"]})
-    made = report([bench, hot])
-    assert made.document["no_feasible_step"] == [9]
-    assert made.document["arms"]["none"]["benches"] == 1
+    hot = replace(bench, task=Task("known-speed", 9), arms={"none": bench.arms["none"]})
+    found = report([bench, hot]).document["arrangements"]["known-speed"]
+    assert found["no_feasible_step"] == [9]
+    assert found["arms"]["none"]["benches"] == 1
+
+
+def test_arms_that_there_are_not_are_left_out(bench: BenchResult) -> None:
+    """Where all speeds are known nothing is refused."""
+    arms = {name: arm for name, arm in bench.arms.items() if name != "refused"}
+    found = report([replace(bench, arms=arms)]).document["arrangements"]["known-speed"]["arms"]
+    assert found["refused"]["benches"] == 0
+    assert found["refused"]["steady_error_c"]["t_inner_ring_c"] is None
+    assert found["advised"]["benches"] == 1
