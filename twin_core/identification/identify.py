@@ -76,7 +76,8 @@ class IdentificationResult:
     history
         (evaluations, best sum of squares) over the run.
     evaluations
-        Simulations of the data set, finite differences included.
+        Simulations of the data set. One that gives its derivatives as well counts as one; it takes
+        as long as some seven (default model) or four (paper's).
     best_fitness
         Sum of squared residuals at the end, priors included.
     starts

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -108,6 +108,7 @@ def test_the_text_leaves_out_small_weights_but_never_the_largest() -> None:
 
 
 @given(seed=st.integers(0, 10**6), rows=st.integers(1, 12), nuisances=st.integers(0, 3))
+@settings(deadline=None)
 def test_covariance_is_the_inverse_of_the_information(seed: int, rows: int, nuisances: int) -> None:
     """Nuisances and all: the block of the whole inverse."""
     whole = _random(seed, rows, 4 + nuisances)
@@ -120,6 +121,7 @@ def test_covariance_is_the_inverse_of_the_information(seed: int, rows: int, nuis
 
 
 @given(seed=st.integers(0, 10**6), rows=st.integers(1, 8), more=st.integers(1, 5))
+@settings(deadline=None)
 def test_more_measurements_never_inform_less(seed: int, rows: int, more: int) -> None:
     sensitivities = _random(seed, rows + more, 3)
     few = of_sensitivities(NAMES, sensitivities[:rows])
@@ -129,6 +131,7 @@ def test_more_measurements_never_inform_less(seed: int, rows: int, more: int) ->
 
 
 @given(seed=st.integers(0, 10**6))
+@settings(deadline=None)
 def test_the_covariance_tells_the_same_as_the_sensitivities(seed: int) -> None:
     direct = of_sensitivities(NAMES, _random(seed, 9, 3))
     back = of_covariance(NAMES, direct.covariance)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_core.identification.noa import Nutcracker
@@ -110,6 +110,7 @@ def test_senseless_criteria_are_refused(criteria: dict[str, float], message: str
 
 
 @given(interrupted_after=st.integers(1, 40), seed=st.integers(0, 5))
+@settings(deadline=None)
 def test_a_resumed_search_stops_where_the_uninterrupted_one_does(
     interrupted_after: int, seed: int
 ) -> None:
