@@ -64,6 +64,9 @@ CANDIDATES: tuple[Group, ...] = (
 
 # Standard deviations of a change, in those of the prior: machines differ more than one changes.
 _CHANGE_SIZES = (0.1, 0.3, 1.0)
+# The common noise of shared data comes off their covariance; the error of the model, which other
+# data beside them bend another way, does not. Likewise measured on unchanged benches.
+_SHARED_MODEL_ERROR = 0.5
 # Error of a change relative to its size, in the logarithm: a model that is wrong about a machine is
 # wrong about its changes. On virtual benches 95 of 100 intervals then hold the truth.
 _CHANGE_ERROR = 0.3
@@ -171,7 +174,8 @@ def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> D
         raise ValueError(f"shared is {shared}, expected 0 to 1")
     similar = likeness(before, after)
     basis = _informed(before.covariance, after.covariance)
-    whole = similar.scale * difference_covariance(before.covariance, after.covariance, shared)
+    scale = similar.scale * (1.0 + _SHARED_MODEL_ERROR * shared)
+    whole = scale * difference_covariance(before.covariance, after.covariance, shared)
     return Difference(basis, basis.T @ (after.z - before.z), basis.T @ whole @ basis, similar)
 
 

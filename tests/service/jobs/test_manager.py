@@ -216,6 +216,26 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert shop.store.activations(ASSET)[-1].who == "automatic"
 
 
+async def test_a_second_version_is_compared_with_the_first(shop: Shop) -> None:
+    jobs = await shop.open()
+    for number, seed in ((2, 0), (3, 1)):
+        request = IdentificationRequest(method="refine", seed=seed)
+        shown, _ = await jobs.create(ASSET, request, None, "x")
+        job = await shop.ended(jobs, shown["id"])
+        assert job.model_version == number
+    first, second = (shop.store.model_version(ASSET, number) for number in (2, 3))
+    assert first is not None
+    assert second is not None
+    assert first.document["drift"]["changed"] is None
+    assert first.document["drift"]["quantities"]["friction"]["value"] > 0.0
+    drift = second.document["drift"]
+    assert drift["changed"] is False  # the same data, found from other starts
+    assert drift["comparison"]["version"] == 2
+    assert drift["comparison"]["shared"] == pytest.approx(1.0)
+    assert drift["point"] == first.document["drift"]["point"]
+    assert "drift" not in second.reason
+
+
 @pytest.mark.parametrize("ladder", ["suggest", "observe"])
 async def test_below_apply_a_candidate_waits_for_an_engineer(
     shop: Shop, make_section: Callable[..., Any], ladder: str
