@@ -16,6 +16,7 @@ from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, refine
 from twin_core.identification.searching import IdentificationSpace, Search, SearchEnd
 from twin_core.identification.stopping import BUDGET_ONLY, StoppingCriteria, run_search
+from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
 from twin_core.network_model import ErrorModel
 
@@ -107,6 +108,7 @@ def identify(
     samples: int = DEFAULT_SAMPLES,
     search: Search | None = None,
     stopping: StoppingCriteria = BUDGET_ONLY,
+    loss: Loss = "linear",
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
     save: Save | None = None,
@@ -136,6 +138,8 @@ def identify(
         Another global search in NOA's place.
     stopping
         What ends the nutcracker search before its budget is used up.
+    loss
+        Of the measurements; a robust one keeps outliers from bending the fit.
     progress
         Called at every sweep and iteration.
     cancelled
@@ -157,7 +161,7 @@ def identify(
     """
     if method not in get_args(Method):
         raise ValueError(f"method is {method!r}, expected one of {', '.join(get_args(Method))}")
-    problem = IdentificationProblem(model, data, guess_z)
+    problem = IdentificationProblem(model, data, guess_z, loss)
     state = Checkpoint(
         {
             "method": method,
@@ -168,6 +172,7 @@ def identify(
             "guess": None if guess_z is None else guess_z.tolist(),
             "search": None if search is None else getattr(search, "__name__", "other"),
             "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
+            "loss": loss,
             "data_or_model": [problem.measurement_count, *_prior_costs(problem)],
         }
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.whitening import Whitening, whitening
+from twin_core.identification.whitening import Loss, Whitening, whitening
 from twin_core.models import ThermalModel
 from twin_core.observer import initial_state
 from twin_core.simulation import (
@@ -68,7 +68,8 @@ class _Channel:
         along[:-1] += (tangents[before] * share[:, None]).T
         difference = readings_c[before] - readings_c[self.index]
         along[-1] = np.where(share < 1.0, difference / self.since_before_s, 0.0)
-        return np.asarray(self.whitening.apply(along).T)
+        errors = readings_c[self.index] + share * difference - self.measured_c
+        return np.asarray(self.whitening.slopes(errors, along).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +101,8 @@ class IdentificationProblem:
     guess_z
         (p,) parameters at which initial states are estimated from the first measurements of
         windows that began warm; the prior's centre by default.
+    loss
+        Of the measurements. With a robust one, residuals are such that their squares are the loss.
 
     Attributes
     ----------
@@ -114,6 +117,7 @@ class IdentificationProblem:
         model: ThermalModel,
         data: IdentificationData,
         guess_z: FloatArray | None = None,
+        loss: Loss = "linear",
     ) -> None:
         self.model = model
         self.data = data
@@ -124,7 +128,7 @@ class IdentificationProblem:
         spans: list[_Span] = []
         unknown, residual = self.parameter_count + 1, 0
         for window in data.windows:
-            span = _prepare(model, window, values, unknown, residual)
+            span = _prepare(model, window, values, unknown, residual, loss)
             spans.append(span)
             unknown, residual = span.unknown.stop, span.residuals.stop
         self._spans = tuple(spans)
@@ -322,13 +326,22 @@ class IdentificationProblem:
         return errors
 
     def rms_k(self, unknowns: FloatArray) -> dict[str, float]:
-        """Root mean square error of every sensor over all windows, in K."""
+        """Root mean square error of every sensor over all windows, in K.
+
+        With a robust loss, rows count with the weight that it gives them.
+        """
         squares: dict[str, list[FloatArray]] = {}
-        for errors in self.errors_c(unknowns):
-            for name, values in errors.items():
-                squares.setdefault(name, []).append(values**2)
+        weights: dict[str, list[FloatArray]] = {}
+        for span, errors in zip(self._spans, self.errors_c(unknowns), strict=True):
+            for channel in span.channels:
+                values = errors[channel.name]
+                squares.setdefault(channel.name, []).append(values**2)
+                weights.setdefault(channel.name, []).append(channel.whitening.weights(values))
         return {
-            name: float(np.sqrt(np.mean(np.concatenate(parts)))) for name, parts in squares.items()
+            name: float(
+                np.sqrt(np.average(np.concatenate(parts), weights=np.concatenate(weights[name])))
+            )
+            for name, parts in squares.items()
         }
 
     def whitened(self, unknowns: FloatArray) -> list[dict[str, FloatArray]]:
@@ -367,6 +380,7 @@ def _prepare(
     values: FloatArray,
     unknown: int,
     residual: int,
+    loss: Loss,
 ) -> _Span:
     rows = window.minutes.take(window.minutes.good)
     profile = profile_of(window.minutes)
@@ -381,7 +395,7 @@ def _prepare(
                     model.sensor_row(name),
                     index,
                     measured[index],
-                    whitening(rows.time_s[index], *astuple(model.errors)),
+                    whitening(rows.time_s[index], *astuple(model.errors), loss=loss),
                     np.diff(rows.time_s, prepend=rows.time_s[0] - 60.0)[index],
                 )
             )

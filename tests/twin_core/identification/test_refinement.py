@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, damped_steps, refine
+from twin_core.identification.whitening import Loss
 
 WIDE = np.full(2, 100.0)
 
@@ -73,3 +75,29 @@ def test_cancellation_is_asked_at_every_iteration(model, cold_start) -> None:  #
     with pytest.raises(IdentificationCancelled):
         refine(problem, np.zeros(problem.unknown_count), cancelled=cancelled)
     assert asked == 3
+
+
+@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
+def test_a_robust_loss_is_not_bent_by_outliers(model, synthesise, true_z, loss: Loss) -> None:  # type: ignore[no-untyped-def]
+    clean = synthesise(true_z, noise_k=0.1)
+    spoiled = synthesise(true_z, noise_k=0.1)
+    rng = np.random.default_rng(4)
+    for values in spoiled.temperatures_c.values():
+        values[rng.choice(np.arange(5, values.size), 8, replace=False)] += rng.uniform(4.0, 9.0, 8)
+
+    def posed(minutes, chosen: Loss) -> IdentificationProblem:  # type: ignore[no-untyped-def]
+        window = IdentificationWindow(minutes, at_rest=True)
+        return IdentificationProblem(model, IdentificationData((window,)), loss=chosen)
+
+    judge = posed(clean, "linear")
+
+    def error_k(minutes, chosen: Loss) -> float:  # type: ignore[no-untyped-def]
+        problem = posed(minutes, chosen)
+        found = refine(problem, np.zeros(problem.unknown_count))
+        assert found is not None
+        assert found.converged
+        return max(judge.rms_k(found.unknowns).values())
+
+    undisturbed = error_k(clean, "linear")
+    assert error_k(spoiled, "linear") > undisturbed + 0.3
+    assert error_k(spoiled, loss) < undisturbed + 0.02
