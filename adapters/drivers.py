@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from adapters.can.config import CanChannel, CanSource
 from adapters.configuration import ConfigurationError, suggestion
-from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
+from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusRtuSource, ModbusTcpSource
 from adapters.samples import Batch
 
 
@@ -156,9 +156,9 @@ def _check_modbus(
 def _create_modbus(
     source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding], clock: Clock
 ) -> Driver:
-    from adapters.modbus.driver import ModbusTcpDriver
+    from adapters.modbus.driver import ModbusDriver
 
-    return ModbusTcpDriver(source, channels, plans, clock)
+    return ModbusDriver(source, channels, plans, clock)
 
 
 def _check_can(
@@ -181,6 +181,13 @@ DRIVERS: Mapping[str, DriverSpec] = MappingProxyType(
     {
         "modbus-tcp": DriverSpec(
             source_model=ModbusTcpSource,
+            channel_model=ModbusChannel,
+            plan_model=ModbusPlan,
+            check=_check_modbus,
+            create=_create_modbus,
+        ),
+        "modbus-rtu": DriverSpec(
+            source_model=ModbusRtuSource,
             channel_model=ModbusChannel,
             plan_model=ModbusPlan,
             check=_check_modbus,

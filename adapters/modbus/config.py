@@ -30,6 +30,39 @@ class ModbusTcpSource(StrictModel):
     poll_interval_s: float = Field(default=1.0, ge=0.01)
     timeout_s: float = Field(default=1.0, ge=0.05, le=60.0)
 
+    @property
+    def where(self) -> str:
+        """How messages name the server."""
+        return f"{self.host}:{self.port}"
+
+
+class ModbusRtuSource(StrictModel):
+    """A serial line (RS-485 or RS-232) with one or more units on it.
+
+    `device` is a serial port of the operating system. `timeout_s` is the wall time given to an
+    answer; a silent unit costs the others that much whenever it is tried again, since a serial
+    line carries one request at a time.
+    """
+
+    name: str = Field(min_length=1)
+    driver: Literal["modbus-rtu"] = "modbus-rtu"
+    device: str = Field(min_length=1)
+    baudrate: int = Field(default=19200, ge=300, le=4_000_000)
+    bytesize: Literal[7, 8] = 8
+    parity: Literal["N", "E", "O"] = "E"
+    stopbits: Literal[1, 2] = 1
+    unit: Unit = 1
+    poll_interval_s: float = Field(default=1.0, ge=0.01)
+    timeout_s: float = Field(default=0.5, ge=0.05, le=60.0)
+
+    @property
+    def where(self) -> str:
+        """How messages name the line."""
+        return self.device
+
+
+ModbusSource = ModbusTcpSource | ModbusRtuSource
+
 
 class ModbusStatus(StrictModel):
     """A status word beside a channel: any of the named bits set makes the channel bad.

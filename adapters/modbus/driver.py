@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
-from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusTcpSource
+from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusRtuSource, ModbusSource
 from adapters.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
 from adapters.modbus.mapping import MAX_REGISTERS, Group, Point, UnitMap, check, compile_units
 from adapters.modbus.plan import ImplausiblePlanError, decode_plan
@@ -76,18 +76,18 @@ class _Unit:
     probe: asyncio.Task[_Probe] | None = None
 
 
-class ModbusTcpDriver:
-    """Polls one Modbus TCP server, see `adapters.drivers.Driver`.
+class ModbusDriver:
+    """Polls one Modbus TCP server or serial line, see `adapters.drivers.Driver`.
 
     Requests go out one at a time over one connection. A unit that does not answer is left out and
-    tried again, over a connection of its own, after growing waits, so that it costs the others
-    one time-out and no more. When a cycle comes too late it is skipped and counted; requests
-    never queue up.
+    tried again after growing waits: over a connection of its own where there can be one, so that
+    it costs the others one time-out and no more. When a cycle comes too late it is skipped and
+    counted; requests never queue up.
     """
 
     def __init__(
         self,
-        source: ModbusTcpSource,
+        source: ModbusSource,
         channels: Sequence[ChannelBinding],
         plans: Sequence[PlanBinding],
         clock: Clock,
@@ -95,13 +95,13 @@ class ModbusTcpDriver:
         check(source, channels, plans)
         self._source = source
         self._clock = clock
-        self._link = Link(source.host, source.port, source.timeout_s)
+        self._link = Link(source)
         self._was_connected = False
         self._reconnect_backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         maps = compile_units(source, channels, plans, clock.rate)
         last_s = RECONNECT_LAST_S if len(maps) == 1 else SILENT_UNIT_LAST_S
         self._units = [_Unit(unit, Backoff(RECONNECT_FIRST_S, last_s)) for unit in maps]
-        self._health = SourceHealth(source.name, "modbus-tcp")
+        self._health = SourceHealth(source.name, source.driver)
         self._link_problem = "not connected yet"
         self._plan_problem = ""
         self._plans_due = 0.0  # wall, monotonic
@@ -175,7 +175,7 @@ class ModbusTcpDriver:
             self._reconnect_backoff.reset()
             self._link_problem = ""
             return True
-        where = f"{self._source.host}:{self._source.port}"
+        where = self._source.where
         if not self._link_problem.startswith("cannot"):
             logger.warning("source %s: cannot connect to %s, trying on", self.name, where)
         self._link_problem = f"cannot connect to {where}"
@@ -225,6 +225,8 @@ class ModbusTcpDriver:
             return True
         if time.monotonic() < unit.retry_at:
             return False
+        if isinstance(self._source, ModbusRtuSource):
+            return True  # a serial line has no second connection
         witness = next((u for u in self._units if not u.silent and u.map.groups), None)
         if witness is None:
             return True
@@ -233,7 +235,7 @@ class ModbusTcpDriver:
 
     async def _probe(self, unit: _Unit, witness: _Unit) -> _Probe:
         """Ask a silent unit over a second connection, if the server serves one."""
-        link = Link(self._source.host, self._source.port, self._source.timeout_s)
+        link = Link(self._source)
         try:
             if not await link.connect() or not await _answers(link, witness.map):
                 return _Probe.NO_SECOND_CONNECTION

@@ -1,13 +1,14 @@
-"""One TCP connection to a Modbus server: a read either gives what was asked for or says why not."""
+"""One connection to a Modbus server or line: a read gives what was asked for or says why not."""
 
 import asyncio
 import logging
+import termios
 from collections.abc import Sequence
 
-from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 
-from adapters.modbus.config import Kind
+from adapters.modbus.config import Kind, ModbusRtuSource, ModbusSource
 
 # Whatever goes wrong comes back from here as an exception and is reported once, by the driver;
 # pymodbus would log every single failed attempt as an error.
@@ -45,17 +46,14 @@ class Link:
 
     Parameters
     ----------
-    host, port
-        Where the server listens.
-    timeout_s
-        Wall seconds to wait for the connection and for each answer.
+    source
+        Where the server listens, or the serial line.
     """
 
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        self.host = host
-        self.port = port
-        self.timeout_s = timeout_s
-        self._client: AsyncModbusTcpClient | None = None
+    def __init__(self, source: ModbusSource) -> None:
+        self.source = source
+        self.timeout_s = source.timeout_s
+        self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
         self._waiting = False
         self._garbage = False
 
@@ -67,21 +65,42 @@ class Link:
     async def connect(self) -> bool:
         """Connect anew; tell whether it worked."""
         self.drop()
-        client = AsyncModbusTcpClient(
-            self.host,
-            port=self.port,
-            timeout=self.timeout_s,
-            retries=0,
-            reconnect_delay=0,
-            trace_packet=self._inspect,
-            trace_connect=self._connection_changed,
-        )
+        client = self._new_client()
         self._client = client
         try:
             return bool(await client.connect())
         except asyncio.CancelledError:
             self.drop()
             raise
+        except (OSError, termios.error):
+            # A port that does not take these settings, or went away while it was opened.
+            self.drop()
+            return False
+
+    def _new_client(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
+        source = self.source
+        if isinstance(source, ModbusRtuSource):
+            # Every frame carries a checksum, so none need be inspected here.
+            return AsyncModbusSerialClient(
+                source.device,
+                baudrate=source.baudrate,
+                bytesize=source.bytesize,
+                parity=source.parity,
+                stopbits=source.stopbits,
+                timeout=source.timeout_s,
+                retries=0,
+                reconnect_delay=0,
+                trace_connect=self._connection_changed,
+            )
+        return AsyncModbusTcpClient(
+            source.host,
+            port=source.port,
+            timeout=source.timeout_s,
+            retries=0,
+            reconnect_delay=0,
+            trace_packet=self._inspect,
+            trace_connect=self._connection_changed,
+        )
 
     def drop(self) -> None:
         """Close the connection, if any, without waiting."""

@@ -14,7 +14,7 @@ from adapters.modbus.config import (
     Kind,
     ModbusChannel,
     ModbusPlan,
-    ModbusTcpSource,
+    ModbusSource,
 )
 from adapters.pt100 import fault, temperature_from_resistance
 from adapters.samples import Quality
@@ -236,7 +236,7 @@ class UnitMap:
 
 
 def check(
-    source: ModbusTcpSource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
+    source: ModbusSource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
 ) -> None:
     """Check what is bound to a Modbus source; opens no connection.
 
@@ -269,7 +269,7 @@ def check(
 
 
 def compile_units(
-    source: ModbusTcpSource,
+    source: ModbusSource,
     channels: Sequence[ChannelBinding],
     plans: Sequence[PlanBinding],
     rate: float,
