@@ -175,7 +175,8 @@ def advise(
     alarm_limits
         Temperatures that no upper edge on the way to the target may reach; `limits` if not given.
     measured
-        Names of the sensors that the machine has; the model's standard ones if not given.
+        Names of the sensors and nodes that the machine has a thermometer at; the model's standard
+        sensors if not given.
     members, seed
         Of the ensemble that tells the present interval.
 

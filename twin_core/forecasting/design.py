@@ -79,7 +79,7 @@ class Design:
     sensors
         Names of the sensors that are forecast.
     measured
-        Which of them the machine has.
+        Names of the sensors and nodes that the machine has a thermometer at; others are ignored.
     target
         What is to be forecast: the reading of every sensor at the end of this level.
 
@@ -101,8 +101,11 @@ class Design:
         posterior.check(model)
         self._model = model
         self._present = present
-        self._rows = model.sensor_matrix(sensors)
-        self._measured = [index for index, name in enumerate(sensors) if name in measured]
+        more = [name for name in model.node_names if name in measured and name not in sensors]
+        names = [*sensors, *more]
+        self._rows = model.sensor_matrix(names)
+        self._measured = [index for index, name in enumerate(names) if name in measured]
+        self._forecast = slice(len(sensors))
         self._z = posterior.z
         variance, directions = np.linalg.eigh(present.state_covariance)
         kept = variance > _LEAST_STATE_K**2
@@ -117,7 +120,7 @@ class Design:
         self._information[: len(spread), : len(spread)] = known
         _, gradient = self._sensitivities((target,))
         self._target = np.zeros((count + 1, len(sensors)))
-        self._target[:count] = gradient[:, -1]
+        self._target[:count] = gradient[:, -1, self._forecast]
         self.std_k: FloatArray = self._std_k(self._information)
 
     def after(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -152,7 +155,7 @@ class Design:
         plain[count] = 0.0
         covariance = np.linalg.inv(self._information[:count, :count])
         variance = np.einsum("kns,kl,lns->ns", gradient, covariance, gradient, optimize=True)
-        upper = path + 1.96 * np.sqrt(variance + _NOISE_VARIANCE_K2)
+        upper = (path + 1.96 * np.sqrt(variance + _NOISE_VARIANCE_K2))[:, self._forecast]
         return (
             self._std_k(self._information + plain @ plain.T),
             self._std_k(self._information + white @ white.T),

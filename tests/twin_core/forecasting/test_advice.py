@@ -311,14 +311,21 @@ def test_longer_and_more_varied_steps_never_teach_less(
     assert np.all(long <= short + 1e-9)
 
 
-def test_a_machine_with_one_sensor_learns_less(
+def test_the_more_thermometers_the_more_a_step_teaches(
     model: ThermalModel, single_load: Posterior, present: Present
 ) -> None:
     step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
-    both, outer, none = (
+    more, both, outer, none = (
         Design(model, single_load, present, SENSORS, measured, TARGET).after(step)[0]
-        for measured in (SENSORS, ("t_outer_ring_c",), ())
+        for measured in (
+            (*SENSORS, "t_node_7_c", "speed_rpm"),
+            SENSORS,
+            ("t_outer_ring_c",),
+            ("ambient_c",),
+        )
     )
+    assert more.shape == (2,)
+    assert np.all(more < both)
     assert np.all(both < outer)
     assert np.all(outer < none)
 
