@@ -61,7 +61,10 @@ def identify(
         ),
     ] = "noa+refine",
     budget: Annotated[
-        int | None, typer.Option(help="Simulations that the global search may take.")
+        int | None,
+        typer.Option(
+            help="Evaluations that the search may take: 1000, or 20000 where no refinement follows."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same result.")] = 0,
     at_rest: Annotated[

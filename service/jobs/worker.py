@@ -13,7 +13,6 @@ from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.gates import judge
 from twin_core.identification.identify import (
-    DEFAULT_BUDGET,
     IdentificationResult,
     Method,
     identify,
@@ -128,7 +127,7 @@ def _fit(
         model,
         order.data,
         method=order.method,
-        budget=order.budget or DEFAULT_BUDGET,
+        budget=order.budget,
         seed=order.seed,
         progress=_Teller(order.folder),
         cancelled=lambda: order.folder.cancelled,

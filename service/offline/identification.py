@@ -14,7 +14,6 @@ from service.studies import methods
 from service.studies.common import StudyError, require
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
-    DEFAULT_BUDGET,
     IdentificationData,
     IdentificationResult,
     IdentificationWindow,
@@ -119,13 +118,13 @@ class Procedure:
     search
         The global search in NOA's place; None for NOA.
     budget
-        Evaluations of the search.
+        Evaluations of the search; None for the usual.
     """
 
     name: str
     method: Method
     search: Search | None
-    budget: int
+    budget: int | None
 
 
 OTHER_SEARCHES: dict[str, tuple[Search, str | None]] = {
@@ -158,20 +157,19 @@ def check_options(method: str, budget: int | None, seed: int) -> Procedure:
         raise UnusableDataError(f"--method {method!r}: expected one of {', '.join(METHOD_NAMES)}")
     if budget is not None and budget < _LEAST_BUDGET:
         raise UnusableDataError(f"--budget {budget}: expected at least {_LEAST_BUDGET}")
-    evaluations = DEFAULT_BUDGET if budget is None else budget
     for known in get_args(Method):
         if known == method:
-            return Procedure(method, known, None, evaluations)
+            return Procedure(method, known, None, budget)
     search, module = OTHER_SEARCHES[method.removesuffix(REFINED)]
     try:
         require(*([] if module is None else [module]))
     except StudyError as error:
         raise UnusableDataError(f"--method {method!r}: {error}") from error
     parts: Method = "noa+refine" if method.endswith(REFINED) else "noa"
-    return Procedure(method, parts, search, evaluations)
+    return Procedure(method, parts, search, budget)
 
 
-NOA_REFINE = Procedure("noa+refine", "noa+refine", None, DEFAULT_BUDGET)
+NOA_REFINE = Procedure("noa+refine", "noa+refine", None, None)
 
 
 def identify_recording(

@@ -3,8 +3,10 @@
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.identify import (
     DEFAULT_BUDGET,
+    SEARCH_ALONE_BUDGET,
     IdentificationResult,
     Progress,
+    default_budget,
     identify,
 )
 from twin_core.identification.noa import Nutcracker, NutcrackerSettings
@@ -13,6 +15,7 @@ from twin_core.identification.refinement import IdentificationCancelled
 
 __all__ = [
     "DEFAULT_BUDGET",
+    "SEARCH_ALONE_BUDGET",
     "IdentificationCancelled",
     "IdentificationData",
     "IdentificationResult",
@@ -22,6 +25,7 @@ __all__ = [
     "Posterior",
     "Progress",
     "TrainedRange",
+    "default_budget",
     "identify",
     "prior_posterior",
 ]

@@ -26,7 +26,10 @@ Phase = Literal["search", "refinement", "sampling", "done"]
 Status = Literal["converged", "failed fit"]
 
 DEFAULT_BUDGET = 1000
-"""Simulations of the data set that the global search of ``noa+refine`` and ``noa`` may take."""
+"""Evaluations of the global search that a refinement follows."""
+
+SEARCH_ALONE_BUDGET = 20_000
+"""Evaluations of a global search that has to finish by itself."""
 
 DEFAULT_SAMPLES = 200
 """Posterior samples, as many as a forecast has members."""
@@ -75,7 +78,8 @@ class IdentificationResult:
     status, reason
         ``"converged"``, or ``"failed fit"`` with the reason; a failed fit must not forecast.
     history
-        (evaluations, best sum of squares) over the run.
+        (evaluations, best sum of squares) over the run; in the search with lag and initial states
+        linearised.
     evaluations
         Simulations of the data set. One that gives its derivatives as well counts as one; it takes
         as long as some seven (default model) or four (paper's).
@@ -102,7 +106,7 @@ def identify(
     data: IdentificationData,
     *,
     method: Method = "noa+refine",
-    budget: int = DEFAULT_BUDGET,
+    budget: int | None = None,
     seed: int = 0,
     guess_z: FloatArray | None = None,
     samples: int = DEFAULT_SAMPLES,
@@ -127,7 +131,8 @@ def identify(
         from the prior's centre and from a random point near it. ``"refine"``: without the search
         but with one more random start. ``"noa"``: the search alone.
     budget
-        Evaluations of the search, at least 25; not used by ``"refine"``.
+        Evaluations of the search, at least 25; by default `default_budget`. Not used by
+        ``"refine"``.
     seed
         Same seed, same result.
     guess_z
@@ -161,6 +166,8 @@ def identify(
     """
     if method not in get_args(Method):
         raise ValueError(f"method is {method!r}, expected one of {', '.join(get_args(Method))}")
+    if budget is None:
+        budget = default_budget(method)
     problem = IdentificationProblem(model, data, guess_z, loss)
     state = Checkpoint(
         {
@@ -193,7 +200,8 @@ def identify(
         starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
     if method == "noa":
         best = problem.with_nuisance(starts["search"])
-        costs = {"search": state.best_fitness}
+        # The search's own cost has lag and initial states linearised.
+        costs = {"search": float(np.sum(problem.residuals(best)[0] ** 2))}
     else:
         best, costs = _refine_all(run, starts)
     run.tell(state.fraction, "sampling")
@@ -206,10 +214,15 @@ def identify(
         reason=reason or _describe(posterior),
         history=tuple(state.history),
         evaluations=problem.evaluations,
-        best_fitness=state.best_fitness,
+        best_fitness=min(costs.values()),
         starts=costs,
         unknowns=best,
     )
+
+
+def default_budget(method: Method) -> int:
+    """Evaluations that the search of a method may take unless told otherwise."""
+    return SEARCH_ALONE_BUDGET if method == "noa" else DEFAULT_BUDGET
 
 
 def _prior_costs(problem: IdentificationProblem) -> list[float | None]:

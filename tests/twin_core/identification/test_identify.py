@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.identify import Progress, identify
+from twin_core.identification.identify import Progress, default_budget, identify
+from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
 from twin_core.simulation import steady_state
@@ -87,6 +88,18 @@ def test_search_alone_uses_its_budget_and_refinement_beats_it(model, cold_start,
     assert searched.posterior.samples.shape == (0, model.parameters.size)
     assert list(searched.starts) == ["search"]
     assert searched.best_fitness > 2.0 * result[0].best_fitness
+
+
+def test_the_fitness_is_that_of_the_unknowns_found(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
+    searched = identify(model, cold_start, method="noa", budget=300, seed=3, samples=0)
+    problem = IdentificationProblem(model, cold_start)
+    for found in (searched, result[0]):
+        residuals = problem.residuals(found.unknowns)[0]
+        assert found.best_fitness == pytest.approx(float(residuals @ residuals))
+
+
+def test_a_search_that_nothing_follows_takes_longer_by_default() -> None:
+    assert default_budget("noa") > 10 * default_budget("noa+refine")
 
 
 def test_refinement_without_search(model, cold_start, result) -> None:  # type: ignore[no-untyped-def]
