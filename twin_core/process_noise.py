@@ -24,6 +24,8 @@ share of it; of the heat through an edge, by its kind; of any node's heat, as a 
 friction heat. They are those of a model that has met its bench, somewhat less than the priors.
 Heat flows are taken in the steady state of the model's reference point."""
 
+_AGREEMENT_K = 0.1
+
 LONG_RUN_IN = 1e9
 """Revolutions of a bearing whose running-in is over, assumed where they are not known."""
 
@@ -67,6 +69,42 @@ def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> N
     )
     factor: NDArray[np.float64] = np.linalg.cholesky(covariance)
     return factor
+
+
+def hidden_spread(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far unmeasured nodes may lie from a model that agrees with all its sensors.
+
+    The steady deviations that the heat disturbances cause at the model's reference point, given
+    that no sensor deviates.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters, shape (p,).
+
+    Returns
+    -------
+    ndarray
+        Shape (nodes, nodes): a factor S of the covariance S S', in K per kelvin of the sensors'
+        mean rise over ambient.
+
+    Raises
+    ------
+    SimulationError
+        If the model has no steady state at the reference point.
+    """
+    speed, load = model.reference_point
+    structure = disturbance_structure(model, values)
+    rise = steady_state(model, values, speed, load, 0.0, LONG_RUN_IN)
+    _, friction = heat_balance_w(model, values, rise, speed, load, 0.0, LONG_RUN_IN)
+    _, jacobian = kernels.heat_balance_linearised(model.compiled, values, rise, speed, load, 0.0)
+    response = np.linalg.solve(jacobian, structure * friction)
+    sensors = model.sensor_matrix(model.sensor_names)
+    seen = sensors @ response
+    floor = _AGREEMENT_K**2 * np.eye(len(seen))
+    response -= response @ seen.T @ np.linalg.solve(seen @ seen.T + floor, seen)
+    result: NDArray[np.float64] = response / float(np.mean(sensors @ rise))
+    return result
 
 
 def transition_and_noise(

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from twin_core.process_noise import transition_and_noise
+from twin_core.bearings import bearing
+from twin_core.models import build_model
+from twin_core.process_noise import hidden_spread, transition_and_noise
 
 CAPACITY = np.array([100.0, 400.0])
 CONDUCTANCE = np.array([[3.0, -2.0], [-2.0, 2.5]])
@@ -53,3 +55,15 @@ def test_a_mode_as_fast_as_the_disturbance_is_no_singularity() -> None:
     # the integral of exp(-a s) exp(-a (t - s)) is t exp(-a t)
     assert transition[0, 1] == pytest.approx(600.0 * np.exp(-600.0 / TIME_S), rel=1e-3)
     assert noise[0, 0] > 0.0
+
+
+def test_hidden_nodes_may_deviate_where_no_sensor_would_show_it() -> None:
+    model = build_model(bearing=bearing("6311"))
+    spread = hidden_spread(model, model.parameters.centre)
+    sensors = model.sensor_matrix(model.sensor_names) @ spread
+    assert np.linalg.norm(sensors, axis=1).max() < 0.005
+    nodes = dict(zip(model.node_names, np.linalg.norm(spread, axis=1), strict=True))
+    # K per kelvin of the sensors' mean rise: balls and shaft ends hang loosely on the rings.
+    assert 0.1 < nodes["t_node_3_c"] < 0.6
+    assert 0.03 < nodes["t_node_12_c"] < 0.3
+    assert nodes["t_node_4_c"] < 0.01

@@ -21,6 +21,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.network_model import ErrorModel
 from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.process_noise import hidden_spread
 from twin_core.simulation import (
     OperatingProfile,
     heat_balance_w,
@@ -36,6 +37,9 @@ RUNAWAY_C = 130.0
 """A member in which any sensor passes this temperature has run away: no grease survives it."""
 
 DEVIATION_K = 0.25
+LOAD_DEVIATION = 0.04
+"""What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in
+the model: a deviation by this part of a sensor's rise over ambient, per ln(load / trained load)."""
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -201,8 +205,8 @@ def forecast(
     heat_w = np.zeros(start.shape)
     if disturbance_w is not None:
         heat_w += np.asarray(disturbance_w, np.float64)
+    best = parameters.values_from_z(posterior.z)
     if operating_point is not None:
-        best = parameters.values_from_z(posterior.z)
         heat_w += _imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
     temperatures = simulate_batch(
         model,
@@ -219,13 +223,18 @@ def forecast(
     readings = _lagging(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
-    readings += _deviation(rng, members, profile.time_s, len(sensors), model.errors)
+    deviation = _deviation(rng, members, profile.time_s, len(sensors), model.errors)
+    rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
+    beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
+    readings += deviation * np.hypot(1.0, LOAD_DEVIATION * beyond[:, None] * rise_c / DEVIATION_K)
     readings += SENSOR_OFFSET_K * paired_draws(rng, members, (1, len(sensors)))
     nodes = temperatures + _deviation(
         rng, members, profile.time_s, temperatures.shape[2], model.errors
     )
     # What a sensor of the same name will read stands for the node as well.
     others = [k for k, name in enumerate(model.node_names) if name not in sensors]
+    hidden = paired_draws(rng, members, (temperatures.shape[2],)) @ hidden_spread(model, best).T
+    nodes += hidden[:, None, :] * _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))[:, None]
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
     quantiles = _quantiles(np.concatenate((noisy, nodes[:, :, others]), axis=2))
@@ -264,6 +273,28 @@ def _imbalance_w(
         own_capacity = kernels.bind_network(model.compiled, own)[0]
         heat_w[member] = net_w * own_capacity / capacity - own_w
     return heat_w
+
+
+def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:
+    """How far, ln(F / trained), the load has gone beyond the trained ones, (n,).
+
+    It follows the load within the time that a deviation takes to build up. Zero without any
+    trained load: the prior's spread is for all loads.
+    """
+    beyond = np.zeros(profile.size)
+    if trained_n <= 0.0:
+        return beyond
+    excess = np.maximum(np.log(np.maximum(profile.load_n, 1.0) / trained_n), 0.0)
+    keep = np.exp(-np.diff(profile.time_s) / slow_s)
+    for row in range(profile.size - 1):
+        beyond[row + 1] = keep[row] * beyond[row] + (1.0 - keep[row]) * excess[row]
+    return beyond
+
+
+def _hidden_growth(time_s: FloatArray, rise_c: FloatArray) -> FloatArray:
+    """Rise (n,) by which unmeasured nodes' lasting deviations grow as those of the start fade."""
+    faded = 1.0 - np.exp(-2.0 * (time_s - time_s[0]) / DISTURBANCE_TIME_S)
+    return np.asarray(np.sqrt(faded) * np.maximum(rise_c, 0.0))
 
 
 def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from twin_core.bearings import bearing
 from twin_core.forecasting import QUANTILE_LEVELS, Forecast, forecast
-from twin_core.identification.posterior import Posterior, prior_posterior
+from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import ThermalModel, build_model
+from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate, steady_state
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
@@ -89,6 +90,26 @@ def test_spread_agrees_with_linear_propagation(model, known) -> None:  # type: i
     quantiles = result.quantile("t_node_4_c")[:, -1]
     assert (quantiles[4] - quantiles[0]) / (2 * 1.96) == pytest.approx(expected, rel=0.12)
     assert (quantiles[3] - quantiles[1]) / (2 * 0.6745) == pytest.approx(expected, rel=0.12)
+
+
+def test_a_load_beyond_the_trained_ones_widens_the_band_by_its_distance(model, known) -> None:  # type: ignore[no-untyped-def]
+    """What else a load changes is not in the model: 4 % of the rise per ln(load / trained)."""
+    state, covariance = now(model)
+    profile = hold(4200.0, 5500.0, 241)
+    width = {}
+    for load_n in (2650.0, 5500.0):
+        point = OperatingPoint(4200.0, load_n, 3600.0, 0.0)
+        trained = replace(known, trained=TrainedRange((point,), 60, True, 0.0))
+        made = forecast(model, trained, state, covariance, RUN_IN, profile, members=1000)
+        width[load_n] = made
+    for name in SENSORS:
+        plain, wide = (width[load_n].quantile(name) for load_n in (5500.0, 2650.0))
+        half = [0.5 * (band[4, -1] - band[0, -1]) for band in (plain, wide)]
+        rise = plain[2, -1] - 22.0
+        by_load = 1.96 * 0.04 * np.log(5500.0 / 2650.0) * rise
+        assert half[1] == pytest.approx(np.hypot(half[0], by_load), rel=0.1)
+        assert_allclose(wide[:, 0], plain[:, 0], atol=0.02)  # it builds up
+        assert_allclose(wide[2], plain[2], atol=0.15)
 
 
 def test_samples_of_the_posterior_are_used_when_there_are_any(model) -> None:  # type: ignore[no-untyped-def]
