@@ -1,9 +1,9 @@
 """A machine followed over its model versions: quantities with intervals, slow changes summed up.
 
 Two neighbouring versions may differ by less than can be told apart while the machine keeps going
-the same way. Every version is therefore also held against all unchanged ones of alike operation
-before it, combined (their information adds up), and the standardised deviations of every quantity
-are summed up by two one-sided cumulative sums
+the same way. Every version is therefore also held against the mean of all unchanged ones of alike
+operation before it, and the standardised deviations of every quantity are summed up by two
+one-sided cumulative sums
 
     up = max(0, up + u - 1/2),   down = max(0, down - u - 1/2),
 
@@ -134,20 +134,14 @@ def follow(
 def _deviation(
     model: ThermalModel, before: Sequence[Posterior], posterior: Posterior, point: ReferencePoint
 ) -> FloatArray:
-    """Standardised deviations (k,) of a version's quantities from those of others, combined.
+    """Standardised deviations (k,) of a version's quantities from the mean of others.
 
-    0 where a quantity has no value.
+    0 where a quantity has no value. The plain mean: weights by information would make sums of
+    estimates that lie in different places of a curved valley, and see deviations in them.
     """
-    precision = np.eye(posterior.z.size)
-    weighted = np.zeros(posterior.z.size)
-    for one in before:
-        own = np.linalg.inv(one.covariance)
-        precision += own - np.eye(posterior.z.size)  # the common prior counts once
-        weighted += own @ one.z
-    covariance = np.asarray(np.linalg.inv(precision), np.float64)
-    middle = covariance @ weighted
-    spread = difference_covariance(covariance, posterior.covariance)
-    spread *= likeness(before[-1], posterior).scale
+    middle = np.mean([one.z for one in before], axis=0)
+    spread = difference_covariance(before[-1].covariance, posterior.covariance)
+    spread *= likeness(before[-1], posterior).scale * 0.5 * (1.0 + 1.0 / len(before))
     gradient = log_gradient(model, middle, point)
     variance = np.einsum("kp,pq,kq->k", gradient, spread, gradient)
     deviation = gradient @ (posterior.z - middle) / np.sqrt(variance)

@@ -23,7 +23,7 @@ from twin_core.drift_series import follow
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior, identify
 from twin_core.models import ThermalModel, build_model
 from twin_core.quantities import ReferencePoint
-from twin_core.windows import MinuteData
+from twin_core.windows import LowRiskRegion, MinuteData, find_windows
 
 FloatArray = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ CASES: dict[str, str | None] = {
 """What is run, and what truly moves."""
 
 RINGS = ("t_inner_ring_c", "t_outer_ring_c")
+REGION = LowRiskRegion(4300.0, 3400.0)
 TRUE_QUANTITIES = ("friction", "convection outside")
 _TRIP_C = 130.0
 _ROW_S, _STEP_S = 10.0, 5.0
@@ -236,13 +237,18 @@ def minute_rows(seen: Measured) -> MinuteData:
 def _identified(
     model: ThermalModel, minutes: MinuteData, start: int, guess: FloatArray | None
 ) -> tuple[Posterior, str]:
-    window = IdentificationWindow(
-        minutes.take(slice(start, start + VERSION_MIN)),
-        at_rest=False,
-        revolutions=float(minutes.speed_rpm[:start].sum()),
-    )
+    """Identify half a day as the service would: from the running machine's windows in it."""
+    half_day = minutes.take(slice(start, start + VERSION_MIN))
+    windows = [
+        IdentificationWindow(
+            half_day.between(window.start_s, window.end_s),
+            at_rest=window.at_rest,
+            revolutions=float(minutes.speed_rpm[minutes.time_s < window.start_s].sum()),
+        )
+        for window in find_windows(half_day, REGION)
+    ]
     result = identify(
-        model, IdentificationData((window,)), method="refine", guess_z=guess, samples=0
+        model, IdentificationData(tuple(windows)), method="refine", guess_z=guess, samples=0
     )
     return result.posterior, "" if result.status == "converged" else result.reason
 
