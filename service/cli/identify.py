@@ -145,6 +145,11 @@ def _machine(
     for section in settings.assets:
         if section.id == asset:
             known = section.bearing and section.bearing.name
+            if known is None and bearing is not None:
+                raise BadInputError(
+                    f"--bearing {bearing!r}: expected none, asset {asset!r} in {config} has a "
+                    "network of its own"
+                )
             if bearing not in (None, known):
                 raise BadInputError(
                     f"--bearing {bearing!r}: expected {known!r}, the bearing of asset {asset!r} in "

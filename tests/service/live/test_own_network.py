@@ -1,0 +1,94 @@
+"""A live asset with a network of its own."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.api.context import ProfileStep
+from service.jobs.models import active_model, first_model, why_not_of_this_asset
+from service.machines.networks import read_network
+from service.settings import AssetSection
+from service.store.records import ModelVersion
+
+GEARBOX = Path(__file__).parents[3] / "deploy" / "networks" / "gearbox.toml"
+WARM = {
+    "speed_rpm": 1400.0,
+    "load_n": 2500.0,
+    "ambient_c": 20.0,
+    "t_bearing_c": 55.0,
+    "t_oil_c": 45.0,
+}
+
+
+def section(channels: dict[str, float] = WARM, **changes: Any) -> AssetSection:
+    return AssetSection.model_validate(
+        {
+            "id": "bench-1",
+            "network": read_network(GEARBOX).model_dump(mode="json"),
+            "low_risk": {"speed_rpm_max": 2000, "load_n_max": 4000},
+            "limits": {"t_bearing_c": {"warning": 58, "alarm": 95}},
+            "channels": {name: {"source": "push"} for name in channels},
+        }
+        | changes
+    )
+
+
+def stored(settings: AssetSection) -> ModelVersion:
+    document = json.loads(json.dumps(first_model(settings)))
+    return ModelVersion("bench-1", 1, "active", "", 0, document)
+
+
+async def test_its_nodes_and_sensors_are_in_every_answer(make_live: Callable[..., Any]) -> None:
+    settings = section()
+    live = make_live(settings, active_model(settings, stored(settings)))
+    live.start()
+    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    nodes = {"t_bearing_c", "t_housing_c", "t_oil_c"}
+    assert set(live.runtime.state()["nodes"]) == nodes
+    assert set(forecast["nodes"]) == nodes | {"t_wall_c"}
+    assert set(forecast["time_to_limit"]) == {"t_bearing_c"}
+    tags = live.runtime.snapshot()["tags"]
+    assert {f"{name}.twin" for name in (*nodes, "t_wall_c")} <= set(tags)
+    assert "t_inner_ring_c.twin" not in tags
+    assert tags["t_bearing_c.twin"]["value"] == pytest.approx(55.0, abs=2.0)
+    assert tags["t_bearing_c.forecast_max"]["unit"] == "°C"
+    shown = live.runtime.summary()
+    assert (shown["bearing"], shown["network"]) == (None, "gearbox")
+    await live.until(lambda: live.stored, "an estimate for the store", WARM)
+    assert {sample.channel for sample in live.stored} == {"t_bearing_c.twin", "t_wall_c.twin"}
+    answer = await live.runtime.what_if(
+        [ProfileStep(duration_s=3600.0, speed_rpm=2000.0, load_n=4000.0)], 600.0, ["t_oil_c"]
+    )
+    assert set(answer["nodes"]) == {"t_oil_c"}
+    assert live.runtime.temperature_names == ("t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c")
+    kept = live.runtime.estimate.to_dict()
+    again = make_live(settings, active_model(settings, stored(settings)))
+    again.runtime.estimate.restore(json.loads(json.dumps(kept)))
+    assert again.runtime.estimate.started
+
+
+def test_a_version_of_another_network_or_bearing_cannot_run_the_asset() -> None:
+    settings = section()
+    version = stored(settings)
+    assert why_not_of_this_asset(settings, version) is None
+    network = read_network(GEARBOX).model_dump(mode="json")
+    network["nodes"]["t_oil_c"]["capacity_j_k"] = 9000.0
+    changed = section(network=network)
+    assert why_not_of_this_asset(changed, version) == (
+        "the dimensions or the network of 'gearbox' have been changed since"
+    )
+    rings = dict.fromkeys(("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c"), 0.0)
+    bearing = section(rings, network="bearing-14", bearing="6311", limits={})
+    assert "does not belong to model 'default'" in str(why_not_of_this_asset(bearing, version))
+    larger = section(
+        rings,
+        network="bearing-14",
+        bearing={"designation": "6311", "bore_mm": 55, "outer_mm": 120, "width_mm": 30},
+        limits={},
+    )
+    assert why_not_of_this_asset(larger, stored(bearing)) == (
+        "the dimensions or the network of '6311' have been changed since"
+    )
