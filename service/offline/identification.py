@@ -24,6 +24,7 @@ from twin_core.identification.identify import Method
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.searching import Search
+from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -222,7 +223,8 @@ def identify_recording(
         # All input has been checked: what is left is that no simulation holds on these data.
         raise FailedFitError(f"{recording.name}: {error}") from error
     if result.status != "converged":
-        raise FailedFitError(f"{recording.name}: failed fit: {result.reason}")
+        hint = f"; see --model {REDUCED_NAME}" if model.name == "paper" else ""
+        raise FailedFitError(f"{recording.name}: failed fit: {result.reason}{hint}")
     rms_by_sensor = dict(result.posterior.train_rms_k)
     return Identified(
         model=IdentifiedModel(

@@ -4,15 +4,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 
 from service.cli.identify import MODELS
+from service.machines.bearings import named_bearing
+from service.machines.machine import Machine
 from service.offline.identification import (
     METHOD_NAMES,
     OTHER_SEARCHES,
+    FailedFitError,
     UnusableDataError,
     check_options,
+    identify_recording,
 )
+from service.offline.tables import read_recording
 from twin_core.identification.identify import Method
 from twin_core.models import ModelName
 
@@ -104,3 +110,15 @@ def test_the_reduced_paper_model_shows_the_papers_15_numbers(data: Path, command
 
 def test_other_models_have_no_view(data: Path, command: Command) -> None:
     assert "paper_view" not in identify(command, data, "--method", "refine")
+
+
+def test_the_papers_model_that_does_not_fit_names_the_one_that_may(
+    run: Run, tmp_path: Path
+) -> None:
+    """A grease that runs in looks to it like nothing it knows."""
+    rows = run.rows(60)
+    rows[:, 4:6] += 6.0 * np.exp(-np.arange(len(rows)) / 20.0)[:, None] - 6.0
+    recording = read_recording(write(tmp_path / "data.csv", rows))
+    machine = Machine("paper", named_bearing("6311", {}), None)
+    with pytest.raises(FailedFitError, match=r"rms only.*; see --model paper-reduced"):
+        identify_recording(recording, machine=machine, procedure=check_options("refine", None, 0))
