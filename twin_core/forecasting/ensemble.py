@@ -21,6 +21,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.network_model import ErrorModel
 from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.parameters import ParameterSet
 from twin_core.process_noise import hidden_spread
 from twin_core.simulation import (
     OperatingProfile,
@@ -248,8 +249,16 @@ def forecast(
         members_c=readings,
         sensors=sensors,
         runaway_probability=probability,
-        labels=forecast_labels(posterior, profile, float(np.max(upper)), probability),
+        labels=forecast_labels(
+            posterior, profile, float(np.max(upper)), probability, _untaught(parameters, posterior)
+        ),
     )
+
+
+def _untaught(parameters: ParameterSet, posterior: Posterior) -> list[str]:
+    """Names of the parameters that the data left to the prior."""
+    verdicts = zip(parameters.names, posterior.verdicts(), strict=True)
+    return [name for name, verdict in verdicts if verdict == "prior only"]
 
 
 def _imbalance_w(

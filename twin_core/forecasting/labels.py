@@ -5,6 +5,8 @@ only the prior's, whatever the residuals say; about one machine in thirty runs a
 heavy load although a moderate load looks normal, and nothing in low-risk data shows which.
 """
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,6 +19,8 @@ LOAD_LAW = "load law from prior only"
 SPEED_LAW = "speed law from prior only"
 RUNAWAY = "runaway not excluded"
 
+# Of the model `default`; a model without them is judged by its data alone.
+_LOAD_EXPONENT, _SPEED_EXPONENT = "b", "p"
 _BEYOND = 1.1
 _LOAD_STEP = 1.5
 _HOT_C = 100.0
@@ -28,6 +32,7 @@ def forecast_labels(
     profile: OperatingProfile,
     hottest_c: float,
     runaway_probability: float,
+    untaught: Collection[str] = (),
 ) -> tuple[str, ...]:
     """Labels of a forecast.
 
@@ -41,13 +46,17 @@ def forecast_labels(
         Highest upper edge (97.5 %) of any sensor.
     runaway_probability
         Share of the members that run away.
+    untaught
+        Names of the parameters about which the data say nothing (verdict ``"prior only"``).
 
     Returns
     -------
     tuple of str
         ``"not identified yet: prior parameters only"`` before any identification.
-        ``"load law from prior only"`` when the data hold a single load and the profile goes more
-        than 10 % beyond it; ``"speed law from prior only"`` likewise for a single speed.
+        ``"load law from prior only"`` when the profile goes more than 10 % beyond the trained
+        loads and the data hold a single load, or hold several and yet left the exponent of load
+        where the prior had it: a second load stage is needed. ``"speed law from prior only"``
+        likewise for speeds.
         ``"runaway not excluded"`` when the upper edge passes 100 degC, a load beyond 1.5 times the
         trained one lies ahead, or members run away.
     """
@@ -59,9 +68,11 @@ def forecast_labels(
     if not posterior.identified:
         labels.append(NOT_IDENTIFIED)
     else:
-        if trained.distinct_loads < 2 and load_n > _BEYOND * trained.load_n_max:
+        one_load = trained.distinct_loads < 2 or _LOAD_EXPONENT in untaught
+        if one_load and load_n > _BEYOND * trained.load_n_max:
             labels.append(LOAD_LAW)
-        if trained.distinct_speeds < 2 and speed_rpm > _BEYOND * trained.speed_rpm_max:
+        one_speed = trained.distinct_speeds < 2 or _SPEED_EXPONENT in untaught
+        if one_speed and speed_rpm > _BEYOND * trained.speed_rpm_max:
             labels.append(SPEED_LAW)
     if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability)):
         labels.append(RUNAWAY)

@@ -63,6 +63,16 @@ def test_hot_upper_edge_and_runaway_members() -> None:
     assert forecast_labels(posterior, point, 80.0, 0.01) == (RUNAWAY,)
 
 
+def test_a_stage_that_taught_nothing_does_not_count() -> None:
+    """Two loads in the data, yet the exponent of load is still the prior's; likewise for speed."""
+    posterior = trained_at((1500, 2650), (4200, 3300))
+    heavier, faster = ahead(4200.0, 4000.0), ahead(6200.0, 3300.0)
+    assert forecast_labels(posterior, heavier, 80.0, 0.0, ("b",)) == (LOAD_LAW,)
+    assert forecast_labels(posterior, heavier, 80.0, 0.0, ("p", "Nub")) == ()
+    assert forecast_labels(posterior, faster, 80.0, 0.0, ("p",)) == (SPEED_LAW,)
+    assert forecast_labels(posterior, faster, 80.0, 0.0, ("b",)) == ()
+
+
 def test_before_any_identification() -> None:
     prior = prior_posterior(build_model(bearing=bearing("6311")))
     assert forecast_labels(prior, ahead(1500.0, 2650.0), 50.0, 0.0) == (NOT_IDENTIFIED,)
