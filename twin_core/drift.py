@@ -250,7 +250,7 @@ def usual_point(model: ThermalModel, posterior: Posterior) -> ReferencePoint:
     """Reference point at the operating point at which the data of a posterior lasted longest."""
     points = posterior.trained.operating_points
     if not points:
-        return reference_point(model, posterior.z, 3000.0, 2650.0)
+        return reference_point(model, posterior.z, *model.reference_point)
     longest = max(
         points,
         key=lambda point: sum(p.duration_s for p in points if alike_points(point, p)),

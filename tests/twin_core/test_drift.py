@@ -218,7 +218,7 @@ def test_usual_point_is_where_the_data_lasted_longest(model: ThermalModel) -> No
     twice = _with(model, trained((*DAY, (4210.0, 3310.0, 3.0))))
     point = usual_point(model, twice)
     assert (point.speed_rpm, point.load_n) == (4200.0, 3300.0)
-    assert usual_point(model, prior_posterior(model)).speed_rpm == 3000.0
+    assert usual_point(model, prior_posterior(model)).speed_rpm == model.reference_point[0]
 
 
 # --- errors ------------------------------------------------------------------------------------
