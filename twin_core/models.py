@@ -11,6 +11,7 @@
     what the paper takes as known; see `twin_core.reduced_paper`.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -38,6 +39,7 @@ from twin_core.networks.bearing_14 import (
 )
 from twin_core.parameters import Parameter, ParameterSet
 from twin_core.reduced_paper import reduced_network, reduced_parameters
+from twin_core.structures import free_parameters, held_at, hold_parameters
 
 ModelName = Literal["default", "paper", "paper-reduced"]
 
@@ -55,7 +57,9 @@ class ThermalModel(NetworkModel):
     machine: str
 
 
-def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
+def build_model(
+    name: str = "default", *, bearing: Bearing, without: Collection[str] = ()
+) -> ThermalModel:
     """Build a model for a bearing.
 
     Parameters
@@ -64,16 +68,22 @@ def build_model(name: str = "default", *, bearing: Bearing) -> ThermalModel:
         ``"default"``, ``"paper"`` or ``"paper-reduced"``.
     bearing
         From the catalogue or from dimensions.
+    without
+        Parts of ``"default"`` to leave out, names of `twin_core.structures.STRUCTURES`.
 
     Raises
     ------
     ValueError
-        If the name is unknown or the bearing does not fit the network.
+        If the name or a part is unknown, or the bearing does not fit the network.
     """
     data = bearing_14_data(bearing)
+    if without and name != "default":
+        raise ValueError(f"without is {tuple(without)}, expected none for the model {name!r}")
     if name == "default":
-        parameters = ParameterSet(DEFAULT_PARAMETERS)
-        network = _default_network(bearing, data)
+        held = held_at(without)
+        parameters = free_parameters(ParameterSet(DEFAULT_PARAMETERS), held)
+        network = hold_parameters(_default_network(bearing, data), held)
+        name = " without ".join(("default", *without))
     elif name == "paper":
         parameters = ParameterSet(PAPER_PARAMETERS)
         network = _paper_network(bearing, data)
@@ -280,7 +290,7 @@ DEFAULT_PARAMETERS = (
     ),
     Parameter("hsh", "-", "film of the resting shaft relative to 8 W/m2K", "log", 0.5, 0.6),
     Parameter(
-        "gs", "W/K", "sink of each end of a 55 mm shaft rotating at 6000 rpm", "log", 0.60, 0.8
+        "gs", "W/K", "sink of an end of a 55 mm shaft rotating at 6000 rpm", "log", 0.60, 0.8
     ),
     Parameter(
         "Rj", "-", "scale of the joints around the outer ring and the house", "log", 1.0, 0.5
@@ -299,15 +309,19 @@ _CAGE_BALL_K_W = 1.0 / 0.4
 
 
 def _default_network(bearing: Bearing, data: Bearing14) -> Network:
-    # h ~ n^(2/3) d^(1/3), area ~ d
-    rotating = (bearing.bore_mm / 55.0) ** (4.0 / 3.0)
+    # h ~ n^(2/3) d^(1/3), area ~ d; each end by its part of the surface
+    surface = {pair: 1.0 / data.constant_k_w[pair] for pair in _SHAFT_ENDS}
+    rotating = (bearing.bore_mm / 55.0) ** (4.0 / 3.0) / float(np.mean(list(surface.values())))
     edges = []
     for pair, resistance in data.constant_k_w.items():
         if pair in _FILMS:
             film = (Coefficient(1.0 / resistance, "hext"), _one("eext"))
             edges.append(edge_between(pair, EdgeKind.FILM, *film))
         elif pair in _SHAFT_ENDS:
-            sink = (Coefficient(1.0 / resistance, "hsh"), Coefficient(rotating, "gs"))
+            sink = (
+                Coefficient(1.0 / resistance, "hsh"),
+                Coefficient(rotating * surface[pair], "gs"),
+            )
             edges.append(edge_between(pair, EdgeKind.SHAFT_SINK, *sink))
         else:
             scale = "Rj" if pair in _JOINTS else "Rs" if pair in _SHAFT_JOINTS else ""

@@ -3,6 +3,7 @@ import pytest
 
 from twin_core.bearings import bearing, bearing_from_dimensions
 from twin_core.models import build_model
+from twin_core.network import EdgeKind
 from twin_core.networks.bearing_14 import NODE_NAMES, bearing_14_data
 from twin_core.simulation import steady_state
 
@@ -107,3 +108,17 @@ def test_all_models_settle_for_deep_groove_ball_bearings_of_all_sizes(
     settled = steady_state(model, model.parameters.centre, speed_rpm, load_n, 20.0)
     assert settled.min() > 20.0
     assert settled.max() < 90.0
+
+
+def test_a_longer_shaft_end_gives_off_more_heat_resting_and_rotating() -> None:
+    network = build_model(bearing=bearing("6311")).network
+    resting, rotating = (
+        [edge.coefficients[term] for edge in network.edges if edge.kind is EdgeKind.SHAFT_SINK]
+        for term in (0, 1)
+    )
+    assert [one.parameter for one in (*resting, *rotating)] == ["hsh", "hsh", "gs", "gs"]
+    assert rotating[0].factor / rotating[1].factor == pytest.approx(
+        resting[0].factor / resting[1].factor
+    )
+    # The parameter is the mean of both ends of a 55 mm shaft.
+    assert sum(one.factor for one in rotating) == pytest.approx(2.0)
