@@ -275,4 +275,4 @@ def _draw_solved(axes: "Axes", runs: Sequence[Run]) -> None:
         share = [100.0 * number / len(own) for number in range(len(ends) + 1)]
         axes.step([1, *ends, longest], [*share, share[-1]], where="post", label=name)
     axes.set_ylabel("runs with all 7 within 1 %, in %")
-    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.4))
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
