@@ -1,0 +1,63 @@
+"""What the default model has beyond the paper's, and how each part of it is switched off."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from twin_core.network import Coefficient, Network
+from twin_core.parameters import ParameterSet
+
+STRUCTURES: Mapping[str, Mapping[str, float]] = {
+    "load_part": {"s": 0.0, "c": 1.0},
+    "curvature": {"p2": 0.0, "pq": 0.0},
+    "run_in": {"A": 0.0, "Nr": 1.0e6},
+    "rotating_shaft": {"gs": 0.0},
+    "heat_split": {"fm": 0.0, "ball": 0.5, "inn": 0.5},
+    "outer_film": {"eext": 0.0},
+}
+"""Values at which the parameters of a part are held when it is left out: friction that does not
+follow viscosity; curved speed law; running-in of the grease; sink of the rotating shaft; free
+shares of the heat (1 : 2 : 1 without, as in the paper); film that grows with its difference."""
+
+
+def held_at(without: Collection[str]) -> dict[str, float]:
+    """Return the values at which the parameters of left-out parts are held.
+
+    Raises
+    ------
+    ValueError
+        If a part is unknown or named twice.
+    """
+    names = list(without)
+    for name in names:
+        if name not in STRUCTURES or names.count(name) > 1:
+            raise ValueError(f"without has {name!r}, expected each once of {', '.join(STRUCTURES)}")
+    return {key: value for name in names for key, value in STRUCTURES[name].items()}
+
+
+def free_parameters(parameters: ParameterSet, held: Mapping[str, float]) -> ParameterSet:
+    """Return the parameters that are not held."""
+    return ParameterSet(tuple(p for p in parameters.parameters if p.name not in held))
+
+
+def hold_parameters(network: Network, held: Mapping[str, float]) -> Network:
+    """Return a network whose coefficients have the held parameters' values built in."""
+
+    def fixed(coefficient: Coefficient) -> Coefficient:
+        if coefficient.parameter not in held:
+            return coefficient
+        return Coefficient(coefficient.factor * held[coefficient.parameter])
+
+    source = network.source
+    return replace(
+        network,
+        nodes=tuple(replace(node, capacity=fixed(node.capacity)) for node in network.nodes),
+        edges=tuple(
+            replace(edge, coefficients=tuple(map(fixed, edge.coefficients)))
+            for edge in network.edges
+        ),
+        source=replace(
+            source,
+            coefficients=tuple(map(fixed, source.coefficients)),
+            shares=tuple(replace(share, fraction=fixed(share.fraction)) for share in source.shares),
+        ),
+    )
