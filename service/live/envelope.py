@@ -140,6 +140,7 @@ class EnvelopeKeeper:
             *axes,
             limits,
             disturbance_w=now.present.disturbance_w,
+            operating_point=now.present.operating_point,
         )
         labels = [] if now.active.posterior.identified else [NOT_IDENTIFIED]
         return envelope_json(found) | {

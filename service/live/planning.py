@@ -76,5 +76,6 @@ class Planning:
             max(float(observer.revolutions), 0.0),
             point.ambient_c,
             observer.heat_disturbance_w.copy(),
+            observer.operating_point,
         )
         return Now(self._estimate.active, present, time_us, point.speed_rpm, point.load_n)

@@ -193,6 +193,7 @@ def asked(arrangement: Arrangement, bench: BenchParameters, seed: int) -> Advice
         observer.revolutions,
         float(done.minutes.ambient_c[-1]),
         observer.heat_disturbance_w,
+        observer.operating_point,
     )
     heavy = arrangement.heavy
     return advise(

@@ -205,6 +205,7 @@ def advise(
         present.revolutions,
         held_profile((target,), present.ambient_c),
         disturbance_w=present.disturbance_w,
+        operating_point=present.operating_point,
         members=members,
         seed=seed,
     )

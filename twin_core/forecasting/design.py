@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin_core.forecasting.ensemble import (
     DEVIATION_K,
+    LOAD_DEVIATION,
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
     SENSOR_WHITE_K,
@@ -49,6 +50,9 @@ class Present:
         Ambient temperature.
     disturbance_w
         (nodes,) heat in W that the model lacks at present, or None.
+    operating_point
+        Speed in rpm, load in N and ambient in degC up to now, or None for a machine that has not
+        been followed.
     """
 
     state_c: FloatArray
@@ -56,6 +60,7 @@ class Present:
     revolutions: float
     ambient_c: float
     disturbance_w: FloatArray | None = None
+    operating_point: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +123,14 @@ class Design:
         count = len(spread) + self._state_factor.shape[1]
         self._information: FloatArray = np.eye(count + 1)
         self._information[: len(spread), : len(spread)] = known
-        _, gradient = self._sensitivities((target,))
+        path, gradient = self._sensitivities((target,))
         self._target = np.zeros((count + 1, len(sensors)))
         self._target[:count] = gradient[:, -1, self._forecast]
-        self.std_k: FloatArray = self._std_k(self._information)
+        end_c = path[-1, self._forecast]
+        rise_c = np.where(np.isfinite(end_c), np.maximum(end_c - present.ambient_c, 0.0), 0.0)
+        self._load = target.load_n, posterior.trained.load_n_max
+        self._deviation_k = LOAD_DEVIATION * model.errors.scale * rise_c
+        self.std_k: FloatArray = self._std_k(self._information, 0.0)
 
     def after(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What a step would bring.
@@ -142,6 +151,7 @@ class Design:
             (rows, sensors) upper edge (97.5 %) of the readings, minute by minute.
         """
         path, gradient = self._sensitivities(levels)
+        heaviest_n = max(level.load_n for level in levels)
         count = len(gradient)
         time_s = self._profile(levels).time_s[1:]
         white = np.zeros((count + 1, time_s.size * len(self._measured)))
@@ -157,14 +167,19 @@ class Design:
         variance = np.einsum("kns,kl,lns->ns", gradient, covariance, gradient, optimize=True)
         upper = (path + 1.96 * np.sqrt(variance + _NOISE_VARIANCE_K2))[:, self._forecast]
         return (
-            self._std_k(self._information + plain @ plain.T),
-            self._std_k(self._information + white @ white.T),
+            self._std_k(self._information + plain @ plain.T, heaviest_n),
+            self._std_k(self._information + white @ white.T, heaviest_n),
             np.asarray(upper),
         )
 
-    def _std_k(self, information: FloatArray) -> FloatArray:
+    def _std_k(self, information: FloatArray, heaviest_n: float) -> FloatArray:
+        """Standard deviation (sensors,) of the forecast, once a load has been run."""
         variance = np.sum(self._target * np.linalg.solve(information, self._target), axis=0)
-        return np.asarray(np.sqrt(variance + _NOISE_VARIANCE_K2))
+        load_n, trained_n = self._load
+        beyond = np.log(max(load_n / max(trained_n, heaviest_n), 1.0)) if trained_n > 0.0 else 0.0
+        return np.asarray(
+            np.sqrt(variance + _NOISE_VARIANCE_K2 + (beyond * self._deviation_k) ** 2)
+        )
 
     def _profile(self, levels: Sequence[Level]) -> OperatingProfile:
         return held_profile(levels, self._present.ambient_c)

@@ -208,7 +208,7 @@ def forecast(
         heat_w += np.asarray(disturbance_w, np.float64)
     best = parameters.values_from_z(posterior.z)
     if operating_point is not None:
-        heat_w += _imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
+        heat_w += imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
     temperatures = simulate_batch(
         model,
         values,
@@ -261,7 +261,7 @@ def _untaught(parameters: ParameterSet, posterior: Posterior) -> list[str]:
     return [name for name, verdict in verdicts if verdict == "prior only"]
 
 
-def _imbalance_w(
+def imbalance_w(
     model: ThermalModel,
     best: FloatArray,
     state_c: FloatArray,

@@ -19,10 +19,12 @@ from scipy.special import ndtr
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.ensemble import (
     DEVIATION_K,
+    LOAD_DEVIATION,
     RUNAWAY_C,
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
     SENSOR_WHITE_K,
+    imbalance_w,
 )
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.identification.posterior import Posterior
@@ -116,6 +118,7 @@ def envelope(
     limits: Mapping[str, Sequence[float]],
     *,
     disturbance_w: ArrayLike | None = None,
+    operating_point: tuple[float, float, float] | None = None,
     horizon_s: float = HORIZON_S,
     members: int = MEMBERS,
     seed: int = 0,
@@ -140,6 +143,9 @@ def envelope(
         Limits in degC per sensor; sensors without limits have steady temperatures all the same.
     disturbance_w
         (nodes,) heat in W that the model lacks at present; it fades as in the observer.
+    operating_point
+        Speed, load and ambient up to now, if the observer has followed a run; see
+        `twin_core.forecasting.forecast`.
     horizon_s
         How long each point is held for the times to the limits. Steady temperatures are those of
         grease run in until then.
@@ -166,14 +172,16 @@ def envelope(
             raise ValueError(f"limits: no sensor {name!r}, expected one of {', '.join(sensors)}")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
+    turned = max(float(revolutions), 0.0)
     z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
     start = np.asarray(state_c, np.float64) + rng.permutation(
         normal_draws(rng, members, np.asarray(state_covariance, np.float64))
     )
-    deviation_k = np.hypot(DEVIATION_K * model.errors.scale, SENSOR_OFFSET_K)
-    deviation = deviation_k * paired_draws(rng, members, (len(sensors),))
+    # The same pairs in all three, so that their sum has no bias in any percentile.
+    offset = SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),))
+    slow = paired_draws(rng, members, (len(sensors),))
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
-    noise = noise_k * rng.permutation(paired_draws(rng, members, (len(sensors),)))
+    noise = noise_k * paired_draws(rng, members, (len(sensors),))
 
     # One table of limits for the kernel: each sensor's own, then where it counts as run away.
     most = max((len(values) for values in limits.values()), default=0)
@@ -181,26 +189,44 @@ def envelope(
     for row, name in enumerate(sensors):
         table[row, : len(limits.get(name, ()))] = limits.get(name, ())
     table[:, most] = RUNAWAY_C
+    cells = np.tile(speeds, loads.size), np.repeat(loads, speeds.size)
+    beyond = _beyond_load(cells[1], posterior.trained.load_n_max)
+
+    def slow_k(rise_c: FloatArray) -> FloatArray:
+        """Spread (points, ...) of the slow deviation at rises over ambient of that shape."""
+        by_load = LOAD_DEVIATION * beyond.reshape(-1, *[1] * (rise_c.ndim - 1)) * rise_c
+        return np.asarray(model.errors.scale * np.hypot(DEVIATION_K, by_load))
+
+    at_limits = np.where(np.isfinite(table), np.maximum(table - ambient_c, 0.0), 0.0)
+    values = parameters.values_from_z(z)
+    heat_w = np.zeros(start.shape)
+    if disturbance_w is not None:
+        heat_w += np.asarray(disturbance_w, np.float64)
+    if operating_point is not None:
+        best = parameters.values_from_z(posterior.z)
+        mean_c = np.asarray(state_c, np.float64)
+        heat_w += imbalance_w(model, best, mean_c, values, start, operating_point, turned)
     steady, crossing = _hold(
         model,
-        parameters.values_from_z(z),
+        values,
         start,
-        max(float(revolutions), 0.0),
-        np.zeros(len(model.node_names)) if disturbance_w is None else disturbance_w,
+        turned,
+        heat_w,
         float(ambient_c),
-        np.tile(speeds, loads.size),
-        np.repeat(loads, speeds.size),
-        # A sensor that reads too high by its deviation reaches its limit that much earlier.
-        table - deviation[:, :, None],
+        cells,
+        # A sensor that reads too high by its offset reaches its limit that much earlier.
+        table - offset[:, :, None],
+        slow[:, None, :, None] * slow_k(np.tile(at_limits, (beyond.size, 1, 1))),
         horizon_s,
     )
-    readings = np.where(np.isfinite(steady), steady + deviation[:, None], _CEILING_C)
+    lasting = np.where(np.isfinite(steady), steady, _CEILING_C)
+    deviation = slow[:, None] * slow_k(np.maximum(np.median(lasting, axis=0) - ambient_c, 0.0))
+    readings = np.where(np.isfinite(steady), steady + deviation + offset[:, None], _CEILING_C)
     away = np.any((readings > RUNAWAY_C) | np.isfinite(crossing[..., most]), axis=2)
     shape = (loads.size, speeds.size)
     quantiles = np.quantile(readings + noise[:, None], ENVELOPE_LEVELS, axis=0)
     probability = np.mean(away, axis=0)
     hottest = np.max(quantiles[-1], axis=1)
-    heavy = np.repeat(loads, speeds.size)
     return Envelope(
         speed_rpm=speeds,
         load_n=loads,
@@ -220,9 +246,9 @@ def envelope(
             for row, name in enumerate(sensors)
         },
         runaway_probability=probability.reshape(shape),
-        runaway_not_excluded=runaway_not_excluded(posterior, heavy, hottest, probability).reshape(
-            shape
-        ),
+        runaway_not_excluded=runaway_not_excluded(
+            posterior, cells[1], hottest, probability
+        ).reshape(shape),
     )
 
 
@@ -256,23 +282,30 @@ def _smooth_share(readings: FloatArray, limit_c: float) -> FloatArray:
     return np.asarray(np.mean(ndtr((readings - limit_c) / np.maximum(width, _NARROWEST_K)), axis=0))
 
 
+def _beyond_load(load_n: FloatArray, trained_n: float) -> FloatArray:
+    """How far, ln(F / trained), loads lie beyond the trained ones; zero without any."""
+    if trained_n <= 0.0:
+        return np.zeros(load_n.size)
+    return np.asarray(np.log(np.maximum(load_n / trained_n, 1.0)))
+
+
 def _hold(
     model: ThermalModel,
     values: FloatArray,
     start: FloatArray,
     revolutions: float,
-    disturbance_w: ArrayLike,
+    heat_w: FloatArray,
     ambient_c: float,
-    speed_rpm: FloatArray,
-    load_n: FloatArray,
+    cells: tuple[FloatArray, FloatArray],
     limit_c: FloatArray,
+    deviation_k: FloatArray,
     horizon_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Steady temperatures (B, points, sensors) and crossing times (B, points, sensors, limits)."""
     members, sensors, limits = limit_c.shape
-    steady = np.empty((members, speed_rpm.size, sensors))
-    crossing = np.empty((members, speed_rpm.size, sensors, limits))
-    heat = np.ascontiguousarray(disturbance_w, np.float64)
+    points = cells[0].size
+    steady = np.empty((members, points, sensors))
+    crossing = np.empty((members, points, sensors, limits))
 
     def run(first: int, last: int) -> None:
         holding.hold_points_range(
@@ -280,13 +313,14 @@ def _hold(
             values,
             start,
             revolutions,
-            heat,
+            heat_w,
             1.0 / DISTURBANCE_TIME_S,
             ambient_c,
-            speed_rpm,
-            load_n,
+            *cells,
             model.sensor_matrix(model.sensor_names),
             limit_c,
+            deviation_k,
+            model.errors.slow_s,
             horizon_s,
             first,
             last,

@@ -92,6 +92,7 @@ def stepping_plan(
             [load_n],
             {},
             disturbance_w=present.disturbance_w,
+            operating_point=present.operating_point,
         )
         expected = {name: float(found.steady_c[name][1, 0, 0]) for name in found.sensors}
         upper = {name: float(found.steady_c[name][2, 0, 0]) for name in found.sensors}

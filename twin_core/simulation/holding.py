@@ -42,6 +42,8 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     load,
     rows,
     limit,
+    deviation,
+    slow,
     horizon,
     start,
     stop,
@@ -50,8 +52,10 @@ def hold_points_range(  # type: ignore[no-untyped-def]
 ):
     """Hold each of many operating points, for candidates start..stop-1 of a batch.
 
-    `rows` (sensors, nodes) are the sensors' weights, `limit` (B, sensors, limits) what their
-    temperatures are compared with. Fills `steady` (B, points, sensors) with the steady
+    `disturbance` (B, nodes) is extra heat that fades at the rate `fading`. `rows` (sensors, nodes)
+    are the sensors' weights, `limit` (B, sensors, limits) what their temperatures are compared
+    with, once `deviation` (B, points, sensors, limits) has been added, which builds up from zero
+    as a first-order process of the time constant `slow` spreads. Fills `steady` (B, points, sensors) with the steady
     temperatures and `crossing` (B, points, sensors, limits) with the times in s at which they
     first reach the limits, infinite if not within the horizon. NaN steady temperatures mean that
     there is no steady state within TEMPERATURE_LIMIT_C; what had been crossed by then stays.
@@ -88,13 +92,15 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 inverse,
                 ambient_input * ambient,
                 ambient,
-                disturbance,
+                disturbance[member],
                 fading,
                 n,
                 turned,
                 horizon,
                 rows,
                 limit[member],
+                deviation[member, cell],
+                slow,
                 temperature,
                 crossing[member, cell],
             )
@@ -149,6 +155,8 @@ def hold_point(  # type: ignore[no-untyped-def]
     horizon,
     rows,
     limit,
+    deviation,
+    slow,
     temperature,
     crossing,
 ):
@@ -182,6 +190,7 @@ def hold_point(  # type: ignore[no-untyped-def]
     watch(view, y, now)
     top = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
     time, turned, grown, last_step = 0.0, revolutions, FRESH_STEP_S, math.nan
+    built_before = 0.0
     while time < horizon:
         if 2.0 * grown <= min(HOLD_GROWTH * time, HOLD_LONGEST_STEP_S):
             grown *= 2.0
@@ -211,12 +220,16 @@ def hold_point(  # type: ignore[no-untyped-def]
         for k in range(count):
             y[k] = predicted[k] + second[k] * b[k]
         watch(view, y, later)
+        built = math.sqrt(-math.expm1(-2.0 * (time + step) / slow))
         for s in range(sensors):
             old, new = now[1 + films + s], later[1 + films + s]
             for k in range(limits):
-                if new >= limit[s, k] and crossing[s, k] == math.inf:
-                    part = min(max((limit[s, k] - old) / (new - old), 0.0), 1.0)
+                high = new + built * deviation[s, k]
+                if high >= limit[s, k] and crossing[s, k] == math.inf:
+                    low = old + built_before * deviation[s, k]
+                    part = min(max((limit[s, k] - low) / (high - low), 0.0), 1.0)
                     crossing[s, k] = time + step * part
+        built_before = built
         now[:] = later
         time += step
         if not abs(now[0]) < top:

@@ -16,6 +16,7 @@ from twin_core.forecasting.advice import (
     why_not,
 )
 from twin_core.forecasting.design import Design, Level, Present, held_profile
+from twin_core.forecasting.ensemble import LOAD_DEVIATION
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.identification.problem import IdentificationProblem
@@ -284,7 +285,11 @@ def test_the_design_agrees_with_an_identification_of_the_step(
             end = simulate(model, values, target, np.full(13, 22.0)).temperatures_c[-1]
             ends.append(model.sensor_matrix(SENSORS) @ end)
         gradient[k] = (ends[0] - ends[1]) / 0.02
-    expected = np.sqrt(np.sum(gradient * (covariance @ gradient), axis=0) + 0.25**2)
+    rise_c = model.sensor_matrix(SENSORS) @ (
+        simulate(model, model.parameters.centre, target, np.full(13, 22.0)).temperatures_c[-1] - 22
+    )
+    by_load_k = LOAD_DEVIATION * np.log(5500.0 / 3400.0) * rise_c
+    expected = np.sqrt(np.sum(gradient * (covariance @ gradient), axis=0) + 0.25**2 + by_load_k**2)
     # the identification also fits the sensors' lag and a common deviation at the start
     assert std_k == pytest.approx(expected, rel=0.1)
     assert np.all(shifted_k > std_k)

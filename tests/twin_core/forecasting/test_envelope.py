@@ -119,7 +119,7 @@ def test_times_are_those_of_a_simulation_minute_by_minute(
                         slope = np.gradient(path, 60.0)[np.argmax(over)]
                         expected = time_s[np.argmax(over)]
                         assert time == pytest.approx(expected, abs=60.0 + 0.15 / slope)
-    assert crossed >= 5
+    assert crossed >= 3
 
 
 def test_intervals_and_probabilities_agree_with_forecasts(
@@ -210,15 +210,16 @@ def test_a_member_without_a_steady_state_counts_as_run_away(
 def test_steady_probability_is_the_share_of_members_without_its_stairs(
     model: ThermalModel, warm_machine: Posterior
 ) -> None:
+    inner = from_cold(model, warm_machine, members=20).limits["t_inner_ring_c"][0]
+    assert_allclose(inner.probability * 20, np.round(inner.probability * 20), atol=1e-9)
+    shares = inner.steady_probability.ravel() * 20
+    assert np.count_nonzero(np.abs(shares - np.round(shares)) > 1e-4) >= 2
     few, many = (from_cold(model, warm_machine, members=members) for members in (80, 800))
     for name in SENSORS:
         for rough, fine in zip(few.limits[name], many.limits[name], strict=True):
             assert_allclose(rough.steady_probability, fine.steady_probability, atol=0.12)
             # eight hours from cold are nearly steady
             assert_allclose(fine.steady_probability, fine.probability, atol=0.06)
-            between = (rough.probability > 0.0) & (rough.probability < 1.0)
-            shares = rough.steady_probability[between] * 80
-            assert np.any(np.abs(shares - np.round(shares)) > 0.01) or not between.any()
 
 
 def test_same_seed_same_envelope(model: ThermalModel, prior: Posterior) -> None:
