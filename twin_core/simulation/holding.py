@@ -55,10 +55,11 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     `disturbance` (B, nodes) is extra heat that fades at the rate `fading`. `rows` (sensors, nodes)
     are the sensors' weights, `limit` (B, sensors, limits) what their temperatures are compared
     with, once `deviation` (B, points, sensors, limits) has been added, which builds up from zero
-    as a first-order process of the time constant `slow` spreads. Fills `steady` (B, points, sensors) with the steady
-    temperatures and `crossing` (B, points, sensors, limits) with the times in s at which they
-    first reach the limits, infinite if not within the horizon. NaN steady temperatures mean that
-    there is no steady state within TEMPERATURE_LIMIT_C; what had been crossed by then stays.
+    as a first-order process of the time constant `slow` spreads. Fills `steady` (B, points,
+    sensors) with the steady temperatures and `crossing` (B, points, sensors, limits) with the
+    times in s at which they first reach the limits, infinite if not within the horizon. NaN steady
+    temperatures mean that there is no steady state within TEMPERATURE_LIMIT_C; what had been
+    crossed by then stays.
 
     Steps grow with the time since the start: nothing but slow modes is left then.
     """
