@@ -21,8 +21,8 @@ from twin_core.models import ThermalModel
 from twin_core.quantities import ReferencePoint
 from twin_core.windows import Window
 
-# A series of the last weeks; every version in it costs some tens of milliseconds.
-_LONGEST_SERIES = 20
+# Every version in the series costs a quarter of a second.
+_LONGEST_SERIES = 12
 # Data that overlap by less than this are not the same data.
 _MINUTE_S = 60.0
 
