@@ -270,7 +270,7 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     gradient = np.empty(friction.size)
     film_slope = np.empty((films, 2, 3))
     film_value = np.empty(films)
-    one = np.empty(span)
+    one = np.zeros(span)
     point = np.empty(5)
     point_speed, point_load, point_step = math.nan, math.nan, math.nan
     fresh_until = -math.inf
