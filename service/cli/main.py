@@ -8,6 +8,7 @@ import typer
 from typer.exceptions import TyperException
 
 from service.cli.bench import virtual_bench
+from service.cli.benchmark import benchmark
 from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.forecast import forecast
@@ -33,6 +34,7 @@ app.command("virtual-bench")(virtual_bench)
 app.command()(identify)
 app.command()(forecast)
 app.command()(study)
+app.command()(benchmark)
 app.command("import")(import_)
 app.command()(export)
 app.command("warm-up", hidden=True)(warm_up)

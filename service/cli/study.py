@@ -1,19 +1,16 @@
 """``bearing-twin study``: the paper's studies, its figures beside ours."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 from rich.table import Table
 
+from service.cli.progress import progress_bar
 from service.offline.interruption import exit_on_signals
-from service.studies.common import Options, Progress, Report, prepare
+from service.studies.common import Options, Report, prepare
 from service.studies.registry import ALL, STUDIES, chosen
 
 # Columns of a table that no terminal limits.
@@ -51,7 +48,7 @@ def study(
     documents = {}
     with exit_on_signals():
         for title, one in studies.items():
-            with _progress_bar(title) as tell:
+            with progress_bar(title) as tell:
                 report = one.run(tell, options)
             written = report.write(out) if out is not None else []
             documents[title] = report.document
@@ -59,25 +56,6 @@ def study(
                 _print(report, written)
     if as_json:
         typer.echo(json.dumps(documents if name == ALL else documents[name]))
-
-
-@contextmanager
-def _progress_bar(title: str) -> Iterator[Progress]:
-    """Yield what to call with the progress; nothing is shown where nobody watches."""
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %  {task.fields[done]}"),
-        TimeElapsedColumn(),
-    )
-    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title, total=1.0, done="")
-
-        def tell(fraction: float, text: str) -> None:
-            bar.update(task, completed=fraction, done=text)
-
-        yield tell
 
 
 def _print(report: Report, written: list[Path]) -> None:

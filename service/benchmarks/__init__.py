@@ -1,0 +1,1 @@
+"""Benchmarks: how fast the product is, with what it is measured against in the same run."""
