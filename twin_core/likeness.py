@@ -16,6 +16,8 @@ from twin_core.operating_points import OperatingPoint, alike_points
 _SCALE_SAME = 0.1
 _SCALE_ALIKE = 0.7
 _SCALE_OTHER = 2.0
+# A hall that is colder changes viscosity, radiation and preload, which the model follows roughly.
+_SCALE_PER_K2 = 0.016
 # Laid side by side, so much of two sequences must be the same for them to count as one.
 _SAME_SEQUENCE = 0.95
 # Shares of common points this near to the largest are as good as it.
@@ -38,10 +40,13 @@ class Likeness:
     sequence
         Share of the longer one in which both were at alike points, laid side by side from their
         beginnings; 0 where only one began at rest.
+    ambient_k
+        By how much their mean ambient temperatures differ; 0 where one is not known.
     """
 
     points: float
     sequence: float
+    ambient_k: float = 0.0
 
     @property
     def same_run(self) -> bool:
@@ -51,34 +56,45 @@ class Likeness:
     @property
     def scale(self) -> float:
         """Factor on the covariance of the difference."""
+        scale = _SCALE_ALIKE**self.points * _SCALE_OTHER ** (1.0 - self.points)
         if self.same_run:
-            return _SCALE_SAME
-        return float(_SCALE_ALIKE**self.points * _SCALE_OTHER ** (1.0 - self.points))
+            scale = _SCALE_SAME
+        return float(scale + _SCALE_PER_K2 * self.ambient_k**2)
 
     @property
     def text(self) -> str:
         """For people."""
+        said = f"{self.points:.0%} of the operation alike"
         if self.same_run:
-            return "the same run again"
-        return f"{self.points:.0%} of the operation alike"
+            said = "the same run again"
+        return said if self.ambient_k < 1.0 else f"{said}, ambient {self.ambient_k:.0f} K apart"
 
 
 def likeness(first: Posterior, second: Posterior) -> Likeness:
     """Compare the operation that two posteriors come from."""
+    apart_k = _ambient_apart(first, second)
     running_in = [p.trained.revolutions < _RUN_IN_REVOLUTIONS for p in (first, second)]
     if running_in[0] != running_in[1]:
-        return Likeness(0.0, 0.0)
+        return Likeness(0.0, 0.0, apart_k)
     points = [
         [p for p in posterior.trained.operating_points if p.duration_s >= _TAUGHT_S]
         for posterior in (first, second)
     ]
     if not all(points):
-        return Likeness(0.0, 0.0)
+        return Likeness(0.0, 0.0, apart_k)
     same_start = first.trained.from_rest == second.trained.from_rest
     return Likeness(
         min(_common(points[0], points[1]), _common(points[1], points[0])),
         _side_by_side(points[0], points[1]) if same_start else 0.0,
+        apart_k,
     )
+
+
+def _ambient_apart(first: Posterior, second: Posterior) -> float:
+    ambient = [posterior.trained.ambient_c for posterior in (first, second)]
+    if ambient[0] is None or ambient[1] is None:
+        return 0.0
+    return abs(ambient[0] - ambient[1])
 
 
 def most_alike(posteriors: Sequence[Posterior], posterior: Posterior) -> list[int]:

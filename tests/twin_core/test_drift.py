@@ -206,6 +206,17 @@ def test_a_start_at_rest_is_another_run(model: ThermalModel) -> None:
     assert likeness(cold, _with(model, trained())) == Likeness(1.0, 0.0)
 
 
+def test_a_colder_hall_is_allowed_for(model: ThermalModel) -> None:
+    warm, cold, unknown = (
+        _with(model, replace(trained(), ambient_c=ambient)) for ambient in (24.0, 16.0, None)
+    )
+    assert likeness(warm, cold).ambient_k == 8.0
+    assert likeness(warm, unknown).ambient_k == 0.0
+    assert likeness(warm, cold).same_run
+    assert likeness(warm, cold).scale > 10.0 * likeness(warm, warm).scale
+    assert likeness(warm, cold).text == "the same run again, ambient 8 K apart"
+
+
 def test_most_alike_takes_the_same_runs_or_else_the_nearest(model: ThermalModel) -> None:
     first, second = _with(model, trained()), _with(model, trained(start_s=1e5))
     other = _with(model, trained(DAY[:1], start_s=2e5))

@@ -39,12 +39,15 @@ class TrainedRange:
         Whether any window began on a machine at rest.
     revolutions
         Revolutions since the grease was fresh, at the first row.
+    ambient_c
+        Mean ambient temperature in degC; None where it is not known.
     """
 
     operating_points: tuple[OperatingPoint, ...] = ()
     minutes: int = 0
     from_rest: bool = False
     revolutions: float = 0.0
+    ambient_c: float | None = None
 
     @property
     def speed_rpm_max(self) -> float:
@@ -209,6 +212,7 @@ class Posterior:
                 "minutes": self.trained.minutes,
                 "from_rest": self.trained.from_rest,
                 "revolutions": self.trained.revolutions,
+                "ambient_c": self.trained.ambient_c,
             },
             "evaluations": self.evaluations,
         }
@@ -234,6 +238,7 @@ class Posterior:
                 int(trained["minutes"]),
                 bool(trained["from_rest"]),
                 float(trained["revolutions"]),
+                None if trained.get("ambient_c") is None else float(trained["ambient_c"]),
             ),
             evaluations=int(document["evaluations"]),
         )
@@ -294,6 +299,13 @@ def posterior_at(
             sum(int(window.minutes.good.sum()) for window in windows),
             any(window.at_rest for window in windows),
             float(windows[0].revolutions),
+            _mean_ambient(problem),
         ),
         evaluations=problem.evaluations,
     )
+
+
+def _mean_ambient(problem: IdentificationProblem) -> float:
+    """Mean ambient temperature of all good rows in degC."""
+    minutes = [window.minutes for window in problem.data.windows]
+    return float(np.mean(np.concatenate([rows.ambient_c[rows.good] for rows in minutes])))
