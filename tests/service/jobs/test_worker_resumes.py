@@ -24,7 +24,7 @@ from twin_core.identification.identify import identify
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
 
-BUDGET = 16_000
+BUDGET = 32_000
 """Evaluations of NOA alone: some seconds."""
 
 
