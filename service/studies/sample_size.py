@@ -37,6 +37,7 @@ from service.studies.bench_scores import (
 from service.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
 from service.studies.drawing import RING_NAMES, Curves, curves, draw_curves
 from service.studies.forecasters import ForecastScore, mean_scores, score_document
+from twin_core.forecasting.labels import RUNAWAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +46,7 @@ FloatArray = NDArray[np.float64]
 
 NAME = "sample-size"
 BEARING = "6311"
-BENCHES = 20
+BENCHES = 24
 SPEEDS_RPM = (1500.0, 2400.0, 4200.0, 4900.0, 5600.0, 6200.0)
 LOAD_N = 2650.0
 STAGE_MIN = 90
@@ -92,6 +93,8 @@ class SchemeRun:
         The same where only the plan was known: set-points, and the ambient of the last sample.
     node_errors_k
         (13, rows) of the paper's nodes.
+    warned
+        Whether the forecast said "runaway not excluded".
     methods
         The twin and the methods beside it.
     seconds
@@ -104,6 +107,7 @@ class SchemeRun:
     rings: RingScores
     planned: RingScores
     node_errors_k: FloatArray
+    warned: bool
     methods: tuple[ForecastScore, ...]
     seconds: float
     shown: Curves
@@ -142,6 +146,7 @@ def _scheme(bench: BenchRun, rows: int, end: int) -> SchemeRun:
         rings=score_rings(made, bench, begun, rows, end),
         planned=score_rings(planned, bench, begun, rows, end),
         node_errors_k=node_errors(made, bench, begun, rows, end),
+        warned=RUNAWAY in planned.labels,
         methods=beside(twin, bench, made, ahead, begun, [(rows, end)])[0],
         seconds=twin.seconds,
         shown=curves(bench, made, begun),
@@ -157,7 +162,7 @@ def report(results: Sequence[BenchResult]) -> Report:
         "bearing": BEARING,
         "benches": len(results),
         "seeds": [result.seed for result in results],
-        "ran_away": [result.seed for result in results if result.ran_away],
+        "ran_away": {result.seed: _apart(result) for result in results if result.ran_away},
         "schemes": schemes,
     }
     methods = {
@@ -166,6 +171,7 @@ def report(results: Sequence[BenchResult]) -> Report:
     tables = (
         _error_table(schemes, len(normal)),
         _band_table(schemes, len(normal)),
+        _runaway_table([result for result in results if result.ran_away], schemes),
         _node_table(schemes),
         *methods_tables("Sample sizes, the twin beside other methods", methods),
     )
@@ -180,6 +186,19 @@ def report(results: Sequence[BenchResult]) -> Report:
 
 def _of(result: BenchResult, name: str) -> SchemeRun:
     return result.schemes[name]
+
+
+def _apart(result: BenchResult) -> dict[str, Any]:
+    """What was forecast for a bench that runs away."""
+    return {
+        name: {
+            "warned": one.warned,
+            "refused": one.refused,
+            "max_error_c": {ring: one.rings[ring].max_error_k for ring in RINGS},
+            "coverage_95": {ring: one.rings[ring].coverage_95 for ring in RINGS},
+        }
+        for name, one in result.schemes.items()
+    }
 
 
 def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]:
@@ -198,6 +217,7 @@ def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]
             for result in results
             if result.schemes[name].refused
         },
+        "runaway_not_excluded": sum(one.warned for one in used),
         "ambient_and_points_as_planned": {
             key: planned[key] for key in ("max_error_c", "rms_error_k", "coverage_95")
         },
@@ -281,6 +301,38 @@ def _band_table(schemes: dict[str, Any], benches: int) -> Table:
         ),
         tuple(rows),
         ("Coverage of the measured data. The paper prints no band here.",),
+    )
+
+
+def _runaway_table(results: Sequence[BenchResult], schemes: dict[str, Any]) -> Table:
+    rows = [
+        (
+            name,
+            f"{found['runaway_not_excluded']} of {found['benches']}",
+            f"{sum(_of(result, name).warned for result in results)} of {len(results)}",
+            *(
+                text(
+                    max(
+                        (_of(result, name).rings[ring].max_error_k for result in results),
+                        default=None,
+                    ),
+                    1,
+                )
+                for ring in RINGS
+            ),
+        )
+        for name, found in schemes.items()
+    ]
+    seeds = ", ".join(str(result.seed) for result in results) or "none"
+    return Table(
+        'Sample sizes: "runaway not excluded"',
+        ("scheme", "said of calm benches", "of those that run away", "worst T_ir, K", "T_or, K"),
+        tuple(rows),
+        (
+            f"Benches that run away: {seeds}. Their inner ring passes 110 °C, or climbs by more "
+            "than 1 K in the last ten minutes and faster than before. They count in no other "
+            "figure; the last columns are the largest errors of their forecasts.",
+        ),
     )
 
 

@@ -8,6 +8,7 @@ from service.studies.bench_runs import (
     NODES,
     RINGS,
     BenchRun,
+    FloatArray,
     Stage,
     Twin,
     forecast_from,
@@ -172,11 +173,21 @@ def test_figures_over_benches(run: BenchRun, made: Forecast) -> None:
     assert none["max_error_c"] == dict.fromkeys(RINGS)
 
 
-def test_a_bench_that_passes_110_degrees_has_run_away(run: BenchRun) -> None:
-    hot = dict(run.truth_c)
-    hot["t_inner_ring_c"] = hot["t_inner_ring_c"].copy()
-    hot["t_inner_ring_c"][100] = 110.5
-    one = BenchRun(run.bearing, run.stages, run.minutes, hot)
-    assert one.ran_away(80, 120)
-    assert not one.ran_away(0, 100)
-    assert not run.ran_away(0, 120)
+@pytest.mark.parametrize(
+    ("course", "ran_away"),
+    [
+        (90.0 + 10.0 * (1.0 - np.exp(-np.arange(40) / 8.0)), False),
+        (60.0 + 0.09 * np.arange(40), False),
+        (60.0 + 0.01 * np.arange(40) ** 2, True),
+        (np.where(np.arange(40) == 5, 110.5, 60.0), True),
+    ],
+    ids=["settling", "slow", "on its way", "passed 110"],
+)
+def test_a_bench_that_passes_110_degrees_or_accelerates_has_run_away(
+    run: BenchRun, course: FloatArray, ran_away: bool
+) -> None:
+    truth = run.truth_c["t_inner_ring_c"].copy()
+    truth[80:] = course
+    one = BenchRun(run.bearing, run.stages, run.minutes, {"t_inner_ring_c": truth})
+    assert one.ran_away(80, 120) is ran_away
+    assert not one.ran_away(0, 80)

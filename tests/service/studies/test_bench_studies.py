@@ -112,7 +112,12 @@ def test_a_bench_that_runs_away_is_reported_apart(
 ) -> None:
     first, second = sizes
     made = sample_size.report([replace(first, ran_away=True), second])
-    assert made.document["ran_away"] == [100]
+    assert list(made.document["ran_away"]) == [100]
+    apart = made.document["ran_away"][100]["N_90"]
+    assert apart["warned"] == first.schemes["N_90"].warned
+    assert apart["max_error_c"] == {
+        ring: first.schemes["N_90"].rings[ring].max_error_k for ring in RINGS
+    }
     assert made.document["schemes"]["N_90"]["benches"] == 1
     nobody = sample_size.report([replace(one, ran_away=True) for one in sizes])
     assert nobody.document["schemes"]["N_90"]["coverage_95"] is None
