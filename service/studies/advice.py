@@ -342,6 +342,8 @@ def _table(name: str, figures: Mapping[str, Any], used: int, benches: int) -> Ta
 
 def draw_widths(found: Sequence[BenchResult]) -> "Figure":
     """Half-widths of the inner ring: predicted over obtained, one point per bench and arm."""
+    from matplotlib.ticker import LogLocator
+
     drawing = figure(10.0, 4.5)
     ring = RINGS[0]
     for axes, (name, arrangement) in zip(
@@ -363,6 +365,10 @@ def draw_widths(found: Sequence[BenchResult]) -> "Figure":
         if ends:
             axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color="0.5", linewidth=0.8)
             axes.set(xscale="log", yscale="log")
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0)))
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter("")
             axes.legend(fontsize="small")
         axes.set(
             xlabel="half-width expected by the advice, K",
