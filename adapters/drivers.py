@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from adapters.can.config import CanChannel, CanSource
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusRtuSource, ModbusTcpSource
+from adapters.replay.config import ReplayChannel, ReplaySource
 from adapters.samples import Batch
 
 
@@ -177,6 +178,22 @@ def _create_can(
     return CanDriver(source, channels, plans, clock)
 
 
+def _check_replay(
+    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
+) -> None:
+    from adapters.replay.driver import check
+
+    check(source, channels, plans)
+
+
+def _create_replay(
+    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding], clock: Clock
+) -> Driver:
+    from adapters.replay.driver import ReplayDriver
+
+    return ReplayDriver(source, channels, plans, clock)
+
+
 DRIVERS: Mapping[str, DriverSpec] = MappingProxyType(
     {
         "modbus-tcp": DriverSpec(
@@ -199,6 +216,13 @@ DRIVERS: Mapping[str, DriverSpec] = MappingProxyType(
             plan_model=None,
             check=_check_can,
             create=_create_can,
+        ),
+        "replay": DriverSpec(
+            source_model=ReplaySource,
+            channel_model=ReplayChannel,
+            plan_model=None,
+            check=_check_replay,
+            create=_create_replay,
         ),
     }
 )

@@ -36,11 +36,16 @@ class CanSource(StrictModel):
 
 
 class CanChannel(StrictModel):
-    """Which signal of which message a channel is."""
+    """Which signal of which message a channel is.
+
+    `frame_id_mask` says which bits of the identifier must agree with the DBC's. Without it all
+    must; of a J1939 message neither priority nor the sender's address.
+    """
 
     source: str
     message: str
     signal: str
+    frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
     valid_range: tuple[float, float] | None = None
     max_age_s: float | None = Field(default=None, gt=0.0)
 

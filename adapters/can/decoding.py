@@ -1,7 +1,7 @@
 """From CAN frames to samples by a DBC file."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +16,14 @@ from adapters.drivers import ChannelBinding, PlanBinding
 from adapters.samples import Quality, Sample, is_good, next_time_us
 
 FrameKey = tuple[int, bool]  # identifier, extended or not
+
+ALL_IDENTIFIER_BITS = 0x1FFFFFFF
+# J1939-21: priority (3 bits), data pages (2), format (8), specific (8), sender (8). From format F0
+# on the specific byte belongs to the parameter group number, below it is the addressee.
+FIRST_J1939_BROADCAST_FORMAT = 0xF0
+J1939_BROADCAST_MASK = 0x03FFFF00
+J1939_ADDRESSED_MASK = 0x03FF0000
+MOST_FOUND = 4096  # identifiers remembered
 
 DEFAULT_PERIOD_S = 1.0  # of a message whose period is neither in the DBC nor seen yet
 PERIODS_UNTIL_STALE = 3.0
@@ -132,6 +140,54 @@ class BoundMessage:
         return self.last_time_us
 
 
+class MessageTable:
+    """The messages that must be decoded, found by the identifier of a frame.
+
+    Parameters
+    ----------
+    bound
+        Messages by identifier, with the bits of the identifier that must agree.
+    """
+
+    def __init__(self, bound: Mapping[FrameKey, tuple[BoundMessage, int]]) -> None:
+        self._exact = {
+            key: message for key, (message, mask) in bound.items() if mask == ALL_IDENTIFIER_BITS
+        }
+        self._masked = [
+            (extended, mask, frame_id & mask, message)
+            for (frame_id, extended), (message, mask) in bound.items()
+            if mask != ALL_IDENTIFIER_BITS
+        ]
+        self._messages = [message for message, _ in bound.values()]
+        self._found: dict[FrameKey, BoundMessage | None] = {}
+
+    def values(self) -> Sequence[BoundMessage]:
+        """All messages."""
+        return self._messages
+
+    def find(self, frame_id: int, extended: bool) -> BoundMessage | None:
+        """Message of a frame; None when nothing is bound to it."""
+        key = (frame_id, extended)
+        exact = self._exact.get(key)
+        if exact is not None or not self._masked:
+            return exact
+        try:
+            return self._found[key]
+        except KeyError:
+            pass
+        found = next(
+            (
+                message
+                for of_extended, mask, wanted, message in self._masked
+                if of_extended == extended and frame_id & mask == wanted
+            ),
+            None,
+        )
+        if len(self._found) < MOST_FOUND:
+            self._found[key] = found
+        return found
+
+
 def check(
     source: CanSource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
 ) -> None:
@@ -156,7 +212,7 @@ def check(
     bind(source, channels)
 
 
-def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> dict[FrameKey, BoundMessage]:
+def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> MessageTable:
     """Compile the channels of a source into the messages that must be decoded.
 
     Raises
@@ -165,7 +221,7 @@ def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> dict[FrameKey
         As `check`.
     """
     database = load_dbc(source)
-    bound: dict[FrameKey, BoundMessage] = {}
+    bound: dict[FrameKey, tuple[BoundMessage, int]] = {}
     seen: set[tuple[str, str]] = set()
     for binding in channels:
         config = binding.config
@@ -178,11 +234,17 @@ def bind(source: CanSource, channels: Sequence[ChannelBinding]) -> dict[FrameKey
         message = _message(database, config, where, source.dbc)
         signal = _signal(message, config, where)
         key = (message.frame_id, message.is_extended_frame)
-        entry = bound.setdefault(key, BoundMessage(message, [], None))
+        mask = _identifier_mask(message) if config.frame_id_mask is None else config.frame_id_mask
+        entry, known_mask = bound.setdefault(key, (BoundMessage(message, [], None), mask))
+        if known_mask != mask:
+            raise ConfigurationError(
+                f"{where}: frame_id_mask {mask:#x} differs from {known_mask:#x} of another channel "
+                f"of message {message.name!r}; expected the same"
+            )
         entry.signals.append(_bound_signal(binding, config, message, signal))
         if config.max_age_s is not None:
             entry.max_age_s = max(entry.max_age_s or 0.0, config.max_age_s)
-    return bound
+    return MessageTable(bound)
 
 
 def load_dbc(source: CanSource) -> Database:
@@ -247,6 +309,14 @@ def _bound_signal(
         highest=highest,
         valid_range=config.valid_range,
     )
+
+
+def _identifier_mask(message: Message) -> int:
+    """Bits of the identifier that name a message: for J1939 neither priority nor sender."""
+    if message.protocol != "j1939" or not message.is_extended_frame:
+        return ALL_IDENTIFIER_BITS
+    to_all = (message.frame_id >> 16 & 0xFF) >= FIRST_J1939_BROADCAST_FORMAT
+    return J1939_BROADCAST_MASK if to_all else J1939_ADDRESSED_MASK
 
 
 def _not_available(message: Message, signal: Signal) -> float:

@@ -8,13 +8,13 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import can
 
 from adapters.can.bus import close_bus, open_bus
 from adapters.can.config import CanSource
-from adapters.can.decoding import BoundMessage, FrameKey
+from adapters.can.decoding import MessageTable
 from adapters.drivers import Clock
 from adapters.samples import Sample
 
@@ -50,7 +50,7 @@ class Reader(threading.Thread):
     def __init__(
         self,
         source: CanSource,
-        messages: Mapping[FrameKey, BoundMessage],
+        messages: MessageTable,
         clock: Clock,
         notify: Callable[[], None],
     ) -> None:
@@ -157,7 +157,7 @@ class Reader(threading.Thread):
         if frame.is_error_frame or frame.is_remote_frame:
             self._count("error_frame" if frame.is_error_frame else "remote_frame")
             return
-        message = self._messages.get((frame.arbitration_id, frame.is_extended_id))
+        message = self._messages.find(frame.arbitration_id, frame.is_extended_id)
         if message is None:
             self._count("unknown_id")
             return

@@ -37,8 +37,38 @@ def decode_one(payload: bytes, **keys: Any) -> Sample:
 
 
 def test_standard_and_extended_frames_are_told_apart() -> None:
-    bound = bind(source(), [channel("speed_rpm", **SPEED), channel("load_n", **LOAD)])
-    assert set(bound) == {(0x100, False), (0x18FEF100, True)}
+    table = bind(source(), [channel("speed_rpm", **SPEED), channel("load_n", **LOAD)])
+    speed, load = table.values()
+    assert table.find(0x100, False) is speed
+    assert table.find(0x18FEF100, True) is load
+    assert table.find(0x100, True) is None
+    assert table.find(0x101, False) is None
+
+
+OIL = {"message": "EngineTemperature", "signal": "Oil"}
+
+
+def test_a_j1939_message_is_known_by_its_group_whoever_sends_it_however_urgently() -> None:
+    (oil,) = (table := bind(source(), [channel("t_node_1_c", **OIL)])).values()
+    frame_id = oil.message.frame_id
+    assert table.find(frame_id, True) is oil
+    assert table.find(frame_id | 0x2A, True) is oil  # another sender
+    assert table.find(frame_id & 0x03FFFFFF | 0x0C000000, True) is oil  # another priority
+    assert table.find(frame_id ^ 0x100, True) is None  # another group
+    assert table.find(frame_id & 0x7FF, False) is None
+
+
+def test_a_mask_says_which_bits_of_the_identifier_count() -> None:
+    masked = channel("speed_rpm", **SPEED, frame_id_mask=0x7F0)
+    table = bind(source(), [masked])
+    (speed,) = table.values()
+    for _ in range(2):
+        assert table.find(0x10F, False) is speed
+        assert table.find(0x110, False) is None
+    with pytest.raises(ConfigurationError, match="frame_id_mask"):
+        bind(source(), [masked, channel("phase", message="DriveStatus", signal="State")])
+    with pytest.raises(ValueError, match="frame_id_mask"):
+        channel("speed_rpm", **SPEED, frame_id_mask=0)
 
 
 def test_intel_and_motorola_signals_are_scaled() -> None:

@@ -1,0 +1,216 @@
+"""The replay driver."""
+
+import asyncio
+import logging
+import math
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from adapters.can.config import CanChannel, CanSource
+from adapters.can.decoding import bind
+from adapters.configuration import ConfigurationError, suggestion
+from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
+from adapters.replay.config import ReplayChannel, ReplaySource
+from adapters.replay.tables import open_table
+from adapters.samples import Batch, Quality, Sample, is_good
+
+logger = logging.getLogger(__name__)
+
+# At full speed: less than what ingest takes in, so that nothing is left behind.
+FAST_BATCH_SAMPLES = 5000
+FAST_PAUSE_WALL_S = 0.05
+REPEAT_PAUSE_S = 1.0  # process seconds between the end and the next beginning
+
+Event = tuple[int, list[Sample]]
+
+
+class ReplayDriver:
+    """Plays a recorded file, see `adapters.drivers.Driver`."""
+
+    def __init__(
+        self,
+        source: ReplaySource,
+        channels: Sequence[ChannelBinding],
+        plans: Sequence[PlanBinding],
+        clock: Clock,
+    ) -> None:
+        check(source, channels, plans)
+        self._source = source
+        self._channels = list(channels)
+        self._clock = clock
+        self._health = SourceHealth(source.name, "replay")
+
+    @property
+    def name(self) -> str:
+        """The source's name in the configuration."""
+        return self._source.name
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._health.up = False
+
+    def health(self) -> SourceHealth:
+        """Tell how far the file has been played."""
+        return self._health
+
+    async def batches(self) -> AsyncIterator[Batch]:
+        """Yield what is due; when the file has ended, wait for ever or begin again."""
+        self._health.up, self._health.detail = True, "ok"
+        while True:
+            async for batch in self._once():
+                self._health.samples += len(batch.samples)
+                self._health.polls += 1
+                good = [one.time_us for one in batch.samples if is_good(one.quality)]
+                self._health.last_good_us = max(good, default=self._health.last_good_us)
+                yield batch
+            if not self._source.repeat:
+                break
+            await self._clock.sleep(REPEAT_PAUSE_S)
+        logger.info("source %s: %s has ended", self.name, self._source.file)
+        self._health.up, self._health.detail = False, "the file has ended"
+        await asyncio.Event().wait()
+
+    async def _once(self) -> AsyncIterator[Batch]:
+        speed = self._source.speed
+        began_us, first_us = self._clock.now_us(), None
+        waiting: list[Sample] = []
+        with _events(self._source, self._channels) as events:
+            for time_us, samples in events:
+                if not samples:
+                    continue
+                if speed == 0.0:
+                    waiting += samples
+                    if len(waiting) >= FAST_BATCH_SAMPLES:
+                        yield Batch(waiting)
+                        waiting = []
+                        await asyncio.sleep(FAST_PAUSE_WALL_S)
+                    continue
+                first_us = time_us if first_us is None else first_us
+                due_us = began_us + round((time_us - first_us) / speed)
+                ahead_s = (due_us - self._clock.now_us()) / 1e6
+                if ahead_s > 0.0:
+                    if waiting:
+                        yield Batch(waiting)
+                        waiting = []
+                    await self._clock.sleep(ahead_s)
+                waiting += [one._replace(time_us=due_us, received_us=due_us) for one in samples]
+        if waiting:
+            yield Batch(waiting)
+
+
+def check(
+    source: ReplaySource, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
+) -> None:
+    """Check a file with everything bound to it.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or a column, message or signal is not in it; or a plan, which a
+        file cannot carry.
+    """
+    if plans:
+        raise ConfigurationError(
+            f"plan of {plans[0].asset}: source {source.name!r} is a file, "
+            "a plan needs a Modbus source"
+        )
+    for binding in channels:
+        config = _config(binding)
+        if source.is_can_log != (config.column is None):
+            expected = "message and signal" if source.is_can_log else "column"
+            raise ConfigurationError(
+                f"channel {binding.asset}/{binding.channel}: expected {expected}, since source "
+                f"{source.name!r} plays {source.file.name!r}"
+            )
+    try:
+        with source.file.open("rb"):
+            pass
+    except OSError as error:
+        raise ConfigurationError(
+            f"source {source.name!r}: file {str(source.file)!r} cannot be read: {error.strerror}"
+        ) from None
+    if source.is_can_log:
+        bind(*_as_can(source, channels))
+        return
+    with open_table(source.file) as (columns, _):
+        for binding in channels:
+            column = _config(binding).column or ""
+            if columns is not None and column not in columns:
+                raise ConfigurationError(
+                    f"channel {binding.asset}/{binding.channel}: column {column!r} is not in "
+                    f"{source.file.name!r}; {suggestion(column, columns)}"
+                )
+
+
+@contextmanager
+def _events(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterator[Iterator[Event]]:
+    if source.is_can_log:
+        yield _frames(source, channels)
+        return
+    by_column: dict[str, list[ChannelBinding]] = {}
+    for binding in channels:
+        by_column.setdefault(_config(binding).column or "", []).append(binding)
+    with open_table(source.file) as (_, rows):
+        yield (
+            (
+                time_us,
+                [
+                    _sample(binding, time_us, *cell)
+                    for column, cell in cells.items()
+                    for binding in by_column.get(column, ())
+                ],
+            )
+            for time_us, cells in rows
+        )
+
+
+def _sample(binding: ChannelBinding, time_us: int, value: float, quality: int) -> Sample:
+    config = _config(binding)
+    value = value * config.scale + config.offset
+    limits = config.valid_range
+    if is_good(quality) and limits is not None and not limits[0] <= value <= limits[1]:
+        quality = int(Quality.EU_EXCEEDED)
+    return Sample(binding.asset, binding.channel, time_us, value, quality, time_us)
+
+
+def _frames(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterator[Event]:
+    import can
+
+    messages = bind(*_as_can(source, channels))
+    with can.LogReader(source.file) as log:
+        for frame in log:
+            message = messages.find(frame.arbitration_id, frame.is_extended_id)
+            usable = not (frame.is_error_frame or frame.is_remote_frame)
+            if message is not None and usable and math.isfinite(frame.timestamp):
+                time_us = round(frame.timestamp * 1e6)
+                yield time_us, message.decode(frame.data, time_us)
+
+
+def _as_can(
+    source: ReplaySource, channels: Sequence[ChannelBinding]
+) -> tuple[CanSource, list[ChannelBinding]]:
+    """The same as if the frames came from a bus."""
+    bus = CanSource(name=source.name, interface="virtual", channel="", dbc=source.dbc or Path())
+    bound = []
+    for binding in channels:
+        keys = _config(binding).model_dump(include=set(CanChannel.model_fields))
+        bound.append(
+            ChannelBinding(binding.asset, binding.channel, CanChannel.model_validate(keys))
+        )
+    return bus, bound
+
+
+def _config(binding: ChannelBinding) -> ReplayChannel:
+    if not isinstance(binding.config, ReplayChannel):
+        raise TypeError(f"{binding.asset}/{binding.channel}: expected a ReplayChannel")
+    return binding.config
