@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.labels import forecast_labels
+from twin_core.forecasting.paths import add_deviations, gather_members, net_heat_range
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
-from twin_core.network_model import ErrorModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.parameters import ParameterSet
 from twin_core.process_noise import hidden_spread
@@ -224,21 +224,33 @@ def forecast(
     readings = _lagging(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
-    deviation = _deviation(rng, members, profile.time_s, len(sensors), model.errors)
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
     beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
-    readings += deviation * np.hypot(1.0, LOAD_DEVIATION * beyond[:, None] * rise_c / DEVIATION_K)
-    readings += SENSOR_OFFSET_K * paired_draws(rng, members, (1, len(sensors)))
-    nodes = temperatures + _deviation(
-        rng, members, profile.time_s, temperatures.shape[2], model.errors
+    keep = np.exp(-np.diff(profile.time_s) / model.errors.slow_s)
+    shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
+    add_deviations(
+        readings,
+        rng.standard_normal((members // 2, keep.size, len(sensors))),
+        keep,
+        shock,
+        np.hypot(1.0, LOAD_DEVIATION * beyond[:, None] * rise_c / DEVIATION_K),
+        SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),)),
+        np.ones(profile.size),
     )
+    normal = rng.standard_normal((members // 2, keep.size, temperatures.shape[2]))
     # What a sensor of the same name will read stands for the node as well.
     others = [k for k, name in enumerate(model.node_names) if name not in sensors]
     hidden = paired_draws(rng, members, (temperatures.shape[2],)) @ hidden_spread(model, best).T
-    nodes += hidden[:, None, :] * _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))[:, None]
+    growth = _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))
+    nodes, even = temperatures, np.ones(temperatures.shape[1:])
+    add_deviations(nodes, normal, keep, shock, even, hidden, growth)
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
-    quantiles = _quantiles(np.concatenate((noisy, nodes[:, :, others]), axis=2))
+    # In the order in which they are sorted: row, name, member.
+    ordered = np.empty((profile.size, len(sensors) + len(others), members))
+    gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
+    gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
+    quantiles = _quantiles(ordered)
     runaway = failed | np.any(readings > RUNAWAY_C, axis=(1, 2))
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
@@ -276,12 +288,20 @@ def imbalance_w(
     """
     capacity = kernels.bind_network(model.compiled, best)[0]
     net_w = heat_balance_w(model, best, state_c, *operating_point, revolutions)[0]
-    heat_w = np.empty(start_c.shape)
-    for member, own in enumerate(values):
-        own_w = heat_balance_w(model, own, start_c[member], *operating_point, revolutions)[0]
-        own_capacity = kernels.bind_network(model.compiled, own)[0]
-        heat_w[member] = net_w * own_capacity / capacity - own_w
-    return heat_w
+    own_w, own_capacity = np.empty(start_c.shape), np.empty(start_c.shape)
+    speed_rpm, load_n, ambient_c = operating_point
+    net_heat_range(
+        model.compiled,
+        values,
+        start_c,
+        abs(float(speed_rpm)),
+        max(float(load_n), 0.0),
+        float(ambient_c),
+        float(revolutions),
+        own_w,
+        own_capacity,
+    )
+    return np.asarray(net_w * own_capacity / capacity - own_w)
 
 
 def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:
@@ -316,22 +336,10 @@ def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:
     return np.asarray((1.0 - share) * paths[:, before] + share * paths[:, after])
 
 
-def _deviation(
-    rng: np.random.Generator, members: int, time_s: FloatArray, count: int, errors: ErrorModel
-) -> FloatArray:
-    """First-order random deviation (members, n, count) in K that begins at zero."""
-    deviation = np.zeros((members, time_s.size, count))
-    keep = np.exp(-np.diff(time_s) / errors.slow_s)
-    shocks = DEVIATION_K * errors.scale * np.sqrt(1.0 - keep**2)
-    normal = paired_draws(rng, members, (keep.size, count))
-    for row in range(keep.size):
-        deviation[:, row + 1] = keep[row] * deviation[:, row] + shocks[row] * normal[:, row]
-    return deviation
-
-
 def _quantiles(values: FloatArray) -> FloatArray:
-    """Quantiles (5, ...) over the members, linear between order statistics."""
-    ordered = np.sort(np.ascontiguousarray(values.transpose(1, 2, 0)), axis=-1)
+    """Quantiles (5, ...) of values (..., members), which end up sorted; linear in between."""
+    ordered = values
+    ordered.sort(axis=-1)
     position = np.array(QUANTILE_LEVELS) * (ordered.shape[-1] - 1)
     below = np.floor(position).astype(np.intp)
     weight = position - below

@@ -1,0 +1,67 @@
+"""What is added to the paths of an ensemble, in one pass over them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.simulation.assembly import bind_network, heat_balance
+from twin_core.simulation.compiling import compiled
+
+FloatArray = NDArray[np.float64]
+
+
+@compiled
+def add_deviations(
+    paths: FloatArray,
+    normal: FloatArray,
+    keep: FloatArray,
+    shock: FloatArray,
+    widening: FloatArray,
+    lasting: FloatArray,
+    growth: FloatArray,
+) -> None:
+    """Add first-order random deviations that begin at zero, and lasting ones that grow.
+
+    paths (members, n, k), changed in place; normal (members / 2, n - 1, k) standard normal
+    numbers, of which the second half of the members takes the negative ones; keep and shock
+    (n - 1,) what is left after a step and what is new; widening (n, k) a factor of the deviation;
+    lasting (members, k) times growth (n,) is added too.
+    """
+    members, rows, count = paths.shape
+    half = members // 2
+    state = np.empty(count)
+    for member in range(members):
+        sign, source = (1.0, member) if member < half else (-1.0, member - half)
+        state[:] = 0.0
+        for row in range(rows):
+            if row > 0:
+                for k in range(count):
+                    new = sign * shock[row - 1] * normal[source, row - 1, k]
+                    state[k] = keep[row - 1] * state[k] + new
+            for k in range(count):
+                paths[member, row, k] += (
+                    widening[row, k] * state[k] + growth[row] * lasting[member, k]
+                )
+
+
+@compiled
+def net_heat_range(  # type: ignore[no-untyped-def]
+    net, values, temperatures, speed, load, ambient, revolutions, flow, capacity
+):
+    """Net heat flow into every node in W and the nodes' capacities in J/K, of every member.
+
+    values (members, p), temperatures, flow and capacity (members, nodes), the last two filled.
+    """
+    for member in range(values.shape[0]):
+        flow[member] = heat_balance(
+            net, values[member], temperatures[member], speed, load, ambient, revolutions
+        )[0]
+        capacity[member] = bind_network(net, values[member])[0]
+
+
+@compiled
+def gather_members(paths: FloatArray, columns: NDArray[np.int64], out: FloatArray) -> None:
+    """Fill out (n, columns, members) with columns of paths (members, n, k), row by row."""
+    for row in range(paths.shape[1]):
+        for member in range(paths.shape[0]):
+            for place in range(columns.size):
+                out[row, place, member] = paths[member, row, columns[place]]
