@@ -140,13 +140,17 @@ def hold_operating_point(
     # The last row marks the end and has no duration; any weight serves it.
     weight = np.append(np.diff(profile.time_s), 1.0)
     held_speed, held_load = speed.copy(), load.copy()
+    speeds, loads, weights = speed.tolist(), load.tolist(), weight.tolist()
     first = 0
-    speed_run = _Run(float(speed[0]), float(weight[0]))
-    load_run = _Run(float(load[0]), float(weight[0]))
+    speed_run, load_run = _Run(speeds[0], weights[0]), _Run(loads[0], weights[0])
     for row in range(1, profile.size + 1):
         if row < profile.size:
-            with_speed = speed_run.extended(float(speed[row]), float(weight[row]))
-            with_load = load_run.extended(float(load[row]), float(weight[row]))
+            if speed_run.is_only(speeds[row]) and load_run.is_only(loads[row]):
+                speed_run.weight += weights[row]
+                load_run.weight += weights[row]
+                continue
+            with_speed = speed_run.extended(speeds[row], weights[row])
+            with_load = load_run.extended(loads[row], weights[row])
             if with_speed.is_within(speed_fraction, speed_tolerance_rpm) and with_load.is_within(
                 load_fraction, load_tolerance_n
             ):
@@ -156,8 +160,8 @@ def hold_operating_point(
         held_load[first:row] = load_run.mean
         if row < profile.size:
             first = row
-            speed_run = _Run(float(speed[row]), float(weight[row]))
-            load_run = _Run(float(load[row]), float(weight[row]))
+            speed_run = _Run(speeds[row], weights[row])
+            load_run = _Run(loads[row], weights[row])
     return OperatingProfile(profile.time_s, held_speed, held_load, profile.ambient_c)
 
 
@@ -178,6 +182,10 @@ class _Run:
         total = self.weight + weight
         mean = self.mean + (value - self.mean) * weight / total
         return _Run(mean, total, min(self.low, value), max(self.high, value))
+
+    def is_only(self, value: float) -> bool:
+        """Whether the run has held nothing but this value, as planned profiles do."""
+        return self.low == self.high == value
 
     def is_within(self, fraction: float, constant: float) -> bool:
         tolerance = fraction * self.mean + constant
