@@ -202,7 +202,7 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
             found.append(len(resistances) / sum(resistances))
         else:
             found.append(sum(of_group[one.group]))
-    return np.maximum(np.array(found), _SMALLEST)
+    return np.asarray(np.maximum(np.array(found), _SMALLEST))
 
 
 def log_gradient(
