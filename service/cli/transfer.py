@@ -62,7 +62,7 @@ def import_(
             store,
             mapping=mapping,
             start_us=start_us,
-            more_channels=channels,
+            own_channels=channels,
             now_us=ProcessClock().now_us(),
             progress=stack.enter_context(_progress_bar(f"import {file.name}")),
         )
@@ -143,15 +143,18 @@ def export(
         typer.echo(f"{out}: {rows} rows.")
 
 
-def _channels(settings: Settings, asset: str) -> list[str]:
-    """Channels of an asset; of any asset, when the configuration has none."""
-    if not settings.assets:
-        return []
+def _channels(settings: Settings, asset: str) -> list[str] | None:
+    """Channels of an asset with a network of its own; None for others.
+
+    Without any asset in the configuration every name is taken.
+    """
     for one in settings.assets:
         if one.id == asset:
-            return list(one.channels)
-    known = ", ".join(one.id for one in settings.assets)
-    raise SettingsError(f"--asset {asset}: no such asset; expected one of {known}")
+            return None if one.network is None else list(one.channels)
+    if settings.assets:
+        known = ", ".join(one.id for one in settings.assets)
+        raise SettingsError(f"--asset {asset}: no such asset; expected one of {known}")
+    return None
 
 
 def _time_us(option: str, text: str) -> int:

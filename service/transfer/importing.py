@@ -67,7 +67,7 @@ def import_file(
     *,
     mapping: Path | None = None,
     start_us: int | None = None,
-    more_channels: Sequence[str] = (),
+    own_channels: Sequence[str] | None = None,
     now_us: int,
     progress: Progress,
 ) -> ImportReport:
@@ -85,8 +85,8 @@ def import_file(
         Mapping file, if the columns do not carry the names of channels.
     start_us
         What a column of seconds counts from, UTC microseconds.
-    more_channels
-        Channels that the asset has besides those of every bearing.
+    own_channels
+        Channels of an asset with a network of its own; None for a bearing.
     now_us
         Receipt time of the samples, UTC microseconds.
     progress
@@ -104,7 +104,7 @@ def import_file(
     delimiter = "," if plan is None else plan.delimiter
     report = ImportReport()
     with open_rows(path, delimiter) as (columns, rows):
-        layout = layout_of(path.name, columns, plan, more_channels)
+        layout = layout_of(path.name, columns, plan, own_channels)
         if layout.seconds and start_us is None:
             raise TransferError(
                 f"{path.name}: {layout.time} counts seconds; expected --start with the time of 0 s"

@@ -96,7 +96,7 @@ def read_mapping(path: Path) -> Mapping:
 
 
 def layout_of(
-    file: str, columns: Sequence[str], mapping: Mapping | None, more_channels: Sequence[str]
+    file: str, columns: Sequence[str], mapping: Mapping | None, own_channels: Sequence[str] | None
 ) -> Layout:
     """Find out how a file with these columns is read.
 
@@ -108,8 +108,8 @@ def layout_of(
         Names of its columns.
     mapping
         What the user says of them; None takes them by their names.
-    more_channels
-        Further channels that the asset has.
+    own_channels
+        Channels of an asset with a network of its own; None for a bearing in the 14-node network.
 
     Raises
     ------
@@ -139,13 +139,17 @@ def layout_of(
             if name not in (*times, *_LONG, "quality"):
                 raise wrong(f"unknown column {name!r}; expected time, channel, value, quality")
         return layout
-    for name in REQUIRED:
+    required = REQUIRED if own_channels is None else tuple(own_channels)
+    expected = f"time or time_s, {', '.join(required)}"
+    if own_channels is None:
+        expected += f" and {_NODES[0]} to {_NODES[-1]}"
+    for name in required:
         if name not in columns:
-            raise wrong(f"missing column {name!r}; expected {_HEADER}, or a mapping")
+            raise wrong(f"missing column {name!r}; expected {expected}, or a mapping")
     for name in columns:
         if name not in times:
-            if name not in (*REQUIRED, *_NODES, *more_channels):
-                raise wrong(f"unknown column {name!r}; expected {_HEADER}, or a mapping")
+            if name not in required and (name not in _NODES or own_channels is not None):
+                raise wrong(f"unknown column {name!r}; expected {expected}, or a mapping")
             layout.channels[name] = ChannelColumn(column=name)
     return layout
 

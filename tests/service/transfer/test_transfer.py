@@ -250,3 +250,33 @@ def test_an_asset_that_is_not_configured_is_named(tmp_path: Path) -> None:
     path = table(tmp_path, f"{START},1500,2650,21.5,40.1,38.2")
     result = CliRunner().invoke(app, ["import", str(path), "-c", str(config), "--asset", "b"])
     assert "--asset b: no such asset; expected one of a" in str(result.exception)
+
+
+def test_an_asset_with_its_own_network_has_its_own_columns(tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    networks = Path(__file__).parents[3] / "deploy" / "networks"
+    config.write_text(
+        f"""
+[service]
+data_dir = "data"
+[[assets]]
+id = "g"
+network = "{networks / "gearbox.toml"}"
+low_risk = {{ speed_rpm_max = 1000, load_n_max = 3000 }}
+[assets.channels]
+speed_rpm = {{ source = "push" }}
+load_n = {{ source = "push" }}
+ambient_c = {{ source = "push" }}
+t_bearing_c = {{ source = "push" }}
+"""
+    )
+
+    def run(path: Path) -> str:
+        arguments = ["import", str(path), "-c", str(config), "--asset", "g"]
+        result = CliRunner().invoke(app, arguments)
+        return str(result.exception or result.stdout)
+
+    header = "time,speed_rpm,load_n,ambient_c,t_bearing_c"
+    assert "4 stored" in run(table(tmp_path, f"{START},1500,2650,21.5,40.1", header=header))
+    wrong = table(tmp_path, f"{START},1500,2650,21.5,40.1", header=HEADER)
+    assert "missing column 't_bearing_c'" in run(wrong)
