@@ -266,7 +266,7 @@ DEFAULT_PARAMETERS = (
         0.0,
         0.8,
     ),
-    Parameter("b", "-", "viscous friction: exponent of load", "linear", 0.36, 0.22),
+    Parameter("b", "-", "viscous friction: exponent of load", "linear", 0.33, 0.25),
     Parameter("c", "-", "load-dependent friction: exponent of load", "linear", 1.60, 0.08),
     Parameter("A", "-", "running-in: excess friction of fresh grease", "log", 0.12, 0.8),
     Parameter("Nr", "rev", "running-in: revolutions to 1/e", "log", 1.0e6, 0.7),
