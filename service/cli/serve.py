@@ -1,6 +1,7 @@
 """``bearing-twin serve``: the service of one configuration file."""
 
 import asyncio
+import gc
 from pathlib import Path
 from typing import Annotated
 
@@ -32,4 +33,7 @@ async def _serve(settings: Settings) -> None:
     # Imported here: the compiled twin takes a second to load, which no other command should pay.
     from service import app
 
+    # What has been loaded stays: a garbage collection need not look through it while samples,
+    # of which every one is an object, come and go.
+    gc.freeze()
     await app.serve(settings, announce=lambda address: typer.echo(address), stop=stop)

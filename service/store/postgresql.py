@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import psycopg
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError
@@ -26,7 +27,7 @@ CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
 (channel_id integer, time_us bigint, value double precision, quality smallint)
 ON COMMIT DELETE ROWS
 """
-_COPY = "COPY incoming_samples (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
+_COPY = "COPY {} (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
 _COPIED_TYPES = ("int4", "int8", "float8", "int2")
 #: See the same statement for SQLite.
 _UPSERT = f"""
@@ -80,20 +81,33 @@ def _upsert_samples(
             partitions.add(number)
         else:  # not remembered until it is found: this transaction may be rolled back
             _make_partition(connection, number)
-    once, replaced = _each_once(rows)
-    twice = sum(not _is_stored(connection, key) for key in replaced)
     cursor: Any = connection.connection.cursor()
     try:
+        # Nearly always all are new. A batch with some that are not is sent a second time.
+        cursor.execute("SAVEPOINT copied")
+        try:
+            _copy(cursor, "samples", rows)
+        except psycopg.errors.UniqueViolation:
+            cursor.execute("ROLLBACK TO SAVEPOINT copied")
+        else:
+            cursor.execute("RELEASE SAVEPOINT copied")
+            return len(rows)
+        once, replaced = _each_once(rows)
+        twice = sum(not _is_stored(connection, key) for key in replaced)
         cursor.execute(_INCOMING)
-        with cursor.copy(_COPY) as copy:
-            copy.set_types(_COPIED_TYPES)
-            for row in once:
-                copy.write_row(row)
+        _copy(cursor, "incoming_samples", once)
         # Row by row, a bad value and then a good one of a new time are two changes.
         cursor.execute(_UPSERT)
         return int(cursor.rowcount) + twice
     finally:
         cursor.close()
+
+
+def _copy(cursor: Any, table: str, rows: Iterable[SampleColumns]) -> None:
+    with cursor.copy(_COPY.format(table)) as copy:
+        copy.set_types(_COPIED_TYPES)
+        for row in rows:
+            copy.write_row(row)
 
 
 def _is_stored(connection: Connection, key: tuple[int, int]) -> bool:

@@ -2,8 +2,9 @@
 
 import heapq
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from operator import itemgetter
+from typing import NoReturn
 
 from sqlalchemy import Connection, func, insert, select, text
 
@@ -53,18 +54,31 @@ class Samples(Section):
         """
         if not samples:
             return WriteCounts(0, 0)
-        for sample in samples:
-            if not (0 <= sample.time_us < _LONG and 0 <= sample.quality <= 255):
-                raise ValueError(f"sample {sample}: expected a time after 1970 and a quality byte")
-        names = {(sample.asset, sample.channel) for sample in samples}
+        assets, channels, times_us, values, qualities, _ = zip(*samples, strict=True)
+        if not (
+            min(times_us) >= 0
+            and max(times_us) < _LONG
+            and min(qualities) >= 0
+            and max(qualities) <= 255
+        ):
+            _refuse(samples)
+        first_us, last_us = min(times_us), max(times_us)
+        missing = set(zip(assets, channels, strict=True)) - self._ids.keys()
         with self._database.writing(patience_s) as connection:
             ids = self._ids
-            if missing := names - ids.keys():
+            if missing:
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
+            numbers = [ids[name] for name in zip(assets, channels, strict=True)]
+            rows = _rows(numbers, times_us, values, qualities)
             horizon_us = raw_horizon_us(connection)
-            rows = [row for row in _rows(samples, ids) if row[1] >= horizon_us]
+            if first_us < horizon_us:
+                rows = [row for row in rows if row[1] >= horizon_us]
             stored = self._database.dialect.upsert_samples(connection, rows) if rows else 0
-            hours = {(row[0], row[1] - row[1] % HOUR_US) for row in rows}
+            hour_us = max(first_us, horizon_us) // HOUR_US * HOUR_US
+            if last_us < hour_us + HOUR_US:  # as nearly always
+                hours = {(row[0], hour_us) for row in rows}
+            else:
+                hours = {(row[0], row[1] - row[1] % HOUR_US) for row in rows}
             if fresh := hours - self._stale:
                 _mark_stale(connection, fresh)
         # Only now: had the transaction failed, neither channels nor marks would be there.
@@ -267,11 +281,25 @@ def _mark_stale(connection: Connection, hours: Iterable[tuple[int, int]]) -> Non
     )
 
 
-def _rows(samples: Iterable[Sample], ids: dict[tuple[str, str], int]) -> Iterator[SampleColumns]:
+def _rows(
+    ids: Iterable[int], times_us: Sequence[int], values: Sequence[float], qualities: Sequence[int]
+) -> list[SampleColumns]:
     isfinite = math.isfinite
-    for asset, channel, time_us, value, quality, _ in samples:
-        if isfinite(value):
-            yield ids[asset, channel], time_us, value, int(quality)
-        else:
-            kept = Quality.BAD if is_good(quality) else quality
-            yield ids[asset, channel], time_us, None, int(kept)
+    if all(map(isfinite, values)):
+        # Plain integers: a database driver takes its time over other kinds.
+        return list(zip(ids, times_us, values, map(int, qualities), strict=True))
+    return [
+        (channel_id, time_us, value, int(quality))
+        if isfinite(value)
+        else (channel_id, time_us, None, int(Quality.BAD if is_good(quality) else quality))
+        for channel_id, time_us, value, quality in zip(
+            ids, times_us, values, qualities, strict=True
+        )
+    ]
+
+
+def _refuse(samples: Iterable[Sample]) -> NoReturn:
+    wrong = next(
+        one for one in samples if not (0 <= one.time_us < _LONG and 0 <= one.quality <= 255)
+    )
+    raise ValueError(f"sample {wrong}: expected a time after 1970 and a quality byte")
