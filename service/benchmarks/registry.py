@@ -11,6 +11,12 @@ BENCHMARKS = {
     "identify_15_parameters": "service.benchmarks.identification:identify_15_parameters",
     "identify_default_model": "service.benchmarks.identification:identify_default_model",
     "forecast_ensemble": "service.benchmarks.forecasts:forecast_ensemble",
+    "ingest_sqlite": "service.benchmarks.ingest:ingest_sqlite",
+    "ingest_postgresql": "service.benchmarks.ingest:ingest_postgresql",
+    "can_frames": "service.benchmarks.wires:can_frames",
+    "modbus_reads": "service.benchmarks.wires:modbus_reads",
+    "query_auto": "service.benchmarks.history:query_auto",
+    "bytes_per_sample": "service.benchmarks.history:bytes_per_sample",
 }
 """Where each one is: ``module:function``; imported only when it runs."""
 
