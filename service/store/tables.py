@@ -49,7 +49,10 @@ class ChannelRow(Base):
 
 
 class SampleRow(Base):
-    """One raw sample; a time can be sent again and is still stored once."""
+    """One raw sample; a time can be sent again and is still stored once.
+
+    PostgreSQL does not hold the channel against the table of channels, see migration 0003.
+    """
 
     __tablename__ = "samples"
     __table_args__ = ({"sqlite_with_rowid": False, "postgresql_partition_by": "RANGE (time_us)"},)
