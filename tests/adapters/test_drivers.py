@@ -12,7 +12,7 @@ from adapters.samples import Quality, is_bad, is_good
 def test_an_unknown_driver_names_the_known() -> None:
     with pytest.raises(UnknownDriverError, match=r"'modbus-udp'.*'modbus-tcp'"):
         driver_spec("modbus-udp")
-    with pytest.raises(UnknownDriverError, match=r"'x'.*can, modbus-tcp"):
+    with pytest.raises(UnknownDriverError, match=r"'x'.*can, modbus-rtu, modbus-tcp, replay"):
         driver_spec("x")
 
 
@@ -75,6 +75,8 @@ def test_modbus_defaults() -> None:
 def test_every_source_model_takes_its_driver_name() -> None:
     sources = {
         "modbus-tcp": {"host": "127.0.0.1"},
+        "modbus-rtu": {"device": "/dev/ttyS0"},
+        "replay": {"file": "run.csv"},
         "can": {"channel": "can0", "dbc": "bench.dbc", "interface": "socketcan", "bitrate": 5},
     }
     assert set(sources) == set(DRIVERS)

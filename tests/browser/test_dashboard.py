@@ -211,7 +211,7 @@ def test_a_viewer_sees_everything_and_changes_nothing(
     page = context.new_page()
     page.goto(f"http://127.0.0.1:{site.port}/#key={key}")
     expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe|At rest"))
-    assert page.locator("nav.tabs a").all_inner_texts() == ["Operator"]
+    assert page.locator("nav.tabs a").all_inner_texts() == ["Operator", "Envelope"]
 
 
 def test_lost_bench_shows_as_unknown_and_its_alarm_is_acknowledged(
