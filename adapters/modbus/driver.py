@@ -101,6 +101,7 @@ class ModbusDriver:
         maps = compile_units(source, channels, plans, clock.rate)
         last_s = RECONNECT_LAST_S if len(maps) == 1 else SILENT_UNIT_LAST_S
         self._units = [_Unit(unit, Backoff(RECONNECT_FIRST_S, last_s)) for unit in maps]
+        self._read: list[UnitMap] = []  # and not evaluated yet
         self._health = SourceHealth(source.name, source.driver)
         self._link_problem = "not connected yet"
         self._plan_problem = ""
@@ -197,12 +198,17 @@ class ModbusDriver:
         samples: list[Sample] = []
         plans: list[PlannedProfile] = []
         answered = False
+        loop = asyncio.get_running_loop()
+        self._read.clear()  # what a cancelled cycle may have left
         for unit in self._units:
             if unit.silent and not self._is_due_on_this_link(unit):
                 continue
+            # Called while the request to this unit is on its way: its turn comes at the first wait.
+            loop.call_soon(self._evaluate, samples)
             answered |= await self._poll_unit(unit, samples)
             if not self._link.connected and not await self._connect():
                 break
+        self._evaluate(samples)
         if self._link.connected and started >= self._plans_due:
             self._plans_due = started + PLAN_INTERVAL_S
             await self._read_plans(plans)
@@ -265,9 +271,15 @@ class ModbusDriver:
             unit.silent = ""
         unit.backoff.reset()
         unit.lost = False
-        samples += [self._sample(point) for point in unit.map.points]
-        self._health.samples += len(unit.map.points)
+        self._read.append(unit.map)
         return True
+
+    def _evaluate(self, samples: list[Sample]) -> None:
+        """Make samples of the units that have been read since the last time."""
+        while self._read:
+            points = self._read.pop(0).points
+            samples += [self._sample(point) for point in points]
+            self._health.samples += len(points)
 
     def _silence(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
         """Leave a unit out for a while and mark the gap in its channels."""
@@ -275,6 +287,7 @@ class ModbusDriver:
             logger.warning("source %s: unit %d: %s", self.name, unit.map.unit, reason)
         unit.silent = reason
         unit.retry_at = time.monotonic() + unit.backoff.next()
+        self._evaluate(samples)
         samples += self._lose(unit)
 
     def _lose_everything(self) -> list[Sample]:
@@ -395,7 +408,5 @@ async def _answers(link: Link, unit: UnitMap) -> bool:
 
 def _stamped(point: Point, time_us: int, value: float, quality: Quality) -> Sample:
     """Make a sample whose time is not the channel's last one."""
-    point.last_time_us = next_time_us(point.last_time_us, time_us)
-    return Sample(
-        point.asset, point.channel, point.last_time_us, value, int(quality), point.last_time_us
-    )
+    stamp_us = point.last_time_us = next_time_us(point.last_time_us, time_us)
+    return Sample(point.asset, point.channel, stamp_us, value, int(quality), stamp_us)
