@@ -119,7 +119,7 @@ def _decode_alone(seconds: float) -> float:
             return float(received / (time.monotonic() - began))
 
 
-def modbus_reads(tell: Progress, *, duration_s: float = 30.0) -> Measurement:
+def modbus_reads(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
     """Reads/s of 32 units behind one gateway, and what one dead unit costs the others."""
     return asyncio.run(_modbus_reads(tell, duration_s))
 
@@ -130,8 +130,8 @@ async def _modbus_reads(tell: Progress, duration_s: float) -> Measurement:
     with peers.running("modbus") as peer:
         for number in range(rounds):  # in turn, as the machine may have other things to do
             tell(0.5 * number / rounds, "32 units, driver and client in turn")
-            ours += await _driver_reads(peer.port, duration_s / rounds)
-            alone += await _client_reads(peer.port, duration_s / rounds)
+            ours += await _driver_reads(peer.port, duration_s / rounds / 2)
+            alone += await _client_reads(peer.port, duration_s / rounds / 2)
         tell(0.5, "10 polls/s, all units alive")
         alive = await _paced_reads(peer, duration_s, dead=None)
         tell(0.75, "10 polls/s, one unit dies")
