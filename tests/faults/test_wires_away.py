@@ -1,0 +1,187 @@
+"""What a Modbus server and a clock can do to the driver, each with a real server."""
+
+import asyncio
+import math
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from pymodbus.constants import ExcCodes
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from adapters.drivers import ChannelBinding
+from adapters.modbus.config import ModbusChannel, ModbusTcpSource
+from adapters.modbus.driver import ModbusDriver
+from adapters.samples import Quality, Sample
+from service.clock import ProcessClock
+
+pytestmark = pytest.mark.wires
+
+VALUE = 215.0
+
+
+class SteppedClock(ProcessClock):
+    """A system clock that an administrator sets."""
+
+    step_us = 0
+
+    def now_us(self) -> int:
+        return super().now_us() + self.step_us
+
+
+class Line:
+    """A driver that reads one register, and what it has handed over."""
+
+    def __init__(self, port: int) -> None:
+        self.clock = SteppedClock()
+        source = ModbusTcpSource(
+            name="s", host="127.0.0.1", port=port, poll_interval_s=0.05, timeout_s=0.3
+        )
+        channel = ModbusChannel.model_validate({"source": "s", "register": 0, "kind": "holding"})
+        self.driver = ModbusDriver(source, [ChannelBinding("a", "c", channel)], [], self.clock)
+        self.samples: list[Sample] = []
+
+    async def run(self) -> None:
+        async with self.driver:
+            async for batch in self.driver.batches():
+                self.samples += batch.samples
+
+    async def until(self, quality: int, count: int = 1) -> None:
+        """Wait for so many further samples of a quality."""
+        end = time.monotonic() + 10
+        begin = len(self.samples)
+        while sum(one.quality == quality for one in self.samples[begin:]) < count:
+            assert time.monotonic() < end, (quality, self.driver.health())
+            await asyncio.sleep(0.01)
+
+
+@contextmanager
+def listening(port: int) -> Iterator[subprocess.Popen[str]]:
+    """Serve register 0 from a process of its own."""
+    script = f"""
+from pyModbusTCP.server import DataBank, ModbusServer
+bank = DataBank(h_regs_size=4)
+bank.set_holding_registers(0, [{int(VALUE)}, 2, 3, 4])
+server = ModbusServer(host="127.0.0.1", port={port}, no_block=True, data_bank=bank)
+server.start()
+print("listening", flush=True)
+import threading
+threading.Event().wait()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "listening\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def some_port() -> int:
+    while True:
+        port = random.randrange(20_000, 32_000)
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        return port
+
+
+def assert_sound(samples: list[Sample]) -> None:
+    assert {one.value for one in samples if one.quality >= 64} == {VALUE}
+    assert all(math.isnan(one.value) for one in samples if one.quality < 64)
+    assert len({one.time_us for one in samples}) == len(samples)
+
+
+async def test_a_frozen_server_gives_one_bad_sample_and_comes_back() -> None:
+    port = some_port()
+    with listening(port) as server:
+        line = Line(port)
+        task = asyncio.create_task(line.run())
+        await line.until(Quality.GOOD, 3)
+        for _ in range(2):
+            os.kill(server.pid, signal.SIGSTOP)
+            await line.until(Quality.COMM_FAILURE)
+            count = len(line.samples)
+            await asyncio.sleep(0.5)
+            assert len(line.samples) == count, "the gap is marked once"
+            os.kill(server.pid, signal.SIGCONT)
+            await line.until(Quality.GOOD, 3)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert_sound(line.samples)
+    assert [one.time_us for one in line.samples] == sorted(one.time_us for one in line.samples)
+
+
+async def test_a_clock_set_back_and_forward_stops_nothing_and_stamps_nothing_twice() -> None:
+    port = some_port()
+    with listening(port):
+        line = Line(port)
+        task = asyncio.create_task(line.run())
+        for hours in (0, 1, -1, 24, 0):
+            line.clock.step_us = hours * 3_600_000_000
+            await line.until(Quality.GOOD, 5)
+            behind_us = line.clock.now_us() - line.samples[-1].time_us
+            assert abs(behind_us) < 2_000_000, "the clock is followed"
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert_sound(line.samples)
+    assert {one.quality for one in line.samples} == {int(Quality.GOOD)}
+
+
+AFTER = {
+    1: Quality.CONFIG_ERROR,
+    2: Quality.CONFIG_ERROR,
+    3: Quality.CONFIG_ERROR,
+    4: Quality.DEVICE_FAILURE,
+    5: Quality.LAST_USABLE,
+    6: Quality.LAST_USABLE,
+    7: Quality.DEVICE_FAILURE,
+    8: Quality.DEVICE_FAILURE,
+    10: Quality.COMM_FAILURE,
+    11: Quality.COMM_FAILURE,
+}
+
+
+@pytest.mark.parametrize("code", AFTER)
+async def test_an_exception_never_becomes_a_value(
+    code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The longest wait after a refusal is shortened: it is not what is tested.
+    monkeypatch.setattr("adapters.modbus.driver.REFUSED_READ_S", 0.2)
+    answer: list[ExcCodes] = []
+
+    async def action(*_: object) -> ExcCodes | None:
+        return answer[0] if answer else None
+
+    registers = [SimData(0, values=[int(VALUE)] * 4, datatype=DataType.REGISTERS)]
+    bits = [SimData(0, values=[True] * 8, datatype=DataType.BITS)]
+    device = SimDevice(1, simdata=(bits, bits, registers, registers), action=action)
+    port = some_port()
+    server = ModbusTcpServer([device], address=("127.0.0.1", port))
+    await server.serve_forever(background=True)
+    line = Line(port)
+    task = asyncio.create_task(line.run())
+    try:
+        await line.until(Quality.GOOD, 2)
+        answer.append(ExcCodes(code))
+        await line.until(AFTER[code])
+        answer.clear()
+        await line.until(Quality.GOOD, 2)
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await server.shutdown()
+    assert_sound(line.samples)
+    assert {one.quality for one in line.samples} == {int(Quality.GOOD), int(AFTER[code])}
