@@ -97,11 +97,12 @@ class BenchRun:
     def ran_away(self, first: int, end: int) -> bool:
         """Whether the inner ring truly passed 110 degC within rows, or was on its way at the end.
 
-        That is, it climbed by more than 1 K in the last ten minutes and faster than before.
+        That is, it climbed by more than 1 K in the last ten minutes of a stage, faster than before.
         """
         inner = self.truth_c["t_inner_ring_c"][first:end]
         before, last = inner[-11] - inner[-21], inner[-1] - inner[-11]
-        return bool(np.any(inner > RAN_AWAY_C) or last > max(before, 1.0))
+        held = np.ptp(self._stage_of(end - 21, end)) == 0
+        return bool(np.any(inner > RAN_AWAY_C) or (held and last > max(before, 1.0)))
 
     def planned(self, first: int, end: int) -> OperatingProfile:
         """The plan from a row on, as known at that row: set-points, and the ambient of now."""

@@ -254,7 +254,7 @@ def test_rapid_acceleration_is_forecast_from_standstill(tmp_path: Path) -> None:
         assert own.coverage_95 == pytest.approx(
             (25 * parts[0].coverage_95 + 5 * parts[1].coverage_95) / 30
         )
-        assert own.r_squared > 0.8
+        assert own.r_squared > 0.5
 
 
 def test_more_reference_nodes_are_compared_in_all_nodes(tmp_path: Path) -> None:
