@@ -11,7 +11,7 @@ from adapters.drivers import SourceHealth
 from adapters.samples import Batch
 from service.app import Service, bind
 from service.clock import ProcessClock
-from service.settings import Settings
+from service.settings import ServiceSection, Settings
 from service.store import Store
 from service.wiring import wire
 
@@ -50,7 +50,7 @@ class AbsentMinded:
 async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
     tmp_path: Path,
 ) -> None:
-    settings = Settings()
+    settings = Settings(service=ServiceSection(data_dir=tmp_path))
     with Store.open("", tmp_path) as store, bind("127.0.0.1", 0) as listener:
         service = Service(settings, wire(settings), store, ProcessClock())
         driver = AbsentMinded()
