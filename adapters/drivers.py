@@ -6,6 +6,7 @@ its own health. How to add one is described in ``docs/adding-a-driver.md``.
 
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pkgutil import resolve_name
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, Self
 
@@ -146,83 +147,47 @@ class DriverSpec:
     create: Create
 
 
-def _check_modbus(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
-) -> None:
-    from adapters.modbus.mapping import check
-
-    check(source, channels, plans)
-
-
-def _create_modbus(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding], clock: Clock
-) -> Driver:
-    from adapters.modbus.driver import ModbusDriver
-
-    return ModbusDriver(source, channels, plans, clock)
-
-
-def _check_can(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
-) -> None:
-    from adapters.can.decoding import check
-
-    check(source, channels, plans)
+def _spec(
+    source_model: type[BaseModel],
+    channel_model: type[BaseModel],
+    plan_model: type[BaseModel] | None,
+    check: str,
+    create: str,
+) -> DriverSpec:
+    """Describe a driver; its functions, as ``module:name``, are imported when they are called."""
+    return DriverSpec(
+        source_model,
+        channel_model,
+        plan_model,
+        lambda *bound: resolve_name(check)(*bound),
+        lambda *bound: resolve_name(create)(*bound),
+    )
 
 
-def _create_can(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding], clock: Clock
-) -> Driver:
-    from adapters.can.driver import CanDriver
-
-    return CanDriver(source, channels, plans, clock)
-
-
-def _check_replay(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding]
-) -> None:
-    from adapters.replay.driver import check
-
-    check(source, channels, plans)
-
-
-def _create_replay(
-    source: Any, channels: Sequence[ChannelBinding], plans: Sequence[PlanBinding], clock: Clock
-) -> Driver:
-    from adapters.replay.driver import ReplayDriver
-
-    return ReplayDriver(source, channels, plans, clock)
-
+_MODBUS = (
+    ModbusChannel,
+    ModbusPlan,
+    "adapters.modbus.mapping:check",
+    "adapters.modbus.driver:ModbusDriver",
+)
 
 DRIVERS: Mapping[str, DriverSpec] = MappingProxyType(
     {
-        "modbus-tcp": DriverSpec(
-            source_model=ModbusTcpSource,
-            channel_model=ModbusChannel,
-            plan_model=ModbusPlan,
-            check=_check_modbus,
-            create=_create_modbus,
+        "modbus-tcp": _spec(ModbusTcpSource, *_MODBUS),
+        "modbus-rtu": _spec(ModbusRtuSource, *_MODBUS),
+        "can": _spec(
+            CanSource,
+            CanChannel,
+            None,
+            "adapters.can.decoding:check",
+            "adapters.can.driver:CanDriver",
         ),
-        "modbus-rtu": DriverSpec(
-            source_model=ModbusRtuSource,
-            channel_model=ModbusChannel,
-            plan_model=ModbusPlan,
-            check=_check_modbus,
-            create=_create_modbus,
-        ),
-        "can": DriverSpec(
-            source_model=CanSource,
-            channel_model=CanChannel,
-            plan_model=None,
-            check=_check_can,
-            create=_create_can,
-        ),
-        "replay": DriverSpec(
-            source_model=ReplaySource,
-            channel_model=ReplayChannel,
-            plan_model=None,
-            check=_check_replay,
-            create=_create_replay,
+        "replay": _spec(
+            ReplaySource,
+            ReplayChannel,
+            None,
+            "adapters.replay.driver:check",
+            "adapters.replay.driver:ReplayDriver",
         ),
     }
 )
