@@ -209,6 +209,18 @@ class JobDocument(_Answer):
     ended_at: Time | None
     error: str | None
     model_version: int | None
+    phase: str | None = Field(
+        None, description="Of a running job: search, refinement, sampling or gates."
+    )
+    seconds_left: Number = Field(
+        None, description="Wall seconds that a running job still takes; null while not known."
+    )
+    active_fitness: Number = Field(
+        None, description="Best fitness to beat: of the active version on the same data."
+    )
+    convergence: list[list[float]] = Field(
+        default=[], description="Pairs of evaluations and best fitness; of a single job only."
+    )
 
 
 class JobList(Page):
@@ -244,6 +256,21 @@ class ModelList(Page):
     """Model versions, newest first."""
 
     items: list[ModelDocument]
+
+
+class ActivationLine(_Answer):
+    """One change of the active version."""
+
+    time: Time
+    version: int = Field(ge=1, description="The version that became the active one.")
+    who: str
+    comment: str
+
+
+class ActivationList(Page):
+    """The activation journal, newest first."""
+
+    items: list[ActivationLine]
 
 
 # ---------------------------------------------------------------------------- alarms

@@ -26,7 +26,7 @@ from service.api.context import (
 )
 from service.clock import rfc3339
 from service.jobs.activation import Activations
-from service.jobs.documents import job_json
+from service.jobs.documents import LastWords, job_json
 from service.jobs.drift import earlier_versions, tell, with_drift
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
@@ -87,6 +87,7 @@ class IdentificationJobs:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
         self._activations = Activations(store, clock, assets)
+        self._told = LastWords()
         # Whether a job is cancelled or its result takes effect is decided for good under this.
         self._deciding = asyncio.Lock()
 
@@ -187,11 +188,24 @@ class IdentificationJobs:
     async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Return one job; None when the asset has no such job."""
         job = await anyio.to_thread.run_sync(self._store.job, job_id)
-        return job_json(job) if job is not None and job.asset == asset_id else None
+        if job is None or job.asset != asset_id:
+            return None
+        document = job_json(job, self._told.get(job_id), convergence=True)
+        if job.model_version is None or document["convergence"]:
+            return document
+        # Told before the service was started: what came of the job has kept it.
+        version = await anyio.to_thread.run_sync(
+            self._store.model_version, asset_id, job.model_version
+        )
+        kept = version.document if version is not None else {}
+        return document | {
+            name: kept[name] for name in ("convergence", "active_fitness") if name in kept
+        }
 
     async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
         """Jobs of an asset, newest first."""
-        return [job_json(job) for job in await anyio.to_thread.run_sync(self._store.jobs, asset_id)]
+        jobs = await anyio.to_thread.run_sync(self._store.jobs, asset_id)
+        return [job_json(job, self._told.get(job.id)) for job in jobs]
 
     async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Stop a job that has not ended; the answer shows its present state."""
@@ -206,7 +220,7 @@ class IdentificationJobs:
             return await self.job(asset_id, job_id)
         await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
         self._publish(cancelled)
-        return job_json(cancelled)
+        return job_json(cancelled, self._told.get(job_id))
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
@@ -313,6 +327,7 @@ class IdentificationJobs:
         progress = await anyio.to_thread.run_sync(folder.read_progress)
         if progress is None:
             return
+        self._told.remember(job_id, progress, asyncio.get_running_loop().time())
         changed = await self._update(
             job_id,
             only_if=["running"],
@@ -321,7 +336,7 @@ class IdentificationJobs:
             evaluations=progress.evaluations,
         )
         if changed is not None:
-            self._publish(changed, phase=progress.phase)
+            self._publish(changed)
 
     async def _finish(self, job: Job, result: JobResult) -> None:
         if result.cancelled:
@@ -394,8 +409,8 @@ class IdentificationJobs:
             lambda: self._store.update_job(job_id, **changes), abandon_on_cancel=True
         )
 
-    def _publish(self, job: Job, phase: str | None = None) -> None:
-        self._bus.publish("job", job.asset, job_json(job) | {"phase": phase})
+    def _publish(self, job: Job) -> None:
+        self._bus.publish("job", job.asset, job_json(job, self._told.get(job.id)))
 
     def _shut_down_executor(self) -> None:
         if self._executor is None:

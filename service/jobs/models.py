@@ -64,6 +64,10 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dic
         "gates": result.gates,
         "drift": result.drift,
         "job": job.id,
+        "method": job.request["method"],
+        "seed": job.request["seed"],
+        "active_fitness": result.active_fitness,
+        "convergence": result.convergence,
     }
 
 
@@ -115,6 +119,8 @@ def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, An
     shown["identifiability"] = version.document.get("identifiability")
     shown["paper_view"] = version.document.get("paper_view")
     shown["drift"] = version.document.get("drift")
+    shown["method"] = version.document.get("method")
+    shown["seed"] = version.document.get("seed")
     if not combinations and shown["identifiability"] is not None:
         shown["identifiability"] = {
             name: value

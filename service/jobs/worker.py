@@ -2,12 +2,14 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from service.jobs.drift import EarlierVersion, drift_document
-from service.jobs.workspace import JobFolder, Progress
+from service.jobs.workspace import Convergence, JobFolder, Progress
 from service.machines.machine import Machine
 from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
@@ -19,6 +21,7 @@ from twin_core.identification.identify import (
 )
 from twin_core.identification.identify import Progress as FitProgress
 from twin_core.identification.posterior import Posterior
+from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
 from twin_core.windows import window_of
@@ -78,6 +81,8 @@ class JobResult:
     naive: dict[str, Any] = field(default_factory=dict)
     gates: dict[str, Any] = field(default_factory=dict)
     drift: dict[str, Any] = field(default_factory=dict)
+    active_fitness: float | None = None
+    convergence: list[list[float]] = field(default_factory=list)
 
 
 def run_identification(order: JobOrder) -> JobResult:
@@ -86,12 +91,13 @@ def run_identification(order: JobOrder) -> JobResult:
     Goes on from the checkpoint that a worker left which was killed with the same order.
     """
     model = order.machine.build()
+    active_fitness = _fitness_of(model, order.data, Posterior.from_dict(order.active))
     try:
         try:
-            fit = _fit(order, model, order.folder.read_checkpoint())
+            fit = _fit(order, model, active_fitness, order.folder.read_checkpoint())
         except CheckpointMismatchError:
             # More data have come, or this is another version of the software.
-            fit = _fit(order, model, None)
+            fit = _fit(order, model, active_fitness, None)
         report = judge(
             model,
             order.data,
@@ -117,11 +123,24 @@ def run_identification(order: JobOrder) -> JobResult:
         naive=dict(report.naive),
         gates=report.to_dict(),
         drift=drift_document(model, fit.posterior, windows, order.earlier),
+        active_fitness=active_fitness,
+        convergence=Convergence([*fit.history, (fit.evaluations, fit.best_fitness)]).points,
     )
 
 
+def _fitness_of(
+    model: ThermalModel, data: IdentificationData, posterior: Posterior
+) -> float | None:
+    """Sum of squared residuals of known parameters: what an identification has to fall below."""
+    [cost] = IdentificationProblem(model, data).costs(posterior.z[np.newaxis])
+    return float(cost) if math.isfinite(cost) else None
+
+
 def _fit(
-    order: JobOrder, model: ThermalModel, resume: Mapping[str, Any] | None
+    order: JobOrder,
+    model: ThermalModel,
+    active_fitness: float | None,
+    resume: Mapping[str, Any] | None,
 ) -> IdentificationResult:
     return identify(
         model,
@@ -129,7 +148,7 @@ def _fit(
         method=order.method,
         budget=order.budget,
         seed=order.seed,
-        progress=_Teller(order.folder),
+        progress=_Teller(order.folder, active_fitness, (resume or {}).get("history", ())),
         cancelled=lambda: order.folder.cancelled,
         save=_Saver(order.folder),
         resume=resume,
@@ -152,11 +171,19 @@ class _Saver:
 class _Teller:
     """Writes an identification's progress to the job's folder, a few times a second."""
 
-    def __init__(self, folder: JobFolder) -> None:
+    def __init__(
+        self,
+        folder: JobFolder,
+        active_fitness: float | None,
+        history: Iterable[Sequence[float | None]],
+    ) -> None:
         self._folder = folder
+        self._active_fitness = active_fitness
+        self._convergence = Convergence(history)
         self._told_at = 0.0
 
     def __call__(self, progress: FitProgress) -> None:
+        self._convergence.add(progress.evaluations, progress.best_fitness)
         if time.monotonic() - self._told_at < PROGRESS_EVERY_WALL_S and progress.phase != "done":
             return
         self._told_at = time.monotonic()
@@ -168,5 +195,7 @@ class _Teller:
                 phase="gates" if progress.phase == "done" else progress.phase,
                 evaluations=progress.evaluations,
                 best_fitness=fitness if math.isfinite(fitness) else None,
+                active_fitness=self._active_fitness,
+                convergence=self._convergence.points,
             )
         )

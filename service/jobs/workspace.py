@@ -6,12 +6,14 @@ checkpoint from which another worker can go on; the service leaves a mark when t
 """
 
 import json
+import math
 import shutil
-from collections.abc import Collection
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+MOST_POINTS = 300
 _PROGRESS = "progress.json"
 _CHECKPOINT = "checkpoint.json"
 _CANCEL = "cancel"
@@ -19,12 +21,50 @@ _CANCEL = "cancel"
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a job is."""
+    """How far a job is.
+
+    Attributes
+    ----------
+    fraction
+        0 to 1.
+    phase
+        What the worker is at, such as ``"search"`` or ``"gates"``.
+    evaluations
+        Simulations of the data set so far.
+    best_fitness
+        Smallest sum of squared residuals so far.
+    active_fitness
+        The active model's sum of squared residuals on the same data; None where it has none.
+    convergence
+        Evaluations and best fitness on the way here, see `Convergence`.
+    """
 
     fraction: float
     phase: str
     evaluations: int
     best_fitness: float | None
+    active_fitness: float | None = None
+    convergence: list[list[float]] = field(default_factory=list)
+
+
+class Convergence:
+    """How the best fitness fell: pairs of evaluations and fitness, never very many."""
+
+    def __init__(self, points: Iterable[Sequence[float | None]] = ()) -> None:
+        self.points: list[list[float]] = []
+        for evaluations, fitness in points:
+            if evaluations is not None and fitness is not None:
+                self.add(int(evaluations), fitness)
+
+    def add(self, evaluations: int, fitness: float) -> None:
+        """Add a point; of too many every second one is dropped, never the latest."""
+        if not math.isfinite(fitness):
+            return
+        if self.points and evaluations <= self.points[-1][0]:
+            return
+        self.points.append([evaluations, fitness])
+        if len(self.points) > MOST_POINTS:
+            self.points = [*self.points[:-1:2], self.points[-1]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,11 @@ from pydantic import ConfigDict, Field
 from starlette.responses import Response
 
 from service.api.access import Caller, secured
-from service.api.bodies import ModelDocument, ModelList
+from service.api.bodies import ActivationList, ModelDocument, ModelList
 from service.api.context import RequestBody
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
+from service.clock import rfc3339
 from service.jobs.models import model_json
 from service.security.roles import ENGINEER
 
@@ -35,6 +36,26 @@ def list_models(context: Context, asset: Asset) -> Response:
     """All versions, newest first; informed combinations are counted, not spelled out."""
     versions = context.store.model_versions(asset.id)
     items = [model_json(version, combinations=False) for version in reversed(versions)]
+    return json_response({"items": items, "next": None})
+
+
+@router.get(
+    "/activations",
+    response_model=ActivationList,
+    summary="Which version was the active one when",
+    **secured(ENGINEER, 404, 503),
+)
+def list_activations(context: Context, asset: Asset) -> Response:
+    """The activation journal, newest first: who changed the active version, when and why."""
+    items = [
+        {
+            "time": rfc3339(line.at_us),
+            "version": line.version,
+            "who": line.who,
+            "comment": line.comment,
+        }
+        for line in reversed(context.store.activations(asset.id))
+    ]
     return json_response({"items": items, "next": None})
 
 

@@ -34,6 +34,7 @@ LEAST = {
     ("GET", "/api/v1/assets/{asset_id}/models"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/models/{version}"): "engineer",
     ("POST", "/api/v1/assets/{asset_id}/models/{version}/activate"): "engineer",
+    ("GET", "/api/v1/assets/{asset_id}/models/activations"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/drift"): "engineer",
     ("GET", "/api/v1/alarms"): "viewer",
     ("GET", "/api/v1/alarms/journal"): "viewer",

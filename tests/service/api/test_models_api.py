@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from service.api.bodies import ModelDocument, ModelList
+from service.api.bodies import ActivationList, ModelDocument, ModelList
 
 MODELS = "/api/v1/assets/bench-1/models"
 DOCUMENT = {
@@ -87,6 +87,13 @@ async def test_activating_and_rolling_back_are_journaled(models: Any) -> None:
     assert [(a.version, a.who, a.comment) for a in models.store.activations("bench-1")][1:] == [
         (2, who, ""),
         (1, who, "back again"),
+    ]
+    journal = (await models.client("engineer").get(f"{MODELS}/activations")).json()
+    ActivationList.model_validate(journal)
+    assert [(line["version"], line["who"], line["comment"]) for line in journal["items"]] == [
+        (1, who, "back again"),
+        (2, who, ""),
+        (1, "service", "first"),
     ]
 
 

@@ -212,6 +212,19 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     while not messages or messages[-1]["data"]["status"] != "succeeded":
         messages.append(json.loads((await subscription.get()).text))
     assert [one["data"]["status"] for one in messages[:2]] == ["queued", "running"]
+    whole = await jobs.job(ASSET, job.id)
+    assert whole is not None
+    evaluations, fitness = zip(*whole["convergence"], strict=True)
+    assert list(evaluations) == sorted(evaluations)
+    assert list(fitness) == sorted(fitness, reverse=True)
+    assert fitness[-1] == pytest.approx(job.best_fitness)
+    # The priors, which are active, cannot meet the data as well as what was fitted to them.
+    assert whole["active_fitness"] > 2 * fitness[-1]
+    assert (whole["phase"], whole["seconds_left"]) == (None, None), "it has ended"
+    after_restart = await (await shop.open()).job(ASSET, job.id)
+    assert after_restart is not None
+    assert after_restart["active_fitness"] == pytest.approx(whole["active_fitness"])
+    assert after_restart["convergence"][-1] == whole["convergence"][-1]
     # Who sees the end of the job sees its version at work.
     assert shop.store.activations(ASSET)[-1].who == "automatic"
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.workspace import JobFolder, Progress, clear_folders
+from service.jobs.documents import LastWords
+from service.jobs.workspace import MOST_POINTS, Convergence, JobFolder, Progress, clear_folders
 
 HALF = Progress(fraction=0.5, phase="noa", evaluations=1200, best_fitness=0.73)
 
@@ -81,3 +82,37 @@ def test_removed_it_is_gone_and_that_is_no_error(folder: JobFolder) -> None:
     folder.remove()
     assert not folder.path.exists()
     assert folder.read_progress() is None
+
+
+def test_convergence_stays_short_and_keeps_its_ends() -> None:
+    told = Convergence([[10, None], [25, 900.0]])
+    for number in range(5000):
+        told.add(50 + number, 800.0 - 0.1 * number)
+    told.add(60, 1.0)  # older than what is there
+    told.add(9999, float("inf"))
+    assert len(told.points) <= MOST_POINTS
+    assert told.points[0] == [25, 900.0]
+    assert told.points[-1] == [5049, pytest.approx(300.1)]
+    evaluations = [point[0] for point in told.points]
+    assert evaluations == sorted(set(evaluations))
+
+
+def left(words: LastWords) -> float | None:
+    told = words.get("a")
+    assert told is not None
+    return told.seconds_left()
+
+
+def test_the_time_left_follows_the_pace_of_this_attempt() -> None:
+    words = LastWords()
+    for number, fraction in enumerate((0.5, 0.505)):
+        words.remember("a", Progress(fraction, "search", 100, 1.0), 1000.0 + 10.0 * number)
+        assert left(words) is None
+    words.remember("a", Progress(0.6, "search", 100, 1.0), 1020.0)
+    assert left(words) == pytest.approx(80.0)
+    # Another attempt begins anew, and nobody knows how long the gates take.
+    words.remember("a", Progress(0.1, "search", 100, 1.0), 2000.0)
+    assert left(words) is None
+    words.remember("a", Progress(0.8, "gates", 100, 1.0), 2100.0)
+    assert left(words) is None
+    assert words.get("b") is None
