@@ -184,9 +184,13 @@ class AssetSection(Section):
 
 
 class SecuritySection(Section):
-    """Who may read the metrics without a key (loopback always may)."""
+    """Who may read the metrics without a key (loopback always may), and how often one may ask."""
 
     allow_unauthenticated_metrics: bool = False
+    #: Wrong keys that an address may offer before it has to wait.
+    failed_logins_per_minute: int = Field(10, ge=1)
+    #: Requests that a key may make; a minute's worth of them at once.
+    requests_per_minute: int = Field(120_000, ge=1)
 
 
 class Settings(BaseSettings):

@@ -6,6 +6,7 @@ route says by `secured` which roles it is for. OpenAPI shows both.
 
 import base64
 import binascii
+import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
@@ -14,15 +15,18 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection, Request
 
 from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem
-from service.security import Authenticator, Principal
+from service.security import Actor, AuditTrail, Authenticator, Principal
+from service.security.keys import key_prefix
 from service.security.roles import Roles
 from service.store import StoreUnavailableError
 
 SESSION_PATH = "/api/v1/session"
 KEY_HEADER = "X-API-Key"
 SUBPROTOCOL_PREFIX = "bearer."
-_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _PRINCIPAL = "bearing_twin.principal"
+#: Extension of OpenAPI that holds what the audit trail calls a change.
+AUDIT = "x-audit"
 
 SECURITY_SCHEMES: Final = {
     "key": {"type": "apiKey", "in": "header", "name": KEY_HEADER},
@@ -47,9 +51,18 @@ _DESCRIPTIONS: Final = {
     404: "There is no such thing.",
     409: "In conflict with the present state.",
     413: "The body is too long.",
+    415: "The body is not JSON, or packed in another way than gzip.",
     422: "A field is wrong; `errors` names it.",
     426: "This address talks WebSocket only.",
-    503: "Cannot be answered now; try again later.",
+    429: "Too many requests of this key, or wrong keys from this address; see `Retry-After`.",
+    500: "The service could not answer; its log says why.",
+    503: "Cannot be answered now; see `Retry-After`.",
+}
+_RETRY_AFTER: Final = {
+    "Retry-After": {
+        "description": "Seconds to wait before the next try.",
+        "schema": {"type": "integer", "minimum": 1},
+    }
 }
 
 
@@ -60,13 +73,17 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
         status: {
             "description": _DESCRIPTIONS[status],
             "content": {MEDIA_TYPE: {"schema": schema}},
+            **({"headers": _RETRY_AFTER} if status in (429, 503) else {}),
         }
         for status in statuses
     }
 
 
 def secured(
-    roles: Roles, *statuses: int, responses: Mapping[int | str, Any] | None = None
+    roles: Roles,
+    *statuses: int,
+    responses: Mapping[int | str, Any] | None = None,
+    audit: str | None = "",
 ) -> dict[str, Any]:
     """Arguments of a route that only these roles may call.
 
@@ -75,14 +92,17 @@ def secured(
     roles : frozenset of str
         Who may call it.
     *statuses : int
-        Error statuses besides 401, 403 and 422 that the route answers with.
+        Error statuses besides 401, 403, 422, 429 and 503 that the route answers with.
     responses : mapping, optional
         More answers for OpenAPI.
+    audit : str or None
+        What the audit trail calls a call that may change something; by default after the
+        function, None where nothing changes or the route writes its own line.
     """
     return {
         "dependencies": [Depends(require(roles))],
-        "responses": {**problems(401, 403, 422, *statuses), **(responses or {})},
-        "openapi_extra": {"security": _ANY_SCHEME, "x-roles": sorted(roles)},
+        "responses": {**problems(401, 403, 422, 429, 503, *statuses), **(responses or {})},
+        "openapi_extra": {"security": _ANY_SCHEME, "x-roles": sorted(roles), AUDIT: audit},
     }
 
 
@@ -90,7 +110,7 @@ def public(*statuses: int, responses: Mapping[int | str, Any] | None = None) -> 
     """Arguments of a route that needs no key."""
     return {
         "responses": {**problems(*statuses), **(responses or {})},
-        "openapi_extra": {"security": []},
+        "openapi_extra": {"security": [], AUDIT: None},
     }
 
 
@@ -121,7 +141,22 @@ async def caller(connection: HTTPConnection) -> Principal:
 Caller = Annotated[Principal, Depends(caller)]
 
 
-def make_door(authenticator: Authenticator) -> Callable[[Request], Coroutine[Any, Any, None]]:
+def actor(connection: HTTPConnection, who: str | None = None) -> Actor:
+    """Who changes something, for the audit trail; `who` where the door has not found out."""
+    principal = connection.scope.get(_PRINCIPAL)
+    if who is None:
+        who = principal.who if isinstance(principal, Principal) else "unknown"
+    return Actor(who, address_of(connection))
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """Network address of the caller; behind a proxy on this machine, the one that it names."""
+    return connection.client.host if connection.client else ""
+
+
+def make_door(
+    authenticator: Authenticator, trail: AuditTrail
+) -> Callable[[Request], Coroutine[Any, Any, None]]:
     """Make the check that every request passes before anything else happens to it."""
 
     async def door(request: Request) -> None:
@@ -131,10 +166,15 @@ def make_door(authenticator: Authenticator) -> Callable[[Request], Coroutine[Any
             if not is_same_origin(request, unknown_is=True):
                 raise _cross_site()
             return
-        principal = await authenticate(request, authenticator)
+        principal = await authenticate(request, authenticator, trail)
         if principal is None:
             raise unauthorized(request)
-        unsafe = request.method not in _SAFE_METHODS
+        wait_s = authenticator.requests.wait_s(principal.key_id)
+        if wait_s:
+            limit = authenticator.requests.per_minute
+            raise too_many(f"more than {limit:g} requests a minute with this key", wait_s)
+        authenticator.requests.count(principal.key_id)
+        unsafe = request.method not in SAFE_METHODS
         if principal.session and unsafe and not is_same_origin(request, unknown_is=False):
             raise _cross_site()
         request.scope[_PRINCIPAL] = principal
@@ -143,27 +183,73 @@ def make_door(authenticator: Authenticator) -> Callable[[Request], Coroutine[Any
 
 
 async def authenticate(
-    connection: HTTPConnection, authenticator: Authenticator
+    connection: HTTPConnection, authenticator: Authenticator, trail: AuditTrail | None = None
 ) -> Principal | None:
-    """Who is calling, by header, Basic password, or session cookie; None for nobody known.
+    """Who is calling, by header, Basic password, subprotocol or session cookie; None if unknown.
 
     Raises
     ------
     Problem
-        With status 503 when the store cannot tell.
+        With status 429 after too many wrong keys, with 503 when the store cannot tell.
     """
     try:
-        key = connection.headers.get(KEY_HEADER) or _basic_password(connection)
-        if key is not None:
+        key = offered_key(connection)
+        if key is None:
+            cookie = connection.cookies.get(cookie_name(connection))
+            return await authenticator.by_session(cookie) if cookie else None
+        if authenticator.knows(key):  # also a wrong one: a client that goes on costs nothing
             return await authenticator.by_key(key)
-        cookie = connection.cookies.get(cookie_name(connection))
-        return await authenticator.by_session(cookie) if cookie else None
+        return await new_key(connection, authenticator, key, trail, "key.refuse")
     except StoreUnavailableError as error:
         raise Problem(
             503,
             "the store that keeps the keys does not answer now",
             headers={"Retry-After": str(RETRY_AFTER_S)},
         ) from error
+
+
+async def new_key(
+    connection: HTTPConnection,
+    authenticator: Authenticator,
+    key: str,
+    trail: AuditTrail | None,
+    action: str,
+) -> Principal | None:
+    """Look up a key that may be a guess: an address has only so many of them.
+
+    Raises
+    ------
+    Problem
+        With status 429 after too many wrong keys.
+    StoreUnavailableError
+        When the store cannot tell.
+    """
+    address = address_of(connection)
+    caller_name = f"{action} {address}"
+    wait_s = authenticator.failures.wait_s(caller_name)
+    if wait_s:
+        raise too_many("too many wrong keys from this address", wait_s)
+    principal = await authenticator.by_key(key)
+    if principal is None:
+        authenticator.failures.count(caller_name)
+        if trail is not None:
+            offered = key_prefix(key)
+            detail = f"a wrong key ({offered})" if offered else "no key of this service"
+            await trail.note(Actor("unknown", address), action, "", detail)
+    return principal
+
+
+def too_many(detail: str, wait_s: float) -> Problem:
+    """Build the problem of a caller who must wait."""
+    return Problem(429, detail, headers={"Retry-After": str(math.ceil(wait_s))})
+
+
+def offered_key(connection: HTTPConnection) -> str | None:
+    """Give the key that comes by header, Basic password or, on a WebSocket, as subprotocol."""
+    by_protocol = subprotocol_key(connection)
+    if by_protocol is not None:
+        return by_protocol[0]
+    return connection.headers.get(KEY_HEADER) or _basic_password(connection)
 
 
 def cookie_name(connection: HTTPConnection) -> str:

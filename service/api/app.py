@@ -19,17 +19,20 @@ from service.api.routes import (
     advice,
     alarms,
     assets,
+    audit,
     drift,
     envelope,
     forecasts,
     health,
     identifications,
+    keys,
     measurements,
     models,
     session,
     stream,
 )
-from service.security import Authenticator
+from service.api.trail import Trail
+from service.security import AuditTrail, Authenticator
 
 API_PREFIX = "/api/v1"
 _DASHBOARD = Path(service.dashboard.__file__).parent / "static"
@@ -62,8 +65,13 @@ def create_app(context: ServiceContext) -> FastAPI:
             beating.cancel()
             context.bus.close()
             await asyncio.gather(beating, return_exceptions=True)
+            await trail.flush()
 
-    authenticator = Authenticator(context.store)
+    security = context.settings.security
+    authenticator = Authenticator(
+        context.store, security.failed_logins_per_minute, security.requests_per_minute
+    )
+    trail = AuditTrail(context.store)
     app = FastAPI(
         title="Bearing Twin",
         version=version("bearing-twin"),
@@ -82,13 +90,15 @@ def create_app(context: ServiceContext) -> FastAPI:
         middleware=[
             Middleware(SecurityHeaders),
             Middleware(LastResort),
-            Middleware(AtTheDoor, door=make_door(authenticator)),
+            Middleware(AtTheDoor, door=make_door(authenticator, trail)),
             Middleware(Gunzip),
             Middleware(BodyLimit),
+            Middleware(Trail, trail=trail),
         ],
     )
     app.state.context = context
     app.state.authenticator = authenticator
+    app.state.trail = trail
     install_handlers(app)
     for module in (
         assets,
@@ -101,6 +111,8 @@ def create_app(context: ServiceContext) -> FastAPI:
         drift,
         alarms,
         session,
+        keys,
+        audit,
         stream,
     ):
         app.include_router(module.router, prefix=API_PREFIX)

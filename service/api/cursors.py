@@ -2,14 +2,37 @@
 
 import base64
 import binascii
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from fastapi import Query
+from pydantic import BaseModel, Field, ValidationError
 from starlette.requests import Request
 
 from service.api.problems import parameter_problem
 
+LIMIT = 200
+LIMIT_MAX = 1000
+
 Place = TypeVar("Place", bound=BaseModel)
+Item = TypeVar("Item")
+
+Limit = Annotated[int, Query(ge=1, le=LIMIT_MAX, description="Items of a page, at most.")]
+Cursor = Annotated[
+    str | None, Query(max_length=8192, description="`next` of the page before; absent: the first.")
+]
+
+
+class Before(BaseModel):
+    """Where a page ended of a listing whose rows are numbered, newest first."""
+
+    before: int = Field(ge=0, lt=2**63)
+
+
+class After(BaseModel):
+    """Where a page ended of a listing whose items have names."""
+
+    after: str = Field(max_length=100)
 
 
 def encode_cursor(place: BaseModel) -> str:
@@ -39,3 +62,43 @@ def next_link(request: Request, cursor: str | None) -> dict[str, str]:
         return {}
     query = request.url.include_query_params(cursor=cursor).query
     return {"Link": f'<{request.url.path}?{query}>; rel="next"'}
+
+
+def page_of(
+    items: Sequence[Item], limit: int, cursor: str | None, name: Callable[[Item], object]
+) -> tuple[Sequence[Item], str | None]:
+    """Cut a page out of a listing that is at hand as a whole.
+
+    Parameters
+    ----------
+    items : sequence
+        The whole listing.
+    limit : int
+        Items at most.
+    cursor : str, optional
+        From the page before.
+    name : callable
+        What tells one item from the others.
+
+    Returns
+    -------
+    page : sequence
+        The items.
+    following : str or None
+        Cursor of the next page.
+
+    Raises
+    ------
+    Problem
+        With status 422 when the cursor is not of this listing.
+    """
+    begin = 0
+    if cursor is not None:
+        last = decode_cursor(cursor, After).after
+        names = [str(name(item)) for item in items]
+        if last not in names:
+            raise parameter_problem("cursor", "expected the `next` of the page before")
+        begin = names.index(last) + 1
+    page = items[begin : begin + limit]
+    more = begin + limit < len(items)
+    return page, encode_cursor(After(after=str(name(page[-1])))) if more else None

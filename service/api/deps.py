@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from service.api.context import AssetTwin, ServiceContext
 from service.api.problems import parameter_problem
-from service.security import Authenticator
+from service.security import AuditTrail, Authenticator
 
 
 async def get_context(connection: HTTPConnection) -> ServiceContext:
@@ -25,8 +25,15 @@ async def get_authenticator(connection: HTTPConnection) -> Authenticator:
     return authenticator
 
 
+async def get_trail(connection: HTTPConnection) -> AuditTrail:
+    """Give the audit trail."""
+    trail: AuditTrail = connection.app.state.trail
+    return trail
+
+
 Context = Annotated[ServiceContext, Depends(get_context)]
 Keys = Annotated[Authenticator, Depends(get_authenticator)]
+Trail = Annotated[AuditTrail, Depends(get_trail)]
 
 
 async def get_asset(

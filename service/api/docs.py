@@ -8,7 +8,7 @@ from fastapi.openapi.utils import get_openapi
 from starlette.responses import HTMLResponse
 from starlette.staticfiles import StaticFiles
 
-from service.api.access import SECURITY_SCHEMES
+from service.api.access import AUDIT, SECURITY_SCHEMES, problems
 from service.api.problems import ProblemDocument
 
 _STATIC = Path(__file__).parent / "static"
@@ -43,6 +43,14 @@ def install_docs(app: FastAPI) -> None:
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
 
 
+def _add_common_answers(operation: dict[str, Any]) -> None:
+    """Add what the middleware may answer instead of the route."""
+    statuses = (400, 413, 415, 500) if "requestBody" in operation else (500,)
+    common = {str(status): text for status, text in problems(*statuses).items()}
+    operation["responses"] = dict(sorted((common | operation["responses"]).items()))
+    operation.pop(AUDIT, None)
+
+
 def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         schema = get_openapi(
@@ -64,6 +72,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         schemas[ProblemDocument.__name__] = problem
         for item in schema["paths"].values():
             for operation in item.values():
+                _add_common_answers(operation)
                 if roles := operation.get("x-roles"):
                     operation["description"] += f"\n\nRoles: {', '.join(roles)}."
         app.openapi_schema = schema

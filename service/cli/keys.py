@@ -1,6 +1,8 @@
 """``bearing-twin keys``: API keys, whether the service runs or not."""
 
+import getpass
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +15,7 @@ from service.settings import load_settings
 
 # What only some commands need is imported where it is needed: the help must not wait for it.
 if TYPE_CHECKING:
+    from service.security.keys import Actor
     from service.store import ApiKey, Store
 
 keys = typer.Typer(help="API keys: create, list, revoke.", no_args_is_help=True)
@@ -35,6 +38,7 @@ def create(
     expires_in_days: Annotated[
         float | None, typer.Option(help="Days after which the key expires; default never.")
     ] = None,
+    label: Annotated[str, typer.Option(help="What people call the key.")] = "",
     config: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -42,7 +46,7 @@ def create(
     from service.security.keys import create_key
 
     with _store(config) as store:
-        new = create_key(store, role, expires_in_days)
+        new = create_key(store, role, expires_in_days, label, actor=_actor())
     typer.echo(json.dumps({"key": new.text} | _facts(new.record)) if as_json else new.text)
 
 
@@ -59,15 +63,11 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps({"keys": [_facts(record) for record in records]}))
         return
-    table = Table("id", "prefix", "role", "created", "expires", "revoked")
+    columns = ("id", "prefix", "role", "label", "created", "expires", "revoked")
+    table = Table(*columns)
     for record in records:
         facts = _facts(record)
-        table.add_row(
-            *(
-                str(facts[name] or "")
-                for name in ("id", "prefix", "role", "created", "expires", "revoked")
-            )
-        )
+        table.add_row(*(str(facts[name] or "") for name in columns))
     Console().print(table)
 
 
@@ -81,8 +81,19 @@ def revoke(
     from service.security.keys import revoke_key
 
     with _store(config) as store:
-        record = revoke_key(store, key)
+        record = revoke_key(store, key, actor=_actor())
     typer.echo(json.dumps(_facts(record)) if as_json else f"{record.prefix} is revoked")
+
+
+def _actor() -> "Actor":
+    """Who sits at the command line, for the audit trail."""
+    from service.security.keys import Actor
+
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):  # a user id without a name, as in a container
+        user = str(os.getuid())
+    return Actor(f"command line, {user}")
 
 
 def _facts(record: "ApiKey") -> dict[str, str | None]:
@@ -90,6 +101,7 @@ def _facts(record: "ApiKey") -> dict[str, str | None]:
         "id": record.id,
         "prefix": record.prefix,
         "role": record.role,
+        "label": record.label,
         "created": rfc3339(record.created_us),
         "expires": rfc3339(record.expires_us) if record.expires_us is not None else None,
         "revoked": rfc3339(record.revoked_us) if record.revoked_us is not None else None,

@@ -1,7 +1,9 @@
 """Who may do what: keys, browser sessions and roles."""
 
+from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator, Principal
 from service.security.keys import (
+    Actor,
     NewKey,
     UnknownKeyError,
     UnknownRoleError,
@@ -12,6 +14,8 @@ from service.security.keys import (
 )
 
 __all__ = [
+    "Actor",
+    "AuditTrail",
     "Authenticator",
     "NewKey",
     "Principal",

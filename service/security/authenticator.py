@@ -14,12 +14,15 @@ import structlog
 from anyio import CapacityLimiter, to_thread
 
 from service.security.keys import fingerprint, verify_key, wall_us
+from service.security.limits import RateLimit
 from service.store import ApiKey, Role, Store, StoreUnavailableError
 
-MEMORY_S = 1.0
+MEMORY_S = 0.6
 MEMORY_WITHOUT_STORE_S = 600.0
 SESSION_S = 12 * 3600
 SESSION_RENEWAL_S = 600
+FAILED_LOGINS_PER_MINUTE = 10
+REQUESTS_PER_MINUTE = 120_000
 _MOST_REMEMBERED = 1024
 
 _log = structlog.get_logger(__name__)
@@ -66,10 +69,28 @@ class Authenticator:
     ----------
     store : Store
         Where keys and sessions are kept.
+    failed_logins_per_minute
+        Wrong keys that an address may offer.
+    requests_per_minute
+        Requests that a key may make.
+
+    Attributes
+    ----------
+    failures, requests : RateLimit
+        Wrong keys by address, requests by the key's id; whoever asks counts them.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(
+        self,
+        store: Store,
+        failed_logins_per_minute: int = FAILED_LOGINS_PER_MINUTE,
+        requests_per_minute: int = REQUESTS_PER_MINUTE,
+    ) -> None:
         self._store = store
+        self.failures = RateLimit(failed_logins_per_minute)
+        self.requests = RateLimit(requests_per_minute)
+        # Wrong keys are wrong for ever: a client that goes on with one costs no look-up.
+        self._wrong: OrderedDict[str, None] = OrderedDict()
         self._memory: OrderedDict[str, _Remembered] = OrderedDict()
         # One at a time, apart from the threads that serve long queries: a poll never waits
         # behind a report, and a session is never renewed twice at once.
@@ -77,7 +98,20 @@ class Authenticator:
 
     async def by_key(self, text: str) -> Principal | None:
         """Who a key belongs to; None when it opens nothing."""
-        return await self._recall(f"key {fingerprint(text)}", lambda: self._verify_key(text))
+        sha256 = fingerprint(text)
+        if sha256 in self._wrong:
+            return None
+        principal = await self._recall(f"key {sha256}", lambda: self._verify_key(text))
+        if principal is None:
+            self._wrong[sha256] = None
+            while len(self._wrong) > _MOST_REMEMBERED:
+                self._wrong.popitem(last=False)
+        return principal
+
+    def knows(self, text: str) -> bool:
+        """Tell whether a key was looked up lately, with whatever result."""
+        sha256 = fingerprint(text)
+        return sha256 in self._wrong or f"key {sha256}" in self._memory
 
     async def by_session(self, cookie: str) -> Principal | None:
         """Who a session cookie belongs to; using it keeps the session alive."""
@@ -104,6 +138,12 @@ class Authenticator:
         sha256 = fingerprint(cookie)
         await to_thread.run_sync(self._store.end_session, sha256, limiter=self._limiter)
         self._memory.pop(f"session {sha256}", None)
+
+    def forget(self, key_id: str) -> None:
+        """Look a key and its sessions up anew: it was revoked here and now."""
+        for name, known in list(self._memory.items()):
+            if known.principal is not None and known.principal.key_id == key_id:
+                del self._memory[name]
 
     async def _recall(self, name: str, look_up: Callable[[], Principal | None]) -> Principal | None:
         known = self._memory.get(name)

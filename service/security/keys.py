@@ -12,12 +12,13 @@ import time
 from dataclasses import dataclass
 
 from service.security.roles import ROLES
-from service.store import ApiKey, Role, Store
+from service.store import ApiKey, AuditEntry, Role, Store
 
 _KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
 _PREFIX_LENGTH = len("bt_00000000")
 _SECRET_BYTES = 32
 MICROSECONDS_PER_DAY = 86_400_000_000
+LABEL_LENGTH = 100
 
 
 class UnknownRoleError(ValueError):
@@ -26,6 +27,18 @@ class UnknownRoleError(ValueError):
 
 class UnknownKeyError(ValueError):
     """There is no key of this id or prefix, or more than one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Actor:
+    """Who changes something, and from where; for the audit trail."""
+
+    who: str
+    address: str = ""
+
+
+#: The service itself, for example in a demo.
+SERVICE = Actor("service")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +64,19 @@ def looks_like_key(text: str) -> bool:
     return _KEY.fullmatch(text) is not None
 
 
-def create_key(store: Store, role: str, expires_in_days: float | None = None) -> NewKey:
-    """Make a key and store its hash.
+def key_prefix(text: str) -> str | None:
+    """Give the part of a key by which people recognise it; None for any other text."""
+    return text[:_PREFIX_LENGTH] if looks_like_key(text) else None
+
+
+def create_key(
+    store: Store,
+    role: str,
+    expires_in_days: float | None = None,
+    label: str = "",
+    actor: Actor = SERVICE,
+) -> NewKey:
+    """Make a key, store its hash and write it into the audit trail.
 
     Parameters
     ----------
@@ -62,19 +86,25 @@ def create_key(store: Store, role: str, expires_in_days: float | None = None) ->
         viewer, operator, engineer, admin or gateway.
     expires_in_days : float, optional
         Days after which the key opens nothing; default never.
+    label : str
+        What people call it, at most 100 characters.
+    actor : Actor
+        Who makes it.
 
     Raises
     ------
     UnknownRoleError
         If there is no such role.
     ValueError
-        If the days are not positive.
+        If the days are not positive, or the label is too long.
     """
     known: Role | None = next((one for one in ROLES if one == role), None)
     if known is None:
         raise UnknownRoleError(f"role {role!r}: expected one of {', '.join(ROLES)}")
     if expires_in_days is not None and not 0 < expires_in_days <= 36_500:
         raise ValueError(f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500")
+    if len(label) > LABEL_LENGTH or not label.isprintable():
+        raise ValueError(f"label: expected at most {LABEL_LENGTH} printable characters")
     now_us = wall_us()
     expires_us = None
     if expires_in_days is not None:
@@ -86,7 +116,10 @@ def create_key(store: Store, role: str, expires_in_days: float | None = None) ->
         role=known,
         created_us=now_us,
         expires_us=expires_us,
+        label=label,
     )
+    detail = f"role {role}" + (f", {label}" if label else "")
+    _note(store, actor, "key.create", record, detail)
     return NewKey(text, record)
 
 
@@ -114,8 +147,10 @@ def list_keys(store: Store) -> list[ApiKey]:
     return store.api_keys()
 
 
-def revoke_key(store: Store, id_or_prefix: str) -> ApiKey:
+def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKey:
     """Revoke a key by its id or its prefix; a running service refuses it within 2 s.
+
+    Its browser sessions and open streams end with it. Doing it again changes nothing.
 
     Raises
     ------
@@ -126,5 +161,14 @@ def revoke_key(store: Store, id_or_prefix: str) -> ApiKey:
     if len(found) != 1:
         how_many = "no key has" if not found else f"{len(found)} keys have"
         raise UnknownKeyError(f"key {id_or_prefix!r}: {how_many} this id or prefix")
-    store.revoke_api_key(found[0].id, wall_us())
-    return next(key for key in store.api_keys() if key.id == found[0].id)
+    (key,) = found
+    if key.revoked_us is None:
+        store.revoke_api_key(key.id, wall_us())
+        _note(store, actor, "key.revoke", key, f"role {key.role}")
+    return next(one for one in store.api_keys() if one.id == key.id)
+
+
+def _note(store: Store, actor: Actor, action: str, key: ApiKey, detail: str) -> None:
+    store.add_audit_entry(
+        AuditEntry(wall_us(), actor.who, actor.address, action, f"key {key.prefix}", detail)
+    )

@@ -16,6 +16,7 @@ _KEY_COLUMNS = (
     ApiKeyRow.id,
     ApiKeyRow.prefix,
     ApiKeyRow.role,
+    ApiKeyRow.label,
     ApiKeyRow.created_us,
     ApiKeyRow.expires_us,
     ApiKeyRow.revoked_us,
@@ -26,7 +27,14 @@ class Access(Section):
     """The text of a key is never stored, only its prefix and its hash."""
 
     def add_api_key(
-        self, *, prefix: str, sha256: str, role: Role, created_us: int, expires_us: int | None
+        self,
+        *,
+        prefix: str,
+        sha256: str,
+        role: Role,
+        created_us: int,
+        expires_us: int | None,
+        label: str = "",
     ) -> ApiKey:
         """Store a key.
 
@@ -40,8 +48,10 @@ class Access(Section):
             What the key may do.
         created_us, expires_us : int
             Wall time, UTC microseconds; a key without expiry lives until it is revoked.
+        label : str
+            What people call it.
         """
-        key = ApiKey(uuid4().hex, prefix, role, created_us, expires_us, revoked_us=None)
+        key = ApiKey(uuid4().hex, prefix, role, label, created_us, expires_us, revoked_us=None)
         with self._database.writing() as connection:
             connection.execute(
                 insert(ApiKeyRow).values(
@@ -49,6 +59,7 @@ class Access(Section):
                     prefix=prefix,
                     sha256=sha256,
                     role=role,
+                    label=label,
                     created_us=created_us,
                     expires_us=expires_us,
                     revoked_us=None,

@@ -1,7 +1,7 @@
 """What the store hands out and takes in: plain typed records, never live database rows.
 
-All times are UTC microseconds since the epoch: process time, but for the keys and sessions, whose
-life is counted on the wall clock.
+All times are UTC microseconds since the epoch: process time, but for keys, sessions and the audit
+trail, which go by the wall clock.
 """
 
 from dataclasses import dataclass
@@ -188,6 +188,7 @@ class ApiKey:
     id: str
     prefix: str
     role: Role
+    label: str
     created_us: int
     expires_us: int | None
     revoked_us: int | None
@@ -209,3 +210,23 @@ class BrowserSession:
     def is_valid(self, now_us: int) -> bool:
         """Tell whether the session opens anything at this wall time (UTC microseconds)."""
         return now_us < self.expires_us and self.key.is_valid(now_us)
+
+
+@dataclass(frozen=True, slots=True)
+class AuditEntry:
+    """One line of the audit trail: who did what to what, when (wall clock) and from where."""
+
+    time_us: int
+    who: str
+    address: str
+    action: str
+    target: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AuditPage:
+    """Part of the audit trail, newest first; ``next_cursor`` is None on the last page."""
+
+    items: list[AuditEntry]
+    next_cursor: int | None

@@ -7,6 +7,7 @@ from typing import Self
 from service.store.access import Access
 from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
+from service.store.audit import Audit
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
@@ -14,7 +15,7 @@ from service.store.opening import open_database
 from service.store.rollups import Rollups
 
 
-class Store(Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access):
+class Store(Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access, Audit):
     """Samples, models, jobs, alarms and keys in one database.
 
     The methods come from the parts, one module per noun. All are synchronous and safe to call

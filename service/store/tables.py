@@ -245,6 +245,7 @@ class ApiKeyRow(Base):
     prefix: Mapped[str]
     sha256: Mapped[str] = mapped_column(unique=True)
     role: Mapped[str]
+    label: Mapped[str] = mapped_column(server_default=text("''"))
     created_us: Mapped[int]
     expires_us: Mapped[int | None]
     revoked_us: Mapped[int | None]
@@ -260,3 +261,17 @@ class BrowserSessionRow(Base):
     key_id: Mapped[str] = mapped_column(ForeignKey("api_keys.id"))
     created_us: Mapped[int]
     expires_us: Mapped[int]
+
+
+class AuditRow(Base):
+    """The audit trail: one line per change that somebody asked for; the database takes no other."""
+
+    __tablename__ = "audit"
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    time_us: Mapped[int]
+    who: Mapped[str]
+    address: Mapped[str]
+    action: Mapped[str]
+    target: Mapped[str]
+    detail: Mapped[str]

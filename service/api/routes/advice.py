@@ -18,7 +18,7 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
     "/advice",
     response_model=AdviceDocument,
     summary="Which low-risk step narrows the forecast at a point most",
-    **secured(ENGINEER, 404, 409, 503),
+    **secured(ENGINEER, 404, 409),
 )
 async def get_advice(
     asset: Asset,

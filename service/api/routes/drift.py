@@ -132,7 +132,7 @@ class DriftSeries(Page):
     "/drift",
     response_model=DriftSeries,
     summary="Drift over the model versions",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
 def get_drift(
     context: Context,

@@ -15,7 +15,7 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
     "/envelope",
     response_model=EnvelopeDocument,
     summary="Safe operating envelope over speed and load",
-    **secured(VIEWER, 404, 503),
+    **secured(VIEWER, 404),
 )
 async def get_envelope(asset: Asset) -> Response:
     """Steady temperatures and times to the limits, each point held from the present state.

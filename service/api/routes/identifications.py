@@ -11,6 +11,7 @@ from service.api.bodies import JobDocument, JobList, WindowList
 from service.api.context import IdentificationRequest
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
+from service.api.trail import REPLAYED
 from service.security.roles import ENGINEER
 
 RETRY_AFTER_S = 2
@@ -24,7 +25,7 @@ JobId = Annotated[str, Path(max_length=64, description="The job's id.")]
     "/windows",
     response_model=WindowList,
     summary="Low-risk windows in the store",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
 async def list_windows(asset: Asset) -> Response:
     """Contiguous good data inside the low-risk region, with operating points and score."""
@@ -36,7 +37,7 @@ async def list_windows(asset: Asset) -> Response:
     status_code=202,
     response_model=JobDocument,
     summary="Start an identification",
-    **secured(ENGINEER, 400, 404, 409, 413, 503),
+    **secured(ENGINEER, 404, 409, audit="identification.start"),
 )
 async def post_identification(
     context: Context,
@@ -54,11 +55,13 @@ async def post_identification(
     ] = None,
 ) -> Response:
     """Queue a background job; `Location` tells where its progress is."""
-    job, _ = await context.jobs.create(asset.id, request, idempotency_key, who.who)
+    job, created = await context.jobs.create(asset.id, request, idempotency_key, who.who)
     headers = {
         "Location": f"{http_request.url.path}/{job['id']}",
         "Retry-After": str(RETRY_AFTER_S),
     }
+    if not created:
+        headers[REPLAYED] = "true"
     return json_response(job, 202, headers)
 
 
@@ -66,7 +69,7 @@ async def post_identification(
     "/identifications",
     response_model=JobList,
     summary="Identification jobs, newest first",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
 async def list_identifications(context: Context, asset: Asset) -> Response:
     """All jobs of the asset, those of earlier runs of the service too."""
@@ -77,7 +80,7 @@ async def list_identifications(context: Context, asset: Asset) -> Response:
     "/identifications/{job_id}",
     response_model=JobDocument,
     summary="Status, progress and result of a job",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
 async def get_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
     """Status, progress, best fitness, and the model version that came of it."""
@@ -91,7 +94,7 @@ async def get_identification(context: Context, asset: Asset, job_id: JobId) -> R
     "/identifications/{job_id}",
     response_model=JobDocument,
     summary="Cancel a job",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404, audit="identification.cancel"),
 )
 async def delete_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
     """Stop a job that is queued or running; one that has ended stays as it is."""

@@ -140,7 +140,7 @@ def get_measurements(
     "",
     response_model=Pushed,
     summary="Push samples",
-    **secured(PUSH, 400, 404, 409, 413, 503),
+    **secured(PUSH, 404, 409, audit=None),
 )
 async def post_measurements(context: Context, asset: Asset, request: PushRequest) -> Response:
     """Take in samples of pushed channels, each judged for itself; sending again does no harm.

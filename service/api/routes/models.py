@@ -31,7 +31,7 @@ class ActivationRequest(RequestBody):
     force: bool = Field(False, description="Activate a rejected version; needs a comment.")
 
 
-@router.get("", response_model=ModelList, summary="Model versions", **secured(ENGINEER, 404, 503))
+@router.get("", response_model=ModelList, summary="Model versions", **secured(ENGINEER, 404))
 def list_models(context: Context, asset: Asset) -> Response:
     """All versions, newest first; informed combinations are counted, not spelled out."""
     versions = context.store.model_versions(asset.id)
@@ -63,7 +63,7 @@ def list_activations(context: Context, asset: Asset) -> Response:
     "/{version}",
     response_model=ModelDocument,
     summary="One model version",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
 def get_model(context: Context, asset: Asset, version: Version) -> Response:
     """Parameters with intervals, what the data inform, scores beside the naive forecasts."""
@@ -77,7 +77,7 @@ def get_model(context: Context, asset: Asset, version: Version) -> Response:
     "/{version}/activate",
     response_model=ModelDocument,
     summary="Make a version the active one",
-    **secured(ENGINEER, 400, 404, 409, 413, 503),
+    **secured(ENGINEER, 404, 409),
 )
 async def activate_model(
     context: Context,

@@ -7,14 +7,16 @@ from starlette.responses import Response
 
 from service.api.access import (
     Caller,
+    actor,
     cookie_name,
+    new_key,
     public,
     secured,
     unauthorized,
 )
 from service.api.bodies import SessionDocument
 from service.api.context import RequestBody
-from service.api.deps import Keys, json_response
+from service.api.deps import Keys, Trail, json_response
 from service.api.problems import RETRY_AFTER_S, Problem
 from service.clock import rfc3339
 from service.security import Principal
@@ -34,15 +36,16 @@ class LogIn(RequestBody):
 
 
 @router.post(
-    "", response_model=SessionDocument, summary="Log in", **public(400, 401, 403, 413, 422, 503)
+    "", response_model=SessionDocument, summary="Log in", **public(401, 403, 422, 429, 503)
 )
-async def log_in(request: Request, body: LogIn, keys: Keys) -> Response:
+async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Response:
     """Open a browser session; it ends 12 h after its last use, or with its key."""
     try:
-        principal = await keys.by_key(body.key)
+        principal = await new_key(request, keys, body.key, trail, "session.refuse")
         if principal is None:
             raise unauthorized(request)
         if principal.role not in VIEWER:
+            await trail.note(actor(request, principal.who), "session.refuse")
             raise Problem(403, f"a key of role {principal.role} opens no browser session")
         cookie, principal = await keys.log_in(principal)
     except StoreUnavailableError as error:
@@ -50,6 +53,7 @@ async def log_in(request: Request, body: LogIn, keys: Keys) -> Response:
         raise Problem(503, "the store that keeps the keys does not answer", headers=headers) from (
             error
         )
+    await trail.note(actor(request, principal.who), "session.begin")
     response = json_response(_document(principal))
     response.set_cookie(
         cookie_name(request),
@@ -69,7 +73,7 @@ async def get_session(who: Caller) -> Response:
     return json_response(_document(who))
 
 
-@router.delete("", status_code=204, summary="Log out", **secured(VIEWER))
+@router.delete("", status_code=204, summary="Log out", **secured(VIEWER, audit="session.end"))
 async def log_out(request: Request, keys: Keys) -> Response:
     """End the session of the cookie, here and now."""
     name = cookie_name(request)

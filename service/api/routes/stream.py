@@ -17,12 +17,11 @@ from service.api.access import (
     subprotocol_key,
 )
 from service.api.context import ServiceContext
-from service.api.deps import Context, Keys
+from service.api.deps import Context, Keys, Trail
 from service.api.problems import Problem, parameter_problem, problem_response
 from service.live.bus import Bus, Subscription, SubscriptionClosedError
-from service.security import Authenticator, Principal
+from service.security import AuditTrail, Authenticator, Principal
 from service.security.roles import VIEWER
-from service.store import StoreUnavailableError
 
 HEARTBEAT_S = 15.0
 SEND_PATIENCE_S = 20.0
@@ -70,10 +69,10 @@ async def stream_by_http(
 
 
 @router.websocket(_PATH)
-async def stream(websocket: WebSocket, context: Context, keys: Keys) -> None:
+async def stream(websocket: WebSocket, context: Context, keys: Keys, trail: Trail) -> None:
     """Let a subscriber in and send until one side ends it."""
     try:
-        principal, key, subprotocol = await _admit(websocket, keys)
+        principal, subprotocol = await _admit(websocket, keys, trail)
         subscription, wanted = _subscribe(websocket, context)
     except Problem as problem:
         await _refuse(websocket, problem)
@@ -81,7 +80,7 @@ async def stream(websocket: WebSocket, context: Context, keys: Keys) -> None:
     try:
         await websocket.accept(subprotocol)
         _log.info("stream_opened", who=principal.who, assets=wanted)
-        code, reason = await _serve(websocket, context, subscription, wanted, keys, key)
+        code, reason = await _serve(websocket, context, subscription, wanted, keys)
     finally:
         subscription.close()
     _log.info(
@@ -101,25 +100,18 @@ async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
 
 
 async def _admit(
-    websocket: WebSocket, keys: Authenticator
-) -> tuple[Principal, str | None, str | None]:
-    """Tell who wants the stream, with the key of the subprotocol and its full name."""
+    websocket: WebSocket, keys: Authenticator, trail: AuditTrail
+) -> tuple[Principal, str | None]:
+    """Tell who wants the stream, and the full name of the subprotocol with the key."""
     offered = subprotocol_key(websocket)
-    try:
-        if offered is not None:
-            principal = await keys.by_key(offered[0])
-        else:
-            principal = await authenticate(websocket, keys)
-    except StoreUnavailableError as error:
-        raise Problem(503, "the store that keeps the keys does not answer now") from error
+    principal = await authenticate(websocket, keys, trail)
     if principal is None:
         raise Problem(403, "expected a valid key by header, session cookie or bearer subprotocol")
     if principal.role not in VIEWER:
         raise Problem(403, f"a key of role {principal.role} may not read the stream")
     if principal.session and not is_same_origin(websocket, unknown_is=False):
         raise Problem(403, "a browser session may only be used from the service's own page")
-    key, subprotocol = offered or (None, None)
-    return principal, key, subprotocol
+    return principal, offered and offered[1]
 
 
 def _subscribe(websocket: WebSocket, context: ServiceContext) -> tuple[Subscription, list[str]]:
@@ -160,13 +152,12 @@ async def _serve(
     subscription: Subscription,
     wanted: list[str],
     keys: Authenticator,
-    key: str | None,
 ) -> tuple[int, str]:
     """Send until the client leaves, is too slow, loses its right, or the service stops."""
     tasks = {
         asyncio.create_task(_send(websocket, context, subscription, wanted)),
         asyncio.create_task(_listen(websocket)),
-        asyncio.create_task(_watch_right(websocket, keys, key)),
+        asyncio.create_task(_watch_right(websocket, keys)),
     }
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -228,16 +219,13 @@ async def _listen(websocket: WebSocket) -> Ending:
             return None, "the client went away"
 
 
-async def _watch_right(websocket: WebSocket, keys: Authenticator, key: str | None) -> Ending:
+async def _watch_right(websocket: WebSocket, keys: Authenticator) -> Ending:
     """End the stream when its key is revoked or its session is over."""
     while True:
         await asyncio.sleep(REAUTHENTICATE_S)
         try:
-            if key is not None:
-                principal = await keys.by_key(key)
-            else:
-                principal = await authenticate(websocket, keys)
-        except (Problem, StoreUnavailableError):
+            principal = await authenticate(websocket, keys)
+        except Problem:
             continue  # the store cannot tell; whoever was let in stays
         if principal is None or principal.role not in VIEWER:
             return _POLICY, "the key is no longer valid"

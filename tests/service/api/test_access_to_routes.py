@@ -7,6 +7,8 @@ import httpx2
 import pytest
 from fastapi.routing import APIRoute, APIWebSocketRoute, iter_route_contexts
 
+from service.security import create_key, revoke_key
+
 UNLISTED = {("HEAD", "/livez"), ("HEAD", "/readyz"), ("GET", "/docs")}
 PUBLIC = UNLISTED | {
     ("GET", "/livez"),
@@ -39,6 +41,10 @@ LEAST = {
     ("GET", "/api/v1/alarms"): "viewer",
     ("GET", "/api/v1/alarms/journal"): "viewer",
     ("POST", "/api/v1/alarms/{alarm_id}/acknowledge"): "operator",
+    ("GET", "/api/v1/keys"): "admin",
+    ("POST", "/api/v1/keys"): "admin",
+    ("DELETE", "/api/v1/keys/{key_id}"): "admin",
+    ("GET", "/api/v1/audit"): "admin",
     ("GET", "/api/v1/session"): "viewer",
     ("DELETE", "/api/v1/session"): "viewer",
     ("GET", "/api/v1/stream"): "viewer",
@@ -61,11 +67,13 @@ def calls(app: Any) -> set[tuple[str, str]]:
     }
 
 
-async def call(client: httpx2.AsyncClient, method: str, path: str) -> httpx2.Response:
-    values = {"asset_id": "bench-1", "version": "1", "job_id": "none", "alarm_id": "none"}
-    address = re.sub(r"{(\w+)}", lambda match: values[match[1]], path)
+async def call(
+    client: httpx2.AsyncClient, method: str, path: str, headers: dict[str, str] | None = None
+) -> httpx2.Response:
+    values = {"asset_id": "bench-1", "version": "1"}
+    address = re.sub(r"{(\w+)}", lambda match: values.get(match[1], "none"), path)
     body = {"json": {}} if method == "POST" else {}
-    return await client.request(method, address, **body)
+    return await client.request(method, address, headers=headers, **body)
 
 
 def test_table_names_every_call_and_only_those(world: Any) -> None:
@@ -101,6 +109,16 @@ async def test_role_of_the_chain_may_do_what_is_in_the_table(world: Any, role: s
         if not allowed:
             assert response.status_code == 403
             assert f"role {role}" in response.json()["detail"]
+
+
+@pytest.mark.parametrize("ended", ["revoked", "expired"])
+async def test_a_key_that_has_ended_opens_nothing(world: Any, ended: str) -> None:
+    key = create_key(world.store, "admin", expires_in_days=1e-9 if ended == "expired" else None)
+    if ended == "revoked":
+        revoke_key(world.store, key.record.id)
+    for method, path in LEAST:
+        response = await call(world.client(), method, path, {"X-API-Key": key.text})
+        assert response.status_code == 401, (method, path)
 
 
 async def test_gateway_pushes_and_reads_assets_and_nothing_else(world: Any) -> None:

@@ -1,0 +1,41 @@
+"""Rate limits: token buckets, one per caller."""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+
+_MOST_CALLERS = 4096
+_MINUTE_S = 60.0
+
+
+class RateLimit:
+    """So many calls a minute for each caller, a minute's worth of them at once.
+
+    Parameters
+    ----------
+    per_minute : float
+        Calls a minute.
+    clock : callable
+        Seconds that only go forward.
+    """
+
+    def __init__(self, per_minute: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.per_minute = per_minute
+        self._clock = clock
+        # Calls left and when that was counted; only of callers that are not at rest.
+        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    def wait_s(self, caller: str) -> float:
+        """Seconds until this caller may call again; 0 for now."""
+        return max(0.0, 1.0 - self._now_left(caller)) * _MINUTE_S / self.per_minute
+
+    def count(self, caller: str) -> None:
+        """Count one call."""
+        self._left[caller] = (max(self._now_left(caller) - 1.0, 0.0), self._clock())
+        self._left.move_to_end(caller)
+        while len(self._left) > _MOST_CALLERS:
+            self._left.popitem(last=False)
+
+    def _now_left(self, caller: str) -> float:
+        left, at_s = self._left.get(caller, (self.per_minute, 0.0))
+        return min(self.per_minute, left + (self._clock() - at_s) * self.per_minute / _MINUTE_S)

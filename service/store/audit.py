@@ -1,0 +1,42 @@
+"""The audit trail: lines are added and read, never changed; the database itself sees to that."""
+
+from dataclasses import asdict, fields
+
+from sqlalchemy import insert, select
+
+from service.store.records import AuditEntry, AuditPage
+from service.store.section import Section
+from service.store.tables import AuditRow
+
+_COLUMNS = tuple(getattr(AuditRow, field.name) for field in fields(AuditEntry))
+
+
+class Audit(Section):
+    """Who did what to what, when and from where."""
+
+    def add_audit_entry(self, entry: AuditEntry) -> None:
+        """Write one line."""
+        with self._database.writing() as connection:
+            connection.execute(insert(AuditRow).values(asdict(entry)))
+
+    def audit(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
+        """Part of the trail, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Lines at most.
+        cursor : int, optional
+            `AuditPage.next_cursor` of the page before.
+        """
+        query = select(AuditRow.id, *_COLUMNS).order_by(AuditRow.id.desc())
+        if cursor is not None:
+            query = query.where(AuditRow.id < cursor)
+        with self._database.reading() as connection:
+            rows = connection.execute(query.limit(limit + 1)).all()
+        more = len(rows) > limit
+        rows = rows[:limit]
+        return AuditPage(
+            items=[AuditEntry(*row[1:]) for row in rows],
+            next_cursor=rows[-1][0] if more else None,
+        )

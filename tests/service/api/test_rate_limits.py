@@ -1,0 +1,55 @@
+"""Too many wrong keys from an address, too many requests of a key."""
+
+from typing import Any
+
+import pytest
+
+from service.security.limits import RateLimit
+
+SESSION = "/api/v1/session"
+WRONG = "bt_00000000_" + "A" * 43
+
+
+def assert_must_wait(response: Any) -> None:
+    assert response.status_code == 429
+    assert response.headers["content-type"] == "application/problem+json"
+    assert 1 <= int(response.headers["retry-after"]) <= 60
+
+
+async def test_an_address_may_log_in_wrongly_ten_times_a_minute(world: Any) -> None:
+    guesser, other = world.client(), world.client(address=("203.0.113.10", 1), timeout=4)
+    for _ in range(10):
+        assert (await guesser.post(SESSION, json={"key": "wrong"})).status_code == 401
+    assert_must_wait(await guesser.post(SESSION, json={"key": "wrong"}))
+    # The right key has to wait there too, or a guess would be told from a wrong one.
+    assert_must_wait(await guesser.post(SESSION, json={"key": world.keys["viewer"]}))
+    assert (await other.post(SESSION, json={"key": world.keys["viewer"]})).status_code == 200
+    # Whoever polls with a good key from there is not disturbed, nor is a probe.
+    assert (await world.client("viewer").get("/api/v1/assets")).status_code == 200
+    assert (await guesser.get("/livez")).status_code == 200
+
+
+async def test_an_address_may_try_ten_different_wrong_keys_a_minute(world: Any) -> None:
+    client = world.client()
+    for number in range(10):
+        key = {"X-API-Key": WRONG[:-2] + f"{number:02d}"}
+        for _ in range(3):  # a client that goes on with one wrong key is told so again
+            assert (await client.get("/api/v1/assets", headers=key)).status_code == 401
+    assert_must_wait(await client.get("/api/v1/assets", headers={"X-API-Key": WRONG}))
+    basic = world.client(auth=("", WRONG[:-1] + "B"))
+    assert_must_wait(await basic.get("/api/v1/assets"))
+    again = {"X-API-Key": WRONG[:-2] + "00"}
+    assert (await client.get("/api/v1/assets", headers=again)).status_code == 401
+
+
+async def test_a_key_may_make_only_so_many_requests(
+    world: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(world.app.state.authenticator, "requests", RateLimit(5))
+    viewer = world.client("viewer")
+    for _ in range(5):
+        assert (await viewer.get("/api/v1/assets")).status_code == 200
+    assert_must_wait(await viewer.get("/api/v1/assets"))
+    assert (await viewer.get("/livez")).status_code == 200
+    assert (await viewer.get("/readyz")).status_code == 200
+    assert (await world.client("operator").get("/api/v1/assets")).status_code == 200
