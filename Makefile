@@ -10,7 +10,7 @@ demo: $(VENV)/.installed-run
 	$(BIN)/bearing-twin demo $(DEMO_ARGS)
 
 test: $(VENV)/.installed-test lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses=2
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

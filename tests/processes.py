@@ -1,6 +1,7 @@
 """Real processes for tests: virtual bench and service, started as a user would start them."""
 
 import json
+import os
 import random
 import signal
 import socket
@@ -27,10 +28,13 @@ Found = TypeVar("Found")
 def free_port() -> int:
     """A port that nobody listens on, below those that outgoing connections are given.
 
-    A test that starts a server anew on the same port would else find it taken now and then.
+    A test that starts a server anew on the same port would else find it taken now and then; tests
+    that run beside it in another worker of pytest-xdist take theirs from another range.
     """
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    first = 20_000 + worker % 8 * 1500
     while True:
-        port = random.randrange(20_000, 32_000)
+        port = random.randrange(first, first + 1500)
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))

@@ -3,9 +3,7 @@
 import asyncio
 import math
 import os
-import random
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from processes import free_port
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -87,17 +86,6 @@ threading.Event().wait()
             process.kill()
 
 
-def some_port() -> int:
-    while True:
-        port = random.randrange(20_000, 32_000)
-        with socket.socket() as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-        return port
-
-
 def assert_sound(samples: list[Sample]) -> None:
     assert {one.value for one in samples if one.quality >= 64} == {VALUE}
     assert all(math.isnan(one.value) for one in samples if one.quality < 64)
@@ -105,7 +93,7 @@ def assert_sound(samples: list[Sample]) -> None:
 
 
 async def test_a_frozen_server_gives_one_bad_sample_and_comes_back() -> None:
-    port = some_port()
+    port = free_port()
     with listening(port) as server:
         line = Line(port)
         task = asyncio.create_task(line.run())
@@ -125,7 +113,7 @@ async def test_a_frozen_server_gives_one_bad_sample_and_comes_back() -> None:
 
 
 async def test_a_clock_set_back_and_forward_stops_nothing_and_stamps_nothing_twice() -> None:
-    port = some_port()
+    port = free_port()
     with listening(port):
         line = Line(port)
         task = asyncio.create_task(line.run())
@@ -168,7 +156,7 @@ async def test_an_exception_never_becomes_a_value(
     registers = [SimData(0, values=[int(VALUE)] * 4, datatype=DataType.REGISTERS)]
     bits = [SimData(0, values=[True] * 8, datatype=DataType.BITS)]
     device = SimDevice(1, simdata=(bits, bits, registers, registers), action=action)
-    port = some_port()
+    port = free_port()
     server = ModbusTcpServer([device], address=("127.0.0.1", port))
     await server.serve_forever(background=True)
     line = Line(port)

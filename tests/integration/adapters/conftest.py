@@ -2,7 +2,6 @@
 
 import asyncio
 import math
-import socket
 import subprocess
 import sys
 import time
@@ -11,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import processes
 import pytest
 
 from adapters.drivers import ChannelBinding, Driver, PlanBinding, driver_spec
@@ -155,9 +155,7 @@ def drive() -> Callable[..., Any]:
 
 @pytest.fixture
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return processes.free_port()
 
 
 @pytest.fixture
