@@ -16,19 +16,10 @@ from service.security.keys import create_key
 from service.settings import load_settings
 from service.store import Store
 
+from .conftest import ASSET
+
 MACHINE = {"speed_rpm": 1500.0, "load_n": 2650.0, "ambient_c": 22.0, "t_inner_ring_c": 40.0}
 FAST = "\n[clock]\nrate = 60\n"
-PUSHED = """
-[[assets]]
-id = "motor-1"
-bearing = "6311"
-low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
-[assets.channels]
-speed_rpm = { source = "push" }
-load_n = { source = "push" }
-ambient_c = { source = "push" }
-t_inner_ring_c = { source = "push" }
-"""
 Start = Callable[..., Command]
 
 
@@ -98,7 +89,7 @@ def test_a_service_without_sources_and_assets_is_ready(
 def test_pushed_values_alone_keep_a_twin(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
-    config = configure(PUSHED + FAST)
+    config = configure(ASSET + FAST)
     service = start("serve", "-c", str(config))
     client = connect(config)
     assert client.get("/readyz")["status"] == "degraded"
@@ -119,7 +110,7 @@ def test_pushed_values_alone_keep_a_twin(
 def test_an_asset_without_temperatures_does_not_end_the_service(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
-    without = PUSHED.replace('t_inner_ring_c = { source = "push" }\n', "").replace(
+    without = ASSET.replace('t_inner_ring_c = { source = "push" }\n', "").replace(
         'ambient_c = { source = "push" }\n', ""
     )
     config = configure(without + "\n[clock]\nrate = 300\n")
@@ -138,7 +129,7 @@ def test_another_bearing_in_the_configuration_begins_anew(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
     """What was identified, and estimated, belongs to the old one."""
-    config = configure(PUSHED + FAST)
+    config = configure(ASSET + FAST)
     service = start("serve", "-c", str(config))
     client = connect(config)
     client.follow("t_node_7_c.twin")
@@ -163,7 +154,7 @@ def test_another_bearing_in_the_configuration_begins_anew(
 def test_a_kept_state_that_cannot_be_read_does_not_keep_it_from_starting(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
-    config = configure(PUSHED + FAST)
+    config = configure(ASSET + FAST)
     client = connect(config)
     with closing(sqlite3.connect(config.parent / "data" / "bearing-twin.db")) as store, store:
         store.execute("INSERT INTO asset_states (asset, document) VALUES ('motor-1', '{}')")
@@ -176,7 +167,7 @@ def test_it_ends_within_seconds_though_the_store_is_locked(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
     """Another program holds the database, and the twin just tries to keep its state."""
-    config = configure(PUSHED + FAST)
+    config = configure(ASSET + FAST)
     service = start("serve", "-c", str(config))
     client = connect(config)
     client.follow("t_node_7_c.twin")
