@@ -1,10 +1,14 @@
 // What-if: change the plan and the twin answers at once. Nothing here ever commands the bench.
 import { assetPath, call } from '../api.js';
-import { h, put, setText } from '../dom.js';
+import { h, put, setText, unit } from '../dom.js';
 import { distinctSteps, fanFrom, overSpan, stepsFrom } from '../forecast.js';
-import { fixed, hourMinute, spanText, wholeMinute } from '../format.js';
+import { channelName, fixed, spanText } from '../format.js';
+import { highestSpeed } from '../highest_speed.js';
 import { LaneChart } from '../lane.js';
+import { LatestQuestion } from '../latest.js';
 import { SENSORS } from '../live.js';
+import { csvOf, fieldsFor, fromLink, linkOf, MOST_STEPS, requestProfile } from '../profile.js';
+import { ProfilePanel } from '../profile_panel.js';
 import { readChannel } from '../readings.js';
 import { crossingsAhead, situation } from '../situation.js';
 import { awayTile, noForecastTile, peakTile, profileTile, timeToLimitTile } from '../tiles.js';
@@ -12,89 +16,105 @@ import { TrendChart } from '../trend.js';
 import { answerNextStep, answerTimeToLimit } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
-const PAST_MS = HOUR_MS;
-const PATIENCE_MS = 60; // a slider sends an event per pixel; the service is asked this often
-const REFRESH_MS = 10000; // the present state moves on under a profile that stays
-const MOST_STEPS = 12;
-const FIELDS = {
-  speed_rpm: { name: 'Speed', unit: 'rpm', low: 0, high: 7000, step: 50, most: 20000 },
-  load_n: { name: 'Load', unit: 'N', low: 0, high: 7000, step: 50, most: 200000 },
-  minutes: { name: 'Duration', unit: 'min', low: 5, high: 240, step: 5, most: 1440 },
-};
+const PAST_SHARE = 0.22; // of what lies ahead, but an hour at least
+const QUIET_MS = 500; // after the last change, before the slower questions are asked
+const REFRESH_S = 60; // of process time: the present state moves on under a profile that stays
+const REFRESH_MS = [1500, 10000];
+const ROWS = 160; // of an answer: about as many as the chart has room for
+const FINEST_S = 30;
+const TITLES = [['This profile', 'This profile'], ['Peak', 'Peak'],
+  ['Time to limit', 'Time to limit']];
 
-const rounded = (value, step) => Math.round(value / step) * step;
+const query = () => location.hash.split('?')[1] ?? '';
+const key = (look, ...text) => h('span', { class: 'key' }, h('i', { class: look }), text);
 
 export class WhatIfView {
   constructor(box, page) {
     this.page = page;
     this.steps = null;
+    this.touched = 0; // the step that was changed last
     this.fromEnd = false;
     this.answer = null;
+    this.failure = '';
     this.answers = h('div', { class: 'answers' });
-    this.stepList = h('div', { class: 'steps' });
-    this.problem = h('p', { class: 'problem', role: 'alert' });
     this.latency = h('span', { class: 'chip', hidden: true });
+    this.labels = h('span', { class: 'labels' });
+    this.ghostText = h('span', {}, 'as planned');
     this.boxes = {
       temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Forecast' }),
       speed: h('div', { class: 'plot sp1' }),
       load: h('div', { class: 'plot ld1' }),
     };
-    put(box, h('h1', { class: 'vh' }, 'What-if'), this.createControls(), this.createResult());
+    this.panel = new ProfilePanel({
+      preset: (name) => this.use(this.preset(name)),
+      add: () => this.use([...this.steps, { ...this.steps.at(-1) }], this.steps.length),
+      remove: (index) => this.use(this.steps.filter((_, i) => i !== index)),
+      tryFrom: (fromEnd) => {
+        this.fromEnd = fromEnd;
+        this.use(this.steps, this.touched);
+      },
+      change: (index, name, value) => {
+        this.steps[index][name] = value;
+        this.touched = index;
+        this.changed();
+      },
+      copyLink: () => this.copyLink(),
+      save: () => this.save(),
+      useSpeed: () => {
+        this.steps[this.highest.index].speed_rpm = this.highest.speed;
+        this.use(this.steps, this.highest.index);
+      },
+    });
+    put(box, h('h1', { class: 'vh' }, 'What-if'), this.panel.element, this.createResult());
     this.trend = new TrendChart(this.boxes.temperature, 'whatif');
     this.speed = new LaneChart(this.boxes.speed, { label: 'Speed, rpm', syncKey: 'whatif' });
     this.load = new LaneChart(this.boxes.load,
       { label: 'Load, N', syncKey: 'whatif', showTime: true });
+    this.question = new LatestQuestion({
+      ask: ({ profile }, signal) => this.ask(profile, signal),
+      answered: (answer, question, ms) => this.take(answer, question, ms),
+      failed: (error) => this.fail(error),
+    });
     this.endings = [page.store.on(['tags', 'history', 'asset', 'forecast', 'link'],
       () => this.follow(), 1000)];
-    this.timer = setInterval(() => this.ask(), REFRESH_MS);
+    this.refresh();
     this.follow();
   }
 
   destroy() {
-    clearInterval(this.timer);
-    clearTimeout(this.pending);
-    this.asking?.abort();
+    clearTimeout(this.timer);
+    clearTimeout(this.quiet);
+    this.question.stop();
+    this.seeking?.abort();
     this.endings.forEach((end) => end());
     [this.trend, this.speed, this.load].forEach((chart) => chart.destroy());
   }
 
-  createControls() {
-    const preset = (text, steps) => h('button', {
-      type: 'button', onclick: () => this.use(steps()),
-    }, text);
-    this.add = h('button', {
-      class: 'btn', type: 'button', disabled: true, onclick: () => this.addStep(),
-    }, 'Add step');
-    this.saveButton = h('button', {
-      class: 'btn', type: 'button', disabled: true, onclick: () => this.save(),
-    }, 'Save as CSV');
-    return h('section', { class: 'panel' },
-      h('header', {}, h('h2', {}, 'Profile to try'), h('span', { class: 'sp' }),
-        h('span', { class: 'seg' },
-          preset('planned', () => this.plannedSteps()),
-          preset('hold', () => [this.presentStep(180)]),
-          preset('cool down', () => [{ ...this.presentStep(120), speed_rpm: 1500 }]))),
-      this.stepList, this.problem,
-      h('div', { class: 'row foot' }, this.add, h('span', { class: 'sp' }),
-        this.saveButton));
-  }
-
   createResult() {
-    const key = (look, text) => h('span', { class: 'key' }, h('i', { class: look }), text);
     return h('div', { class: 'wr' }, this.answers, h('section', { class: 'panel p-trend' },
-      h('header', {}, h('h2', {}, 'Forecast for this profile, °C'),
+      h('header', {}, h('h2', {}, 'Forecast for this profile, °C'), this.labels,
         h('span', { class: 'keys' }, key('tw', 'median'), key('f50', '50 %'), key('f95', '95 %'),
-          key('pl', 'as planned'), this.latency)),
+          key('pl', this.ghostText), this.latency)),
       this.boxes.temperature, this.boxes.speed, this.boxes.load));
   }
 
   // ---------------------------------------------------------------- the profile
   presentStep(minutes) {
     const { state } = this.page.store;
-    const value = (channel) => readChannel(state, this.page.clock, channel).value ?? 0;
-    return {
-      speed_rpm: rounded(value('speed_rpm'), 50), load_n: rounded(value('load_n'), 50), minutes,
+    const value = (channel) => {
+      const figure = readChannel(state, this.page.clock, channel).value ?? 0;
+      return Math.round(figure / 50) * 50;
     };
+    return { speed_rpm: value('speed_rpm'), load_n: value('load_n'), minutes };
+  }
+
+  preset(name) {
+    if (name === 'hold') return [this.presentStep(180)];
+    if (name === 'cool down') {
+      const step = this.presentStep(120);
+      return [{ ...step, speed_rpm: Math.min(step.speed_rpm, 1500) }];
+    }
+    return this.plannedSteps();
   }
 
   plannedSteps() {
@@ -104,11 +124,14 @@ export class WhatIfView {
     return steps.length > 1 && this.fromEnd ? steps.slice(1, MOST_STEPS) : steps.slice(0, MOST_STEPS);
   }
 
-  /** The point that another view hands over, as a profile; null when there is none. */
+  /** What another view or a link asks for; null when there is nothing. */
   wished() {
     const { wish } = this.page;
     this.page.wish = null;
-    return wish && [{ ...wish, minutes: 120 }];
+    if (wish) return [{ ...wish, minutes: 120 }];
+    const linked = fromLink(query());
+    if (linked) this.fromEnd = linked.fromEnd;
+    return linked?.steps ?? null;
   }
 
   /** The plan from now on, the present step first. */
@@ -117,107 +140,120 @@ export class WhatIfView {
     return distinctSteps(stepsFrom(store.get('forecast'), clock.now()));
   }
 
-  use(steps) {
+  /** Try these steps; `touched` is the one that the hint speaks of. */
+  use(steps, touched = 0) {
     this.steps = steps.length ? steps : [this.presentStep(60)];
-    this.buildSteps();
-    this.askSoon();
+    this.touched = Math.min(touched, this.steps.length - 1);
+    const coming = this.coming();
+    const endMs = coming.length > 1 ? coming[0].to : null;
+    if (endMs === null) this.fromEnd = false;
+    this.panel.build(this.steps, this.fields(), { fromEnd: this.fromEnd, endMs });
+    this.changed();
   }
 
-  addStep() {
-    this.use([...this.steps, { ...this.steps.at(-1) }]);
+  fields() {
+    return fieldsFor(this.page.store.get('asset')?.low_risk, [...this.steps, this.presentStep(60)]);
   }
 
-  buildSteps() {
-    this.starts = this.steps.map(() => h('span', { class: 'hd' }));
-    put(this.stepList, this.presentRow(), this.steps.map((step, i) => h('div', { class: 'step' },
-      h('header', {}, h('b', {}, `Step ${i + 1}`), this.starts[i],
-        this.steps.length > 1 && h('button', {
-          class: 'btn sm', type: 'button', 'aria-label': `Remove step ${i + 1}`,
-          onclick: () => this.use(this.steps.filter((one) => one !== step)),
-        }, 'Remove')),
-      Object.entries(FIELDS).map(([name, field]) => this.slider(step, i, name, field)))));
-    this.add.disabled = this.steps.length >= MOST_STEPS;
-    this.saveButton.disabled = false;
+  /** What is left of the present step, where the profile is to begin at its end. */
+  before() {
+    return this.fromEnd ? this.coming()[0] ?? null : null;
   }
 
-  presentRow() {
-    const choose = (fromEnd, text) => h('button', {
-      type: 'button', 'aria-pressed': String(this.fromEnd === fromEnd),
-      onclick: () => {
-        this.fromEnd = fromEnd;
-        this.use(this.steps);
-      },
-    }, text);
-    this.present = h('b', {});
-    const steps = this.coming();
-    if (steps.length < 2) this.fromEnd = false;
-    return h('div', { class: 'step cur' }, h('header', {}, this.present),
-      h('div', { class: 'row' }, h('span', { class: 'hd' }, 'Try from'),
-        h('span', { class: 'seg' }, choose(false, 'now'),
-          steps.length > 1 && choose(true, `its end at ${hourMinute(wholeMinute(steps[0].to))}`))));
-  }
-
-  slider(step, index, name, { name: title, unit, low, high, step: by, most }) {
-    const id = `step${index}-${name}`;
-    const change = (event, other) => {
-      const value = Number(event.target.value);
-      if (event.target.value === '' || !(value >= 0) || value > most) return;
-      step[name] = value;
-      other().value = value;
-      this.askSoon();
-    };
-    const range = h('input', {
-      id, type: 'range', min: low, max: Math.max(high, step[name]), step: by, value: step[name],
-      oninput: (event) => change(event, () => number),
-    });
-    const number = h('input', {
-      type: 'number', 'aria-label': `${title}, step ${index + 1}, ${unit}`, min: low, max: most,
-      step: by, value: step[name], oninput: (event) => change(event, () => range),
-    });
-    return h('div', { class: 'sl' }, h('label', { for: id }, title), range,
-      h('span', { class: 'num' }, number, h('span', { class: 's mut' }, unit)));
-  }
-
-  /** The profile as the service takes it. */
-  profile() {
-    const steps = this.steps.filter((step) => step.minutes > 0).map((step) => ({
-      duration_s: step.minutes * 60, speed_rpm: step.speed_rpm, load_n: step.load_n,
-    }));
-    const [present] = this.coming();
-    if (!this.fromEnd || !present) return steps;
-    const { speed_rpm, load_n, duration_s } = present;
-    return [{ duration_s, speed_rpm, load_n }, ...steps];
+  profile(steps = this.steps) {
+    return requestProfile(steps, this.before());
   }
 
   // ---------------------------------------------------------------- asking
-  askSoon() {
-    clearTimeout(this.pending);
-    this.pending = setTimeout(() => this.ask(), PATIENCE_MS);
+  /** Ask at once; what takes longer waits until the hand is still. */
+  changed() {
+    this.put();
+    this.seeking?.abort();
+    clearTimeout(this.quiet);
+    this.quiet = setTimeout(() => {
+      this.keepInAddress();
+      this.seekHighest();
+    }, QUIET_MS);
   }
 
-  /** The latest question wins; the answer to an older one is dropped. */
-  async ask() {
+  put() {
     const { link, forecast } = this.page.store.state;
     if (!this.steps || !forecast || link.status !== 'live') return;
-    this.asking?.abort();
-    const asking = new AbortController();
-    this.asking = asking;
-    const profile = this.profile();
-    const madeMs = this.page.clock.now();
-    const askedAt = performance.now();
+    this.question.put({ profile: this.profile(), madeMs: this.page.clock.now() });
+  }
+
+  refresh() {
+    this.put();
+    const [least, most] = REFRESH_MS;
+    const everyMs = Math.min(most, Math.max(least, REFRESH_S * 1000 / this.page.clock.rate));
+    this.timer = setTimeout(() => this.refresh(), everyMs);
+  }
+
+  ask(profile, signal, stepS = null) {
     const names = [...new Set([...SENSORS, ...Object.keys(this.page.store.get('asset').limits)])];
+    const lengthS = profile.reduce((sum, step) => sum + step.duration_s, 0);
+    const step_s = Math.min(stepS ?? Math.max(FINEST_S, Math.round(lengthS / ROWS)), 3600);
+    return call(assetPath(this.page.live.assetId, '/forecasts'),
+      { method: 'POST', body: { profile, nodes: names, step_s }, signal });
+  }
+
+  take(answer, { profile, madeMs }, ms) {
+    this.answer = { ...answer, made_at: answer.made_at ?? new Date(madeMs).toISOString(), profile };
+    this.failure = '';
+    this.panel.showProblem('');
+    this.latency.hidden = false;
+    setText(this.latency, `answered in ${Math.round(ms)} ms`);
+    put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, text)));
+    this.show();
+  }
+
+  fail(error) {
+    this.answer = null;
+    this.failure = error.message;
+    this.latency.hidden = true;
+    this.panel.showProblem(`No answer: ${error.message}.`);
+    this.show();
+  }
+
+  /** Up to which speed the step that was changed last keeps the warning improbable. */
+  async seekHighest() {
+    const { link, forecast, asset } = this.page.store.state;
+    if (!this.steps || !forecast || link.status !== 'live') return;
+    const seeking = new AbortController();
+    this.seeking = seeking;
+    const index = this.touched;
+    const { load_n: load, minutes } = this.steps[index];
+    const { speed_rpm: field } = this.fields();
+    const of = `step ${index + 1}`;
+    const at = `at ${fixed(load, 0)} N for ${spanText(minutes * 60)}`;
+    this.panel.showHint(`Highest speed of ${of} with less than 5 % over a warning limit, ${at}`,
+      null, false);
+    if (!Object.keys(asset.limits).length) {
+      this.panel.showHint('No temperature of this asset has a limit.', '–', false);
+      return;
+    }
+    let found;
     try {
-      const answer = await call(assetPath(this.page.live.assetId, '/forecasts'),
-        { method: 'POST', body: { profile, nodes: names }, signal: asking.signal });
-      const made_at = answer.made_at ?? new Date(madeMs).toISOString();
-      this.answer = { ...answer, made_at, profile };
-      setText(this.problem, '');
-      this.latency.hidden = false;
-      setText(this.latency, `answered in ${Math.round(performance.now() - askedAt)} ms`);
-      this.show();
+      found = await highestSpeed({
+        ...field,
+        ask: (profile, stepS) => this.ask(profile, seeking.signal, stepS),
+        profileAt: (speed) => this.profile(this.steps.slice(0, index + 1)
+          .map((step, i) => (i === index ? { ...step, speed_rpm: speed } : step))),
+      });
     } catch (error) {
-      if (asking.signal.aborted) return;
-      setText(this.problem, `No answer: ${error.message}.`);
+      if (!seeking.signal.aborted) {
+        this.panel.showHint(`Highest speed of ${of}: no answer, ${error.message}.`, '–', false);
+      }
+      return;
+    }
+    if (seeking.signal.aborted || !found) return;
+    this.highest = { index, speed: found.speed };
+    const over = `${channelName(found.sensor).toLowerCase()} over ${found.limit} °C`;
+    const text = `Highest speed of ${of} with less than 5 % for ${over}, ${at}`;
+    if (found.speed === null) {
+      this.panel.showHint(`${text}: it is likelier at every speed.`, 'None', false);
+    } else {
+      this.panel.showHint(text, [found.open && 'over ', fixed(found.speed, 0), unit('rpm')], true);
     }
   }
 
@@ -233,33 +269,31 @@ export class WhatIfView {
     const { store, clock } = this.page;
     const now = situation(store.state, clock);
     if (!now) return;
-    if (this.steps) this.showSteps(now);
+    if (this.steps) this.showTimes(now);
     const fan = now.noForecast === 'the model is not trusted' || !now.live ? null
       : fanFrom(this.answer, now.nowMs, SENSORS);
+    setText(this.ghostText, now.planned ? 'as planned' : 'present point held');
     this.showAnswers(now, fan);
     this.draw(now, fan);
   }
 
-  showSteps(now) {
-    setText(this.present,
-      `Running: ${fixed(now.speed.value, 0)} rpm, ${fixed(now.load.value, 0)} N`);
-    let at = this.fromEnd ? this.coming()[0]?.to ?? now.nowMs : now.nowMs;
-    this.steps.forEach((step, i) => {
-      setText(this.starts[i], `from ${hourMinute(wholeMinute(at))}`);
-      at += step.minutes * 60000;
+  showTimes(now) {
+    let at = this.before()?.to ?? now.nowMs;
+    const begins = this.steps.map(({ minutes }) => {
+      at += minutes * 60000;
+      return at - minutes * 60000;
     });
+    this.panel.showTimes(now.speed.value, now.load.value, begins);
   }
 
   showAnswers(now, fan) {
-    const titles = [['This profile', 'This profile'], ['Peak', 'Peak'],
-      ['Time to limit', 'Time to limit']];
     if (!now.live) {
-      put(this.answers, titles.map(([label, title]) => awayTile(label, title)));
+      put(this.answers, TITLES.map(([label, title]) => awayTile(label, title)));
       return;
     }
     if (!fan) {
-      const why = now.noForecast ?? 'waiting for the answer';
-      put(this.answers, titles.map(([label, title]) => noForecastTile(label, title, why)));
+      const why = now.noForecast ?? (this.failure || 'waiting for the answer');
+      put(this.answers, TITLES.map(([label, title]) => noForecastTile(label, title, why)));
       return;
     }
     const { limits, readings, nowMs } = now;
@@ -274,9 +308,9 @@ export class WhatIfView {
     const { store, clock } = this.page;
     const { history } = store.state;
     if (!history) return;
-    const fromMs = now.nowMs - PAST_MS;
-    const { times, columns } = history.columns(fromMs, now.nowMs, 1500 * clock.rate);
     const endMs = fan?.times.at(-1) ?? now.endMs ?? now.nowMs + HOUR_MS;
+    const fromMs = now.nowMs - Math.max(HOUR_MS, PAST_SHARE * (endMs - now.nowMs));
+    const { times, columns } = history.columns(fromMs, now.nowMs, 1500 * clock.rate);
     const span = { nowMs: now.nowMs, fromMs, endMs, times };
     const limits = Object.fromEntries(
       Object.entries(now.limits).filter(([sensor]) => SENSORS.includes(sensor)));
@@ -297,22 +331,37 @@ export class WhatIfView {
     this.load.update(lane(now.load, 'load_n'));
   }
 
-  /** The profile as the file that `bearing-twin forecast --profile` reads. */
+  // ---------------------------------------------------------------- keeping
+  address() {
+    return `${location.hash.split('?')[0] || '#whatif'}?${linkOf(this.steps, this.fromEnd)}`;
+  }
+
+  /** A page that is loaded again tries the same. */
+  keepInAddress() {
+    history.replaceState(null, '', this.address());
+  }
+
+  async copyLink() {
+    this.keepInAddress();
+    try {
+      await navigator.clipboard.writeText(location.href);
+      this.page.notify('The link to this profile is copied.');
+    } catch {
+      this.page.notify(`This browser copies nothing here. The link: ${location.href}`);
+    }
+  }
+
   save() {
     const ambient = readChannel(this.page.store.state, this.page.clock, 'ambient_c').value;
-    const lines = ['time_s,speed_rpm,load_n,ambient_c'];
-    let at = 0;
-    const steps = this.profile();
-    for (const step of steps) {
-      lines.push([at, step.speed_rpm, step.load_n, ambient ?? ''].join());
-      at += Math.round(step.duration_s);
-    }
-    const last = steps.at(-1);
-    lines.push([at, last.speed_rpm, last.load_n, ambient ?? ''].join());
-    const link = h('a', {
-      href: `data:text/csv;charset=utf-8,${encodeURIComponent(`${lines.join('\n')}\n`)}`,
-      download: `profile-${spanText(at).replaceAll(' ', '')}-${fixed(last.speed_rpm, 0)}rpm.csv`,
-    });
-    link.click();
+    const profile = this.profile();
+    const lengthS = profile.reduce((sum, step) => sum + step.duration_s, 0);
+    const highest = Math.max(...profile.map((step) => step.speed_rpm));
+    const file = new Blob([csvOf(profile, ambient)], { type: 'text/csv' });
+    const href = URL.createObjectURL(file);
+    h('a', {
+      href,
+      download: `profile-${spanText(lengthS).replaceAll(' ', '')}-${fixed(highest, 0)}rpm.csv`,
+    }).click();
+    setTimeout(() => URL.revokeObjectURL(href), 10000);
   }
 }
