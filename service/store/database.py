@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DatabaseError, InterfaceError, InternalError, OperationalError
@@ -16,8 +17,17 @@ PATIENCE_S = 30.0
 #: Execution option of a connection that is going to write.
 WRITES = "bearing_twin_writes"
 
-SampleColumns = tuple[int, int, float | None, int]
+SampleValues = tuple[int, int, float | None, int]
 """Channel number, time in UTC microseconds, value, quality: a row of the table of samples."""
+
+
+class SampleColumns(NamedTuple):
+    """Rows of the table of samples column by column, which is how they are made fastest."""
+
+    channel_ids: Sequence[int]
+    times_us: Sequence[int]
+    values: Sequence[float | None]
+    qualities: Sequence[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +43,7 @@ class Dialect:
         Limit, within a context, the wall seconds that a connection waits for others.
     """
 
-    upsert_samples: Callable[[Connection, Sequence[SampleColumns]], int]
+    upsert_samples: Callable[[Connection, SampleColumns], int]
     with_patience: Callable[[Connection, float], AbstractContextManager[None]]
 
 

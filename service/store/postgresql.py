@@ -1,17 +1,25 @@
 """PostgreSQL: the same tables, with the samples in partitions of about a month."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
 import psycopg
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, OperationalError
 
 from adapters.samples import Quality
-from service.store.database import PATIENCE_S, WRITES, Database, Dialect, SampleColumns
+from service.store.database import (
+    PATIENCE_S,
+    WRITES,
+    Database,
+    Dialect,
+    SampleColumns,
+    SampleValues,
+)
 from service.store.errors import StoreError
 from service.store.migrations import is_current, upgrade
 
@@ -28,7 +36,25 @@ CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
 ON COMMIT DELETE ROWS
 """
 _COPY = "COPY {} (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
-_COPIED_TYPES = ("int4", "int8", "float8", "int2")
+# The binary format of COPY: a header, rows, a trailer. Each row begins with the number of its
+# fields, each field with its length in bytes; what is missing has the length -1.
+_COPY_HEADER = b"PGCOPY\n\xff\r\n\x00" + bytes(8)
+_COPY_TRAILER = b"\xff\xff"
+_LENGTHS = {"channel_id": 4, "time_us": 8, "value": 8, "quality": 2}
+_ROW = np.dtype(
+    [
+        ("fields", ">i2"),
+        ("channel_id_length", ">i4"),
+        ("channel_id", ">i4"),
+        ("time_us_length", ">i4"),
+        ("time_us", ">i8"),
+        ("value_length", ">i4"),
+        ("value", ">f8"),
+        ("quality_length", ">i4"),
+        ("quality", ">i2"),
+    ]
+)
+_ROW_WITHOUT_VALUE = np.dtype([(name, _ROW[name]) for name in _ROW.names or () if name != "value"])
 #: See the same statement for SQLite.
 _UPSERT = f"""
 INSERT INTO samples (channel_id, time_us, value, quality)
@@ -73,10 +99,11 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
     return Database(engine, name, Dialect(partial(_upsert_samples, partitions), _with_patience))
 
 
-def _upsert_samples(
-    partitions: set[int], connection: Connection, rows: Sequence[SampleColumns]
-) -> int:
-    for number in {time_us // PARTITION_US for _, time_us, _, _ in rows} - partitions:
+def _upsert_samples(partitions: set[int], connection: Connection, columns: SampleColumns) -> int:
+    times_us = columns.times_us
+    first, last = min(times_us) // PARTITION_US, max(times_us) // PARTITION_US
+    needed = {first} if first == last else {time_us // PARTITION_US for time_us in times_us}
+    for number in needed - partitions:
         if _has_partition(connection, number):
             partitions.add(number)
         else:  # not remembered until it is found: this transaction may be rolled back
@@ -86,28 +113,49 @@ def _upsert_samples(
         # Nearly always all are new. A batch with some that are not is sent a second time.
         cursor.execute("SAVEPOINT copied")
         try:
-            _copy(cursor, "samples", rows)
+            _copy(cursor, "samples", columns)
         except psycopg.errors.UniqueViolation:
             cursor.execute("ROLLBACK TO SAVEPOINT copied")
         else:
             cursor.execute("RELEASE SAVEPOINT copied")
-            return len(rows)
-        once, replaced = _each_once(rows)
+            return len(times_us)
+        once, replaced = _each_once(columns)
         twice = sum(not _is_stored(connection, key) for key in replaced)
         cursor.execute(_INCOMING)
         _copy(cursor, "incoming_samples", once)
         # Row by row, a bad value and then a good one of a new time are two changes.
         cursor.execute(_UPSERT)
         return int(cursor.rowcount) + twice
+    except (psycopg.OperationalError, psycopg.InternalError) as error:
+        raise OperationalError(_COPY, None, error) from error  # as it comes from other statements
     finally:
         cursor.close()
 
 
-def _copy(cursor: Any, table: str, rows: Iterable[SampleColumns]) -> None:
+def _copy(cursor: Any, table: str, columns: SampleColumns) -> None:
     with cursor.copy(_COPY.format(table)) as copy:
-        copy.set_types(_COPIED_TYPES)
-        for row in rows:
-            copy.write_row(row)
+        copy.write(_packed(columns))
+
+
+def _packed(columns: SampleColumns) -> bytes:
+    """Rows in the binary format of COPY; the shorter ones without a value come last."""
+    arrays = {
+        name: np.array(column, dtype=_ROW[name])  # None becomes not a number
+        for name, column in zip(_LENGTHS, columns, strict=True)
+    }
+    missing = np.isnan(arrays["value"])
+    parts = [_COPY_HEADER]
+    for dtype, chosen in ((_ROW, ~missing), (_ROW_WITHOUT_VALUE, missing)):
+        rows = np.empty(np.count_nonzero(chosen), dtype)
+        rows["fields"] = len(arrays)
+        for name, array in arrays.items():
+            rows[f"{name}_length"] = _LENGTHS[name]
+            if name in (dtype.names or ()):
+                rows[name] = array[chosen]
+            else:
+                rows[f"{name}_length"] = -1
+        parts.append(rows.tobytes())
+    return b"".join((*parts, _COPY_TRAILER))
 
 
 def _is_stored(connection: Connection, key: tuple[int, int]) -> bool:
@@ -116,21 +164,21 @@ def _is_stored(connection: Connection, key: tuple[int, int]) -> bool:
 
 
 def _each_once(
-    rows: Sequence[SampleColumns],
-) -> tuple[Iterable[SampleColumns], set[tuple[int, int]]]:
+    columns: SampleColumns,
+) -> tuple[SampleColumns, set[tuple[int, int]]]:
     """Rows of which no two have the same key, as one statement may not touch a row twice.
 
     Also the keys whose bad or uncertain row gave way to a good one.
     """
-    kept: dict[tuple[int, int], SampleColumns] = {}
+    kept: dict[tuple[int, int], SampleValues] = {}
     replaced = set()
-    for row in rows:
+    for row in zip(*columns, strict=True):
         key = row[0], row[1]
         before = kept.setdefault(key, row)
         if before[3] < Quality.GOOD <= row[3]:
             kept[key] = row
             replaced.add(key)
-    return kept.values(), replaced
+    return SampleColumns(*zip(*kept.values(), strict=True)), replaced
 
 
 def _has_partition(connection: Connection, number: int) -> bool:

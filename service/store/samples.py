@@ -3,6 +3,7 @@
 import heapq
 import math
 from collections.abc import Collection, Iterable, Sequence
+from itertools import compress
 from operator import itemgetter
 from typing import NoReturn
 
@@ -16,6 +17,7 @@ from service.store.section import Section
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
 _LONG = 2**63
+_BYTES = frozenset(range(256))
 _in_time_order = itemgetter(1, 0)
 
 
@@ -55,31 +57,26 @@ class Samples(Section):
         if not samples:
             return WriteCounts(0, 0)
         assets, channels, times_us, values, qualities, _ = zip(*samples, strict=True)
-        if not (
-            min(times_us) >= 0
-            and max(times_us) < _LONG
-            and min(qualities) >= 0
-            and max(qualities) <= 255
-        ):
+        first_us = min(times_us)
+        if not (first_us >= 0 and max(times_us) < _LONG and set(qualities) <= _BYTES):
             _refuse(samples)
-        first_us, last_us = min(times_us), max(times_us)
-        missing = set(zip(assets, channels, strict=True)) - self._ids.keys()
+        cleaned = _cleaned(values, qualities)
         with self._database.writing(patience_s) as connection:
             ids = self._ids
-            if missing:
+            try:
+                numbers = [ids[name] for name in zip(assets, channels, strict=True)]
+            except KeyError:
+                missing = set(zip(assets, channels, strict=True)) - ids.keys()
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
-            numbers = [ids[name] for name in zip(assets, channels, strict=True)]
-            rows = _rows(numbers, times_us, values, qualities)
+                numbers = [ids[name] for name in zip(assets, channels, strict=True)]
+            columns = SampleColumns(numbers, times_us, *cleaned)
             horizon_us = raw_horizon_us(connection)
             if first_us < horizon_us:
-                rows = [row for row in rows if row[1] >= horizon_us]
-            stored = self._database.dialect.upsert_samples(connection, rows) if rows else 0
-            hour_us = max(first_us, horizon_us) // HOUR_US * HOUR_US
-            if last_us < hour_us + HOUR_US:  # as nearly always
-                hours = {(row[0], hour_us) for row in rows}
-            else:
-                hours = {(row[0], row[1] - row[1] % HOUR_US) for row in rows}
-            if fresh := hours - self._stale:
+                columns = _since(horizon_us, columns)
+            stored = 0
+            if columns.times_us:
+                stored = self._database.dialect.upsert_samples(connection, columns)
+            if fresh := _hours(columns) - self._stale:
                 _mark_stale(connection, fresh)
         # Only now: had the transaction failed, neither channels nor marks would be there.
         self._ids = ids
@@ -281,21 +278,43 @@ def _mark_stale(connection: Connection, hours: Iterable[tuple[int, int]]) -> Non
     )
 
 
-def _rows(
-    ids: Iterable[int], times_us: Sequence[int], values: Sequence[float], qualities: Sequence[int]
-) -> list[SampleColumns]:
+def _cleaned(
+    values: Sequence[float], qualities: Sequence[int]
+) -> tuple[Sequence[float | None], Sequence[int]]:
+    """Values and qualities as they are stored: no value that is not a finite number."""
+    # Plain integers: a database driver takes its time over other kinds.
+    numbers = list(map(int, qualities))
     isfinite = math.isfinite
     if all(map(isfinite, values)):
-        # Plain integers: a database driver takes its time over other kinds.
-        return list(zip(ids, times_us, values, map(int, qualities), strict=True))
-    return [
-        (channel_id, time_us, value, int(quality))
-        if isfinite(value)
-        else (channel_id, time_us, None, int(Quality.BAD if is_good(quality) else quality))
-        for channel_id, time_us, value, quality in zip(
-            ids, times_us, values, qualities, strict=True
-        )
+        return values, numbers
+    pairs = zip(values, numbers, strict=True)
+    return [value if isfinite(value) else None for value in values], [
+        int(Quality.BAD) if is_good(quality) and not isfinite(value) else quality
+        for value, quality in pairs
     ]
+
+
+def _since(begin_us: int, columns: SampleColumns) -> SampleColumns:
+    kept = [time_us >= begin_us for time_us in columns.times_us]
+    ids, times_us, values, qualities = columns
+    return SampleColumns(
+        list(compress(ids, kept)),
+        list(compress(times_us, kept)),
+        list(compress(values, kept)),
+        list(compress(qualities, kept)),
+    )
+
+
+def _hours(columns: SampleColumns) -> set[tuple[int, int]]:
+    """Channels and hours of these samples."""
+    times_us = columns.times_us
+    if times_us and min(times_us) // HOUR_US == max(times_us) // HOUR_US:  # as nearly always
+        hour_us = times_us[0] // HOUR_US * HOUR_US
+        return {(channel_id, hour_us) for channel_id in set(columns.channel_ids)}
+    return {
+        (channel_id, time_us // HOUR_US * HOUR_US)
+        for channel_id, time_us in zip(columns.channel_ids, times_us, strict=True)
+    }
 
 
 def _refuse(samples: Iterable[Sample]) -> NoReturn:

@@ -1,7 +1,7 @@
 """SQLite: one file, readers never wait, a commit is on the disk when it returns."""
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,16 @@ from service.store.migrations import is_current, upgrade
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
 #: nothing and is not counted as a change.
 _UPSERT = f"""
-INSERT INTO samples (channel_id, time_us, value, quality) VALUES (?, ?, ?, ?)
+INSERT INTO samples (channel_id, time_us, value, quality) VALUES {{}}
 ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
+_ROW = "(?, ?, ?, ?)"
+#: So many rows go in by one statement: the other threads run meanwhile, which they cannot when
+#: every row is a step of its own. SQLite takes 32,766 parameters.
+_ROWS = 1024
+_UPSERT_ONE = _UPSERT.format(_ROW)
+_UPSERT_MANY = _UPSERT.format(", ".join([_ROW] * _ROWS))
 
 
 def open_sqlite(url: URL) -> Database:
@@ -60,8 +66,19 @@ def open_sqlite(url: URL) -> Database:
     return Database(engine, str(path), Dialect(_upsert_samples, _with_patience))
 
 
-def _upsert_samples(connection: Connection, rows: Sequence[SampleColumns]) -> int:
-    return connection.exec_driver_sql(_UPSERT, list(rows)).rowcount
+def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
+    count = len(columns.times_us)
+    whole = count - count % _ROWS
+    changed = 0
+    for first in range(0, whole, _ROWS):
+        parameters: list[float | None] = [None] * (len(columns) * _ROWS)
+        for number, column in enumerate(columns):
+            parameters[number :: len(columns)] = column[first : first + _ROWS]
+        changed += connection.exec_driver_sql(_UPSERT_MANY, tuple(parameters)).rowcount
+    if whole < count:
+        rest = list(zip(*(column[whole:] for column in columns), strict=True))
+        changed += connection.exec_driver_sql(_UPSERT_ONE, rest).rowcount
+    return changed
 
 
 @contextmanager

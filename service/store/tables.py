@@ -51,13 +51,13 @@ class ChannelRow(Base):
 class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once.
 
-    PostgreSQL does not hold the channel against the table of channels, see migration 0003.
+    The channel is not held against the table of channels, see migrations 0003 and 0004.
     """
 
     __tablename__ = "samples"
     __table_args__ = ({"sqlite_with_rowid": False, "postgresql_partition_by": "RANGE (time_us)"},)
 
-    channel_id: Mapped[int] = mapped_column(Integer, ForeignKey("channels.id"), primary_key=True)
+    channel_id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
     time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     value: Mapped[float | None]
     quality: Mapped[int] = mapped_column(SmallInteger)

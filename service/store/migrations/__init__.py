@@ -42,7 +42,7 @@ def is_current(engine: Engine) -> bool:
     return revision == scripts.get_current_head()
 
 
-def upgrade(engine: Engine) -> None:
+def upgrade(engine: Engine, revision: str = "head") -> None:
     """Bring the tables up to date in one transaction.
 
     Two programs may start at once: the second waits for the first and finds nothing to do.
@@ -51,10 +51,12 @@ def upgrade(engine: Engine) -> None:
     ----------
     engine : sqlalchemy.Engine
         Engine of the database.
+    revision : str
+        Up to which migration; all of them by default.
     """
     config = _config()
     with engine.connect() as connection:
         writer = connection.execution_options(bearing_twin_writes=True)
         with writer.begin():
             config.attributes["connection"] = writer
-            command.upgrade(config, "head")
+            command.upgrade(config, revision)

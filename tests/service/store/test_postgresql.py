@@ -10,6 +10,7 @@ from sqlalchemy.engine import make_url
 
 from adapters.samples import Sample
 from service.store import Store, StoreError, StoreUnavailableError
+from service.store.database import SampleColumns
 from service.store.postgresql import PARTITION_US
 
 
@@ -67,8 +68,8 @@ def test_a_partition_of_a_batch_that_failed_is_made_again(
 
     def write_and_fail(store: Store, channel_id: int) -> None:
         with store._database.writing() as connection:
-            rows = [(channel_id, 5, 1.0, 192)]
-            assert store._database.dialect.upsert_samples(connection, rows) == 1
+            columns = SampleColumns([channel_id], [5], [1.0], [192])
+            assert store._database.dialect.upsert_samples(connection, columns) == 1
             raise LaterError
 
     with Store.open(postgresql.database(), tmp_path) as store:

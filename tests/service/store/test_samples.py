@@ -117,6 +117,21 @@ def test_any_batches_give_what_the_rule_says_page_by_page(
     )
 
 
+def test_a_batch_of_many_statements_follows_the_same_rule(store: Store) -> None:
+    bad = [sample(t, NAN, 24) for t in range(2500)]
+    good = [sample(t, float(t)) for t in range(100, 2400)]
+    again = [sample(t, -1.0) for t in range(50, 2600)]
+    # Bad and then good in one batch are two changes, good over good is a duplicate.
+    expected = (2500 + 2300 + (2600 - 50 - 2300), 2300)
+    assert store.write_samples([*bad, *good, *again]) == expected
+    found = stored(store)
+    assert [one.time_us for one in found] == list(range(2600))
+    assert [one.value for one in found[:50]] == [None] * 50
+    assert [one.value for one in found[50:]] == [
+        float(t) if 100 <= t < 2400 else -1.0 for t in range(50, 2600)
+    ]
+
+
 def test_a_span_has_its_start_and_not_its_end(store: Store) -> None:
     store.write_samples([sample(time_us) for time_us in (10, 20, 30)])
     assert [s.time_us for s in store.read_samples("bench-1", ["x"], 10, 30, 9)] == [10, 20]
