@@ -51,7 +51,7 @@ class ChannelRow(Base):
 class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once.
 
-    The channel is not held against the table of channels, see migrations 0003 and 0004.
+    The channel is not held against the table of channels, see migrations 0003 and 0005.
     """
 
     __tablename__ = "samples"
