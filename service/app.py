@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
+from service.outlets import Outlet, check_outlets, open_outlets
 from service.settings import AssetSection, Settings
 from service.store import Alarm, ModelVersion, Retention, Store, lock_data_directory
 from service.upkeep import keep_up
@@ -180,7 +181,9 @@ class Service:
             )
 
     # ------------------------------------------------------------------ life
-    async def run(self, listener: socket.socket, stop: asyncio.Event) -> None:
+    async def run(
+        self, listener: socket.socket, stop: asyncio.Event, outlets: Sequence[Outlet] = ()
+    ) -> None:
         """Serve until ``stop`` is set, then stop cleanly: nothing accepted is lost.
 
         Parameters
@@ -189,6 +192,8 @@ class Service:
             Bound socket for the web side.
         stop : asyncio.Event
             Set it to end the service.
+        outlets : sequence of Outlet
+            What else is to be done beside it.
         """
         closing: list[asyncio.Task[None]] = []
 
@@ -216,6 +221,7 @@ class Service:
                         "automatic identification",
                         identify_by_itself(self.jobs, self.histories, self.clock),
                     ),
+                    *((name, work()) for name, work in outlets),
                     ("web", self._web(listener)),
                 ):
                     await stack.enter_async_context(self._background(task, name, stop))
@@ -343,6 +349,7 @@ async def serve(
     wiring = wire(settings)
     host = settings.service.host
     data_dir: Path = settings.data_dir
+    check_outlets(settings)
     with contextlib.ExitStack() as stack:
         stack.enter_context(lock_data_directory(data_dir))
         listener = stack.enter_context(contextlib.closing(bind(host, settings.service.port)))
@@ -356,5 +363,6 @@ async def serve(
         clock = ProcessClock.resume(settings.clock.rate, data_dir)
         service = Service(settings, wiring, store, clock)
         port = listener.getsockname()[1]
-        announce(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
-        await service.run(listener, stop)
+        async with open_outlets(settings, service.assets, service.bus, store) as outlets:
+            announce(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
+            await service.run(listener, stop, outlets)

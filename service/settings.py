@@ -6,12 +6,14 @@ text), which wins over the file. Errors name the key, the value and what was exp
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
     PositiveFloat,
+    SecretStr,
     ValidationError,
     ValidationInfo,
     field_validator,
@@ -193,6 +195,41 @@ class SecuritySection(Section):
     requests_per_minute: int = Field(120_000, ge=1)
 
 
+def _opcua_endpoint(endpoint: str) -> str:
+    try:
+        place = urlsplit(endpoint)
+        listens = place.scheme == "opc.tcp" and bool(place.hostname and place.port)
+    except ValueError:
+        listens = False
+    if not listens:
+        raise ValueError("expected opc.tcp://HOST:PORT/PATH")
+    return endpoint
+
+
+class OpcUaSection(Section):
+    """The tags as an OPC UA server (extra ``opcua``)."""
+
+    enabled: bool = False
+    endpoint: Annotated[str, AfterValidator(_opcua_endpoint)] = (
+        "opc.tcp://127.0.0.1:4840/bearing-twin"
+    )
+
+
+class MqttSection(Section):
+    """The broker that tags and alarms are published to (extra ``mqtt``)."""
+
+    enabled: bool = False
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(1883, ge=1, le=65535)
+    #: First levels of every topic.
+    topic_prefix: str = Field("bearing-twin", pattern=r"^[^/+#$\s]+(/[^/+#\s]+)*$")
+    username: str = ""
+    password: SecretStr | None = None
+    tls: bool = False
+    #: Certificates of the authority that signed the broker's; without it the machine's own.
+    ca_file: Path | None = None
+
+
 class Settings(BaseSettings):
     """The whole configuration of a service."""
 
@@ -204,6 +241,8 @@ class Settings(BaseSettings):
     retention: RetentionSection = RetentionSection()
     clock: ClockSection = ClockSection()
     security: SecuritySection = SecuritySection()
+    opcua: OpcUaSection = OpcUaSection()
+    mqtt: MqttSection = MqttSection()
     bearings: dict[str, BearingSection] = {}
     sources: tuple[dict[str, Any], ...] = ()
     assets: tuple[AssetSection, ...] = ()

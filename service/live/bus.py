@@ -78,13 +78,20 @@ class Subscription:
     """
 
     def __init__(
-        self, bus: "Bus", assets: frozenset[str] | None, start_seq: int, gap: bool, capacity: int
+        self,
+        bus: "Bus",
+        assets: frozenset[str] | None,
+        start_seq: int,
+        gap: bool,
+        capacity: int,
+        types: frozenset[MessageType] | None = None,
     ) -> None:
         self.start_seq = start_seq
         self.gap = gap
         self.dropped = 0
         self._bus = bus
         self._assets = assets
+        self._types = types
         self._capacity = capacity
         self._tiers: tuple[deque[Message], ...] = tuple(deque() for _ in range(_TIERS))
         self._closed: str | None = None
@@ -94,6 +101,8 @@ class Subscription:
 
     def wants(self, message: Message) -> bool:
         """Tell whether the message is about one of the assets asked for, or about all."""
+        if self._types is not None and message.type not in self._types:
+            return False
         return message.asset is None or self._assets is None or message.asset in self._assets
 
     async def get(self) -> Message:
@@ -189,6 +198,11 @@ class Bus:
         return self._seq
 
     @property
+    def closed(self) -> bool:
+        """True once no more messages come."""
+        return self._closed is not None
+
+    @property
     def subscribers(self) -> int:
         """How many subscriptions are open."""
         return len(self._subscriptions)
@@ -255,6 +269,7 @@ class Bus:
         assets: Iterable[str] | None = None,
         resume_from: int | None = None,
         capacity: int = SUBSCRIPTION_MESSAGES,
+        types: Iterable[MessageType] | None = None,
     ) -> Subscription:
         """Open a subscription in the running event loop.
 
@@ -267,14 +282,19 @@ class Bus:
             is waiting in the subscription, or its ``gap`` says that it is gone.
         capacity : int
             How many messages may wait.
+        types : iterable of str, optional
+            Only messages of these types; default all.
         """
+        of_types = None if types is None else frozenset(types)
         wanted = None if assets is None else frozenset(assets)
         with self._lock:
             gap = resume_from is not None and not (self._forgotten_seq <= resume_from <= self._seq)
             start_seq = self._seq if gap or resume_from is None else resume_from
             missed = [message for message in self._history if message.seq > start_seq]
             # What is promised by resuming comes on top of what may wait.
-            subscription = Subscription(self, wanted, start_seq, gap, capacity + len(missed))
+            subscription = Subscription(
+                self, wanted, start_seq, gap, capacity + len(missed), of_types
+            )
             for message in missed:
                 if subscription.wants(message):
                     subscription._put(message)

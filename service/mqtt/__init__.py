@@ -1,0 +1,1 @@
+"""Tags and alarms to an MQTT broker (extra ``mqtt``)."""

@@ -1,0 +1,1 @@
+"""The snapshot's tags as an OPC UA server (extra ``opcua``)."""

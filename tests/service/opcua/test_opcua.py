@@ -1,0 +1,234 @@
+"""The OPC UA server, asked by a real client in an event loop of its own."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+from asyncua import Client, ua
+from processes import free_port
+
+from adapters.samples import Quality
+from service import outlets
+from service.clock import from_rfc3339
+from service.configuration import SettingsError
+from service.opcua.codes import status_code, unit_id
+from service.opcua.server import serve_tags
+from service.settings import OpcUaSection, Settings
+
+Answer = TypeVar("Answer")
+BEGAN = "2026-11-21T08:00:00.000Z"
+
+
+class Asset:
+    """An asset whose tags a test sets."""
+
+    def __init__(self) -> None:
+        self.tags: dict[str, dict[str, Any]] = {}
+        self.tell("t_inner_ring_c", 61.5)
+        self.tell("t_inner_ring_c.time_to_alarm_s", None, unit="s")
+        self.tell("model.version", 3, unit="")
+
+    def tell(
+        self,
+        name: str,
+        value: float | None,
+        quality: int = Quality.GOOD,
+        time: str = BEGAN,
+        unit: str = "°C",
+    ) -> None:
+        self.tags[name] = {"value": value, "unit": unit, "quality": int(quality), "time": time}
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"tags": dict(self.tags)}
+
+
+def key_opens(text: str) -> bool:
+    return text == "a good key"
+
+
+@asynccontextmanager
+async def serving(asset: Asset, folder: Path, host: str = "127.0.0.1") -> AsyncIterator[str]:
+    port = free_port()
+    section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
+    async with serve_tags(section, {"bench-1": asset}, key_opens, folder) as tags:
+        running = asyncio.create_task(tags.run())
+        try:
+            yield f"opc.tcp://127.0.0.1:{port}/bearing-twin"
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+
+async def apart(work: Callable[[], Coroutine[Any, Any, Answer]]) -> Answer:
+    """Run a client in a thread with an event loop of its own."""
+    return await asyncio.to_thread(lambda: asyncio.run(work()))
+
+
+def node_id(name: str) -> str:
+    return f"ns=2;s=bench-1/{name}"
+
+
+async def read(client: Client, name: str) -> ua.DataValue:
+    return await client.get_node(node_id(name)).read_data_value(raise_on_bad_status=False)
+
+
+class Changes:
+    """Takes a subscription's messages."""
+
+    def __init__(self) -> None:
+        self.values: asyncio.Queue[tuple[Any, int]] = asyncio.Queue()
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        self.values.put_nowait((value, data.monitored_item.Value.StatusCode.value))
+
+
+@pytest.mark.wires
+async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path) -> None:
+    asset = Asset()
+    async with serving(asset, tmp_path) as address:
+
+        async def look() -> None:
+            async with Client(address) as client:
+                assert (await client.get_namespace_array())[2] == "urn:bearing-twin"
+                bench = await client.nodes.objects.get_child("2:bench-1")
+                names = [
+                    (await node.read_browse_name()).Name for node in await bench.get_children()
+                ]
+                assert names == list(asset.tags)
+                ring = await read(client, "t_inner_ring_c")
+                assert (ring.Value.Value, ring.StatusCode.value) == (61.5, 0)
+                assert round(ring.SourceTimestamp.timestamp() * 1e6) == from_rfc3339(BEGAN)
+                unit = await client.get_node(
+                    node_id("t_inner_ring_c/EngineeringUnits")
+                ).read_value()
+                assert (unit.DisplayName.Text, unit.UnitId) == ("°C", 4408652)
+                # Good and without a value: the limit is not reached within the horizon.
+                never = await read(client, "t_inner_ring_c.time_to_alarm_s")
+                assert (never.Value.Value, never.StatusCode.value) == (None, 0)
+                with pytest.raises(ua.UaStatusCodeError):
+                    await client.get_node(node_id("t_inner_ring_c")).write_value(99.0)
+                with pytest.raises(ua.UaStatusCodeError):
+                    await bench.add_variable(2, "mine", 1.0)
+                assert (await read(client, "t_inner_ring_c")).Value.Value == 61.5
+
+        await apart(look)
+        loop = asyncio.get_running_loop()
+
+        async def follow() -> list[tuple[Any, int]]:
+            async with Client(address) as client:
+                changes = Changes()
+                subscription = await client.create_subscription(200, changes)
+                await subscription.subscribe_data_change(client.get_node(node_id("t_inner_ring_c")))
+                seen = [await asyncio.wait_for(changes.values.get(), 20)]
+                for value, quality in ((62.5, 192), (63.5, 80), (None, 16)):
+                    loop.call_soon_threadsafe(asset.tell, "t_inner_ring_c", value, quality)
+                    seen.append(await asyncio.wait_for(changes.values.get(), 20))
+                return seen
+
+        assert await apart(follow) == [
+            (61.5, 0),
+            (62.5, 0),
+            (63.5, ua.StatusCodes.UncertainSensorNotAccurate),
+            (None, ua.StatusCodes.BadSensorFailure),
+        ]
+
+
+@pytest.mark.wires
+async def test_clients_come_and_go_and_a_tag_that_is_new_appears(tmp_path: Path) -> None:
+    asset = Asset()
+    async with serving(asset, tmp_path) as address:
+
+        async def vanish() -> None:
+            client = Client(address)
+            await client.connect()
+            await client.create_subscription(100, Changes())
+            client.uaclient.protocol.transport.abort()
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()
+
+        for _ in range(3):
+            await apart(vanish)
+        asset.tell("load_n", 2650.0, unit="N")
+
+        async def look() -> float:
+            async with Client(address) as client, asyncio.timeout(20):
+                while True:
+                    found = await read(client, "load_n")
+                    if found.StatusCode.is_good():
+                        return float(found.Value.Value)
+                    await asyncio.sleep(0.05)
+
+        assert await apart(look) == 2650.0
+
+
+@pytest.mark.wires
+async def test_beyond_loopback_a_key_is_asked_for_and_the_line_may_be_encrypted(
+    tmp_path: Path,
+) -> None:
+    async with serving(Asset(), tmp_path, host="0.0.0.0") as address:
+
+        async def value(password: str | None, encrypted: bool = False) -> Any:
+            client = Client(address)
+            if password is not None:
+                client.set_user("scada")
+                client.set_password(password)
+            if encrypted:
+                # The client's own certificate: any will do.
+                folder = tmp_path / "opcua"
+                await client.set_security_string(
+                    "Basic256Sha256,SignAndEncrypt,"
+                    f"{folder / 'certificate.der'},{folder / 'private-key.pem'}"
+                )
+            async with client:
+                return (await read(client, "t_inner_ring_c")).Value.Value
+
+        def asking(*arguments: Any) -> Awaitable[Any]:
+            return apart(lambda: value(*arguments))
+
+        for password in (None, "a wrong key"):
+            with pytest.raises(ua.UaStatusCodeError):
+                await asking(password)
+        assert await asking("a good key") == 61.5
+        assert await asking("a good key", True) == 61.5
+    assert (tmp_path / "opcua").stat().st_mode & 0o077 == 0
+
+
+def test_every_quality_has_a_status_code_of_its_severity() -> None:
+    assert len({status_code(quality) for quality in Quality}) == len(Quality)
+    for quality in range(256):
+        severity = status_code(quality) >> 30
+        assert severity == (0 if quality >= 192 else 1 if quality >= 64 else 2)
+    for quality, name in {
+        Quality.GOOD: "Good",
+        Quality.LOCAL_OVERRIDE: "GoodLocalOverride",
+        Quality.CONFIG_ERROR: "BadConfigurationError",
+        Quality.LAST_USABLE: "UncertainLastUsableValue",
+        Quality.EU_EXCEEDED: "UncertainEngineeringUnitsExceeded",
+        Quality.WAITING_FOR_INITIAL_DATA: "BadWaitingForInitialData",
+    }.items():
+        assert ua.StatusCode(status_code(quality)).name == name
+    assert unit_id("") == -1
+
+
+def test_what_cannot_be_had_is_told_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}/bearing-twin"
+        wanted = Settings(opcua=OpcUaSection(enabled=True, endpoint=endpoint))
+        with pytest.raises(SettingsError, match=r"opcua.endpoint = .*already in use.*a free port"):
+            outlets.check_outlets(wanted)
+    monkeypatch.setattr(outlets, "find_spec", lambda name: None)
+    with pytest.raises(SettingsError, match=r"opcua.enabled = true: .*'bearing-twin\[opcua\]'"):
+        outlets.check_outlets(wanted)
+    outlets.check_outlets(Settings())
+
+
+def test_only_an_endpoint_can_be_an_endpoint() -> None:
+    for endpoint in ("http://127.0.0.1:4840", "opc.tcp://127.0.0.1/x", "opc.tcp://h:99999/"):
+        with pytest.raises(ValueError, match=r"expected opc\.tcp://HOST:PORT/PATH"):
+            OpcUaSection(endpoint=endpoint)
