@@ -56,10 +56,6 @@ def page(context: BrowserContext, site: Site, problems: list[str]) -> Page:
     return page
 
 
-def tile(page: Page, label: str) -> str:
-    return page.locator(f'.ans[aria-label="{label}"] .word').inner_text()
-
-
 def figure(page: Page, node: int) -> str:
     """Temperature that the section shows at a node."""
     text = page.locator(f'[data-figure="{node}"]').text_content()
@@ -112,7 +108,8 @@ def test_live_values_move(page: Page, problems: list[str]) -> None:
 
 def test_forecast_is_drawn_and_answers_are_given(page: Page, problems: list[str]) -> None:
     for label in ("Is the next step safe", "Time to limit"):
-        assert tile(page, label) not in ("", "Unknown", "No forecast")
+        word = page.locator(f'.ans[aria-label="{label}"] .word')
+        expect(word).to_have_text(re.compile(r"Safe|At risk|Not safe|None|\d"))
     expect(page.locator(".ans h2").nth(1)).to_have_text(re.compile("Next step in"))
     wait_until(lambda: fan_pixels(page) > 2000, 15, "a forecast fan on the canvas")
     assert problems == []
@@ -211,7 +208,10 @@ def test_a_viewer_sees_everything_and_changes_nothing(
     page = context.new_page()
     page.goto(f"http://127.0.0.1:{site.port}/#key={key}")
     expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe|At rest"))
-    assert page.locator("nav.tabs a").all_inner_texts() == ["Operator", "Envelope"]
+    tabs = page.locator("nav.tabs a[href]").all_inner_texts()
+    assert tabs == ["Operator", "Envelope", "History", "Alarms"]
+    refused = page.locator("nav.tabs a[aria-disabled]", has_text="Engineer")
+    expect(refused).to_have_attribute("title", re.compile("role engineer; you are .* viewer"))
 
 
 def test_lost_bench_shows_as_unknown_and_its_alarm_is_acknowledged(

@@ -192,14 +192,16 @@ def test_what_the_server_sends_stays_text(parts: Page) -> None:
     shown = run(
         parts,
         """
-        const { AlarmList } = await import('/js/alarms.js');
+        const { AlarmList } = await import('/js/alarm_list.js');
+        const desk = { actionsOf: () => ['acknowledge'], text: () => 'Acknowledge',
+          refusal: () => '', away: () => '' };
         const { h } = await import('/js/dom.js');
         const box = h('div');
-        const list = new AlarmList(box, { onAcknowledge() {}, mayAcknowledge: () => true });
+        const list = new AlarmList(box, desk);
         const evil = '<img src=x onerror="window.broken = true">';
         const alarm = { id: evil, kind: evil, message: evil, state: 'ACKED', priority: 2,
           channel: evil, raised_at: '2026-11-21T08:00:00Z', acknowledged_by: evil };
-        list.update(new Map([[evil, alarm]]), { value: () => null, crossing: () => null }, false);
+        list.update(new Map([[evil, alarm]]), () => ({ value: () => null, crossing: () => null }));
         document.documentElement.append(box);
         await new Promise((done) => setTimeout(done, 100));
         return { images: box.querySelectorAll('img').length, broken: window.broken ?? false,
@@ -215,18 +217,20 @@ def test_rows_stay_in_place_while_their_texts_change(parts: Page) -> None:
     same = run(
         parts,
         """
-        const { AlarmList } = await import('/js/alarms.js');
+        const { AlarmList } = await import('/js/alarm_list.js');
+        const desk = { actionsOf: () => ['acknowledge'], text: () => 'Acknowledge',
+          refusal: () => '', away: () => '' };
         const { h } = await import('/js/dom.js');
         const box = h('div');
-        const list = new AlarmList(box, { onAcknowledge() {}, mayAcknowledge: () => true });
+        const list = new AlarmList(box, desk);
         const alarm = { id: '1', kind: 'forecast limit', message: 'It will pass', priority: 2,
           state: 'UNACK', channel: 't_inner_ring_c', limit_level: 'warning', predicted: true,
           raised_at: '2026-11-21T08:00:00Z', lead_time_s: 1800, probability: 0.4 };
-        const live = { value: () => null, crossing: () => null };
-        list.update(new Map([['1', alarm]]), live, false);
+        const live = () => ({ value: () => null, crossing: () => null });
+        list.update(new Map([['1', alarm]]), live);
         const button = box.querySelector('button');
         const before = box.querySelector('.m span').textContent;
-        list.update(new Map([['1', { ...alarm, lead_time_s: 600 }]]), live, false);
+        list.update(new Map([['1', { ...alarm, lead_time_s: 600 }]]), live);
         return { same: button === box.querySelector('button'), before,
           after: box.querySelector('.m span').textContent };
         """,

@@ -1,27 +1,31 @@
 // Alarms after ISA-18.2: the state is said by colour, by shape and by text.
-import { call } from './api.js';
-import { bold, h, put, setText } from './dom.js';
-import { fixed, isNumber, joined, milliseconds, percent, spanText, timeElement } from './format.js';
+import { fixed, isNumber, joined, milliseconds, percent, spanText } from './format.js';
 import { icon } from './icons.js';
 import { isActive, isDistrust } from './readings.js';
 
+// What each state is called, how its symbol looks, and where it stands in the list.
 const STATES = {
-  UNACK: ['UNACKNOWLEDGED', 'filled'],
-  ACKED: ['ACKNOWLEDGED', 'filled'],
-  RTNUN: ['RETURNED, UNACK', 'hollow'],
+  UNACK: { text: 'UNACKNOWLEDGED', look: 'filled', rank: 0 },
+  ACKED: { text: 'ACKNOWLEDGED', look: 'filled', rank: 1 },
+  RTNUN: { text: 'RETURNED, UNACK', look: 'hollow', rank: 2 },
+  LATCH: { text: 'LATCHED, RESET IT', look: 'hollow', rank: 3 },
+  SHLVD: { text: 'SHELVED', look: 'shelved', rank: 4 },
+  DSUPR: { text: 'SUPPRESSED', look: 'suppressed', rank: 5 },
+  OOSRV: { text: 'OUT OF SERVICE', look: 'struck', rank: 6 },
 };
-const ORDER = { UNACK: 0, ACKED: 1, RTNUN: 2 };
-
+export const stateOf = (alarm) => STATES[alarm.state];
 export const needsAcknowledge = (alarm) => alarm.state === 'UNACK' || alarm.state === 'RTNUN';
 export const isShown = (alarm) => alarm.state in STATES;
+/** Put aside by somebody or by design: shown in grey, never counted. */
+export const isAside = (alarm) => ['SHLVD', 'DSUPR', 'OOSRV'].includes(alarm.state);
 
 const rank = (alarm) =>
-  ORDER[alarm.state] * 100 + (alarm.predicted ? 10 : 0) + (isDistrust(alarm) ? 0 : alarm.priority);
+  stateOf(alarm).rank * 100 + (alarm.predicted ? 10 : 0) + (isDistrust(alarm) ? 0 : alarm.priority);
 const newest = (alarm) => -milliseconds(alarm.raised_at) / 1e15;
+export const byUrgency = (a, b) => rank(a) + newest(a) - rank(b) - newest(b);
 
 /** Alarms to show, the worst first. */
-const ranked = (alarms) => [...alarms.values()].filter(isShown)
-  .sort((a, b) => rank(a) + newest(a) - rank(b) - newest(b));
+export const ranked = (alarms) => [...alarms.values()].filter(isShown).sort(byUrgency);
 
 /** The alarm of the banner: active, and about the machine rather than about its sensors. */
 export const worst = (alarms) =>
@@ -29,7 +33,9 @@ export const worst = (alarms) =>
 
 export function summary(alarms) {
   const all = [...alarms.values()];
-  return `${all.filter(isActive).length} active, ${all.filter(needsAcknowledge).length} to acknowledge`;
+  const aside = all.filter(isAside).length;
+  return `${all.filter(isActive).length} active, ${all.filter(needsAcknowledge).length} to acknowledge`
+    + (aside ? `, ${aside} put aside` : '');
 }
 
 /**
@@ -37,11 +43,14 @@ export function summary(alarms) {
  * measured one. `live` says what forecast and sensor say this moment, newer than the alarm's own.
  */
 export function detailText(alarm, live) {
-  if (alarm.predicted && alarm.state === 'RTNUN') return 'no longer predicted';
+  if (alarm.state === 'SHLVD') return joined(timeLeft(alarm, live));
+  if (alarm.state === 'DSUPR') return alarm.suppressed_reason ?? alarm.kind;
+  if (alarm.state === 'OOSRV') return alarm.comment ?? alarm.kind;
+  if (alarm.predicted && !isActive(alarm)) return 'no longer predicted';
   if (!alarm.predicted) {
     if (isDistrust(alarm)) return alarm.kind;
-    const value = live.value(alarm.channel) ?? alarm.value;
-    return isNumber(value) ? joined(`${fixed(value)} °C`) : alarm.kind;
+    const value = valueText(alarm, live);
+    return value === null ? alarm.kind : joined(value);
   }
   const { probability, median, earliest } = live.crossing(alarm.channel, alarm.limit_level)
     ?? { probability: alarm.probability, median: alarm.lead_time_s };
@@ -52,19 +61,33 @@ export function detailText(alarm, live) {
   return joined(parts.join(' · '));
 }
 
-export function symbol(alarm, size, inverse = false) {
-  if (isDistrust(alarm)) {
-    return icon('bad', alarm.state === 'RTNUN' ? 'hollow' : 'filled', size);
-  }
-  if (alarm.predicted) return icon(alarm.priority, 'dashed', size);
-  return icon(alarm.priority, inverse ? 'inverse' : STATES[alarm.state][1], size);
+/** The value that an alarm is about; live where it is the value of a sensor itself. */
+function valueText(alarm, live) {
+  const ofSensor = alarm.kind === 'measured limit' && (alarm.unit ?? '°C') === '°C';
+  const value = (ofSensor ? live.value(alarm.channel) : null) ?? alarm.value;
+  if (!isNumber(value)) return null;
+  const unit = alarm.unit ?? '°C';
+  return `${fixed(value)} ${unit}`.trim();
 }
 
-/** Acknowledge; the list changes only when the service has confirmed. */
-export async function acknowledge(store, alarm) {
-  const changed = await call(`/alarms/${encodeURIComponent(alarm.id)}/acknowledge`,
-    { method: 'POST', body: {} });
-  applyAlarm(store, changed);
+function timeLeft(alarm, live) {
+  const leftS = (milliseconds(alarm.shelved_until) - live.nowMs) / 1000;
+  return Number.isFinite(leftS) ? `${spanText(leftS)} left` : 'shelved';
+}
+
+/** Who put the alarm into its state; empty where nobody did. */
+export function whoOf(alarm) {
+  if (alarm.state === 'ACKED') return alarm.acknowledged_by ?? '';
+  return alarm.state === 'SHLVD' ? alarm.shelved_by ?? '' : '';
+}
+
+export function symbol(alarm, size, inverse = false) {
+  const { look } = stateOf(alarm);
+  const kind = isDistrust(alarm) ? 'bad' : alarm.priority;
+  if (isAside(alarm)) return icon(kind, look, size);
+  if (isDistrust(alarm)) return icon('bad', look, size);
+  if (alarm.predicted) return icon(alarm.priority, 'dashed', size);
+  return icon(alarm.priority, inverse ? 'inverse' : look, size);
 }
 
 /** Take in an alarm as the service tells it; one that is over and acknowledged leaves the list. */
@@ -73,69 +96,4 @@ export function applyAlarm(store, alarm) {
   if (isShown(alarm)) alarms.set(alarm.id, alarm);
   else alarms.delete(alarm.id);
   store.set('alarms', alarms);
-}
-
-/** A list whose rows stay in place while their texts change, so that no press is lost. */
-export class AlarmList {
-  constructor(box, { onAcknowledge, mayAcknowledge }) {
-    this.list = h('ul', { class: 'alist' });
-    this.empty = h('p', { class: 'mut s pad' }, 'No alarms.');
-    this.onAcknowledge = onAcknowledge;
-    this.mayAcknowledge = mayAcknowledge;
-    this.rows = new Map();
-    put(box, this.list, this.empty);
-  }
-
-  update(alarms, live, away) {
-    const shown = ranked(alarms);
-    this.empty.hidden = shown.length > 0;
-    const rows = new Map();
-    for (const alarm of shown) {
-      const row = this.rows.get(alarm.id) ?? this.createRow();
-      rows.set(alarm.id, row);
-      this.updateRow(row, alarm, live);
-      row.button.disabled = away || row.busy === true;
-    }
-    const order = [...rows.values()].map((row) => row.element);
-    const same = order.length === this.list.children.length
-      && order.every((element, i) => this.list.children[i] === element);
-    if (!same) this.list.replaceChildren(...order);
-    this.rows = rows;
-  }
-
-  createRow() {
-    const row = { alarm: null, key: null };
-    row.symbol = h('span', {});
-    row.message = bold();
-    row.detail = h('span', {});
-    row.state = h('span', { class: 'stt' });
-    row.since = h('span', { class: 'mut' });
-    row.button = h('button', {
-      class: 'btn sm', type: 'button', onclick: () => this.onAcknowledge(row.alarm, row.button),
-    }, 'Ack');
-    row.element = h('li', {}, row.symbol, h('div', { class: 'm' }, row.message, row.detail),
-      h('div', { class: 'st' }, row.state, row.since), h('div', { class: 'ac' }, row.button));
-    return row;
-  }
-
-  updateRow(row, alarm, live) {
-    row.alarm = alarm;
-    const detail = detailText(alarm, live);
-    setText(row.message, joined(alarm.message));
-    const predicted = alarm.predicted && alarm.state !== 'RTNUN';
-    setText(row.detail, predicted ? `predicted ${detail}` : detail);
-    row.button.hidden = !needsAcknowledge(alarm) || !this.mayAcknowledge();
-    row.button.setAttribute('aria-label', `Acknowledge: ${alarm.message}`);
-    const key = [alarm.state, alarm.priority, alarm.raised_at, alarm.acknowledged_by].join();
-    if (key === row.key) return;
-    row.key = key;
-    const kind = isDistrust(alarm) ? 'pbad' : `p${alarm.priority}`;
-    row.element.className = `al ${alarm.state} ${kind}`;
-    row.element.dataset.alarm = alarm.id;
-    row.element.dataset.state = alarm.state;
-    put(row.symbol, symbol(alarm, '1.7em')).className = alarm.state === 'UNACK' ? 'blink' : '';
-    setText(row.state, STATES[alarm.state][0]);
-    const who = alarm.state === 'ACKED' && alarm.acknowledged_by;
-    put(row.since, timeElement(milliseconds(alarm.raised_at)), who ? ` · ${who}` : '');
-  }
 }

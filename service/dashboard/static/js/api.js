@@ -19,12 +19,8 @@ async function describe(response) {
   }
 }
 
-/**
- * Call the service and give its JSON (null for an empty answer).
- *
- * options: method, body (an object), query (values may be arrays), headers, signal, timeoutMs.
- */
-export async function call(path, options = {}) {
+/** Ask the service; gives the response where it is no refusal. Options as those of `call`. */
+async function ask(path, options) {
   const { method = 'GET', body, query = {}, headers = {}, timeoutMs = 15000, signal } = options;
   const parameters = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) {
@@ -47,9 +43,22 @@ export async function call(path, options = {}) {
     throw new ApiError(0, 'the service does not answer');
   }
   if (!response.ok) throw new ApiError(response.status, await describe(response));
-  const text = await response.text();
+  return response;
+}
+
+/**
+ * Call the service and give its JSON (null for an empty answer).
+ *
+ * options: method, body (an object), query (values may be arrays), headers, signal, timeoutMs.
+ */
+export async function call(path, options = {}) {
+  const text = await (await ask(path, options)).text();
   return text ? JSON.parse(text) : null;
 }
+
+/** A file that the service makes, as a Blob. */
+export const fetchFile = async (path, options = {}) =>
+  (await ask(path, { timeoutMs: 120000, ...options })).blob();
 
 /** Like `call`, but null where there is nothing (404). */
 export async function callOptional(path, options) {
@@ -61,13 +70,14 @@ export async function callOptional(path, options) {
   }
 }
 
-/** All pages of a listing with `items` and `next`. */
-export async function callPages(path, query) {
+/** All pages of a listing with `items` and `next`; `look` is called with every page. */
+export async function callPages(path, query, look = () => {}) {
   const items = [];
   let cursor = null;
   do {
     const page = await call(path, { query: cursor ? { ...query, cursor } : query });
-    items.push(...page.items);
+    look(page);
+    for (const item of page.items) items.push(item);
     cursor = page.next;
   } while (cursor);
   return items;
@@ -76,7 +86,7 @@ export async function callPages(path, query) {
 /** Whether anybody is there at all; needs no key. */
 export async function isAlive() {
   try {
-    const signal = AbortSignal.timeout(3000);
+    const signal = AbortSignal.timeout(2500);
     return (await fetch('/livez', { cache: 'no-store', signal })).ok;
   } catch {
     return false;

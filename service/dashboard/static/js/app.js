@@ -1,74 +1,77 @@
 // The page: session, frame, views.
-import { acknowledge } from './alarms.js';
+import { AlarmDesk } from './alarm_desk.js';
 import { ApiError, call } from './api.js';
+import { Banner } from './banner.js';
 import { ProcessClock } from './clock.js';
 import { notify } from './dialogs.js';
 import { find, h, put } from './dom.js';
-import { Banner, Header, JobStrip, LostStrip, lostState } from './frame.js';
+import { Header, JobStrip, LostStrip, lostState } from './frame.js';
 import { Live } from './live.js';
 import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
+import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
-import { emptyAsset, Store } from './store.js';
+import { AlarmsView } from './views/alarms.js';
 import { EngineerView } from './views/engineer.js';
 import { EnvelopeView } from './views/envelope.js';
+import { FleetView } from './views/fleet.js';
+import { HistoryView } from './views/history.js';
 import { OperatorView } from './views/operator.js';
 import { WhatIfView } from './views/whatif.js';
 
 const VIEWS = {
+  fleet: { title: 'Fleet', view: FleetView, from: 'viewer' },
   operator: { title: 'Operator', view: OperatorView, from: 'viewer' },
   whatif: { title: 'What-if', view: WhatIfView, from: 'operator' },
   envelope: { title: 'Envelope', view: EnvelopeView, from: 'viewer' },
   engineer: { title: 'Engineer', view: EngineerView, from: 'engineer' },
+  history: { title: 'History', view: HistoryView, from: 'viewer' },
+  alarms: { title: 'Alarms', view: AlarmsView, from: 'viewer' },
 };
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
 
-const store = new Store({
-  session: null, assets: [], link: { status: 'connecting' }, sources: [], history: null,
-  ...emptyAsset(),
-});
 const clock = new ProcessClock();
-const live = new Live(store, clock, () => start());
+const live = new Live(clock, () => start('Your key is no longer valid, or your session has ended.'));
 const main = find('#main');
+let session = null;
+let assets = [];
 let view = null;
-let assetId = null;
+let feed = null; // of the asset that is looked at
 
-const may = (role) => ROLES.indexOf(store.get('session')?.role) >= ROLES.indexOf(role);
+const several = () => assets.length > 1;
+const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
+/** Why this user may not do what needs a role, or ''. */
+const refusal = (role) =>
+  (may(role) ? '' : `Needs the role ${role}; you are logged in as ${session?.role}.`);
 const viewName = () => {
-  const name = location.hash.slice(1);
-  return VIEWS[name] && may(VIEWS[name].from) ? name : 'operator';
+  const { view: name } = readHash();
+  const known = VIEWS[name] && may(VIEWS[name].from) && (name !== 'fleet' || several());
+  return known ? name : several() && !name ? 'fleet' : 'operator';
 };
 
-async function acknowledgeAlarm(alarm, button) {
-  button.disabled = true;
-  try {
-    await acknowledge(store, alarm);
-  } catch (error) {
-    notify(`Not acknowledged: ${error.message}.`);
-  } finally {
-    button.disabled = false;
-  }
-}
-
+const desk = new AlarmDesk(live, refusal);
 const page = {
-  store, clock, live, may, notify,
+  clock, may, refusal, notify, desk,
+  connection: live, // all assets
+  get store() { return feed.store; },
+  get live() { return feed; },
+  get assets() { return assets; },
+  openAsset: (id, name) => { location.hash = assetHash(name, id); },
   wish: null, // a point that one view hands over to another: { speed_rpm, load_n }
-  acknowledge: acknowledgeAlarm,
-  mayAcknowledge: () => may('operator'),
 };
 
 const header = new Header(find('#top'), {
-  chooseAsset: (id) => openAsset(id),
+  chooseAsset: (id) => page.openAsset(id, viewName() === 'fleet' ? 'operator' : viewName()),
   switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
   logOut: async () => {
     live.stop();
-    await logOut();
+    await whileAway(logOut);
     start();
   },
 });
-const strip = new LostStrip(find('#lost'));
-const banner = new Banner(find('#banner'), page);
+const strip = new LostStrip(find('#lost'), () => live.stream?.tryNow());
+const banner = new Banner(find('#banner'), desk);
 const jobs = new JobStrip(find('#jobstrip'));
 
 function setTheme(theme) {
@@ -81,33 +84,56 @@ function setTheme(theme) {
 function showView() {
   const name = viewName();
   view?.destroy();
-  main.className = `v-${name}`;
+  view = null;
+  const asked = readHash().view;
+  if (VIEWS[asked] && asked !== name) notify(refusal(VIEWS[asked].from));
+  put(main).className = `v-${name}`;
   document.body.dataset.view = name;
-  header.showViews(Object.entries(VIEWS).filter(([, one]) => may(one.from))
-    .map(([key, one]) => [key, one.title]), name);
+  const tabs = Object.entries(VIEWS).filter(([key]) => key !== 'fleet' || several());
+  header.showViews(tabs.map(([key, { title, from }]) => ({
+    title, href: assetHash(key, several() ? feed.assetId : null), current: key === name,
+    reason: refusal(from),
+  })));
+  header.showAssets(assets, feed.assetId);
   view = new VIEWS[name].view(main, page);
+  updateFrame();
 }
 
-function openAsset(id) {
-  assetId = id;
-  live.start(id);
-  header.showAssets(store.get('assets'), id);
+/** Show what the address asks for. */
+function follow() {
+  const wanted = readHash().asset;
+  const id = live.feeds.has(wanted) ? wanted : feed?.assetId ?? assets[0].id;
+  feed = live.feeds.get(id);
+  live.guarded(() => feed.open('whole'));
   showView();
 }
 
 function tick() {
-  const { state } = store;
-  header.tick(state, clock);
-  strip.tick(assetId ? lostState(state, clock) : null);
-  jobs.update(state.jobs);
+  const state = feed?.store.state;
+  header.tick(state ?? { link: live.link, sources: [] }, clock);
+  strip.tick(state ? lostState(state, clock, viewName() === 'fleet') : null);
+  if (state) jobs.update(state.jobs);
+  showLink();
+}
+
+/** A page that nobody keeps up to date looks like one, and takes no orders. */
+function showLink() {
+  const away = Boolean(feed) && live.link.status === 'away';
+  document.body.classList.toggle('away', away);
+  main.inert = away;
 }
 
 function updateFrame() {
-  banner.update(store.get('alarms'), liveDetail(store.state, clock),
-    store.get('link').status !== 'live');
-  const now = situation(store.state, clock);
-  const mark = { over: '▲ ', unknown: '✕ ' }[now?.now.word] ?? '';
-  document.title = `${mark}${assetId ?? ''} · ${VIEWS[viewName()].title} · Bearing Twin`;
+  if (!feed || !view) return;
+  const all = viewName() === 'fleet' || viewName() === 'alarms';
+  const feeds = all ? [...live.feeds.values()] : [feed];
+  banner.update(feeds, all && several(), (alarm) =>
+    liveDetail(live.feeds.get(alarm.asset).store.state, clock));
+  const words = feeds.map((one) => situation(one.store.state, clock)?.now.word);
+  const mark = words.includes('over') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
+  const { title } = VIEWS[viewName()];
+  document.title = [mark + (viewName() === 'fleet' ? title : `${feed.assetId} · ${title}`),
+    'Bearing Twin'].join(' · ');
 }
 
 /** Wait for a service that is not there (yet). */
@@ -124,36 +150,38 @@ async function whileAway(action) {
   }
 }
 
-async function start() {
+async function start(reason = '') {
   view?.destroy();
   view = null;
-  assetId = null;
+  feed = null;
+  main.inert = false;
   main.className = 'v-start';
   document.body.dataset.view = 'start';
-  header.showSession(null, false);
-  header.showViews([], '');
-  let session = await whileAway(currentSession);
+  document.title = 'Bearing Twin';
+  document.querySelectorAll('dialog').forEach((dialog) => dialog.close());
+  header.showSession(null);
+  header.showViews([]);
+  header.showAssets([], null);
+  session = await whileAway(currentSession);
   while (!session) {
-    await showLogin(main);
+    await showLogin(main, reason);
     session = await whileAway(currentSession);
   }
-  store.set('session', session);
-  header.showSession(session, true);
-  const answer = await whileAway(() => call('/assets'));
-  store.set('assets', answer.items ?? answer);
-  const [first] = store.get('assets');
-  if (!first) {
+  header.showSession(session);
+  assets = (await whileAway(() => call('/assets'))).items;
+  if (!assets.length) {
     put(main, h('p', { class: 'panel waiting' },
       'No asset is configured. Add an [[assets]] section to the configuration file.'));
     return;
   }
-  openAsset(first.id);
+  live.start(assets);
+  live.feeds.forEach((one) => one.store.on(['alarms', 'forecast', 'tags', 'link'], updateFrame, 250));
+  follow();
 }
 
-store.on(['alarms', 'forecast', 'tags', 'link', 'session'], updateFrame, 250);
 setInterval(tick, TICK_MS);
 window.addEventListener('hashchange', () => {
-  if (assetId) showView();
+  if (feed) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
 await Promise.all([document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612')]);

@@ -1,25 +1,71 @@
-// One dialog for everything that changes the model: says what happens, asks why.
+// Dialogs: say what happens, ask what has to be asked. Escape and Cancel change nothing.
 import { h } from './dom.js';
+import { wholeSpan } from './format.js';
 
-/** Ask for a reason; resolves with it, or with null when the user thinks better of it. */
-export function askReason({ title, text, action }) {
-  const reason = h('input', { id: 'reason', name: 'reason', required: true, maxlength: 500 });
-  const dialog = h('dialog', { 'aria-labelledby': 'dialog-title' },
-    h('form', { method: 'dialog' },
-      h('h3', { id: 'dialog-title' }, title),
-      h('p', {}, text),
-      h('label', { for: 'reason' }, 'Reason (goes to the journal)'), reason,
-      h('menu', {},
-        h('button', { class: 'btn', value: 'cancel', formnovalidate: true }, 'Cancel'),
-        h('button', { class: 'btn pri', value: 'ok' }, action))));
+const SHELVE_MINUTES = [15, 30, 60, 120, 240, 480];
+const SHELVE_MOST_MIN = 480;
+let count = 0;
+
+/**
+ * Open a dialog; resolves with { value, data } of the button that closed it, value '' for Escape.
+ *
+ * parts: { title, body, buttons, look }; `data` holds the fields of the form by name.
+ */
+export function openDialog({ title, body, buttons, look = '' }) {
+  count += 1;
+  const heading = `dialog-title-${count}`;
+  const form = h('form', { method: 'dialog' }, h('h3', { id: heading }, title), body,
+    h('menu', {}, buttons));
+  const dialog = h('dialog', { 'aria-labelledby': heading, class: look || null }, form);
   document.body.append(dialog);
   dialog.showModal();
   return new Promise((resolve) => {
     dialog.addEventListener('close', () => {
+      const data = Object.fromEntries(new FormData(form));
       dialog.remove();
-      resolve(dialog.returnValue === 'ok' ? reason.value : null);
+      resolve({ value: dialog.returnValue, data });
     });
   });
+}
+
+const cancel = () => h('button', { class: 'btn', value: '', formnovalidate: true }, 'Cancel');
+const confirm = (text) => h('button', { class: 'btn pri', value: 'ok' }, text);
+const reasonField = (label) => [
+  h('label', { for: 'reason' }, label),
+  h('input', { id: 'reason', name: 'reason', required: true, maxlength: 500, pattern: '.*\\S.*',
+    title: 'a few words' }),
+];
+
+/** Ask for a reason; resolves with it, or with null when the user thinks better of it. */
+export async function askReason({ title, text, action, label = 'Reason (goes to the journal)' }) {
+  const { value, data } = await openDialog({
+    title, body: [h('p', {}, text), reasonField(label)], buttons: [cancel(), confirm(action)],
+  });
+  return value === 'ok' ? data.reason.trim() : null;
+}
+
+/** For how long and why; resolves with the body of the request, or with null. */
+export async function askShelve(message) {
+  const minutes = h('input', {
+    id: 'shelve-minutes', name: 'minutes', type: 'number', min: 1, max: SHELVE_MOST_MIN, step: 1,
+    required: true, inputmode: 'numeric',
+  });
+  const quick = SHELVE_MINUTES.map((one) => h('button', {
+    type: 'button', onclick: () => { minutes.value = one; },
+  }, wholeSpan(one * 60)));
+  const { value, data } = await openDialog({
+    title: `Shelve: ${message}`,
+    body: [
+      h('p', {}, 'It stays silent for this time and returns by itself.'),
+      h('label', { for: 'shelve-minutes' }, 'For how many minutes (required, at most 8 h)'),
+      h('div', { class: 'row' }, minutes,
+        h('span', { class: 'seg', role: 'group', 'aria-label': 'Usual times' }, quick)),
+      reasonField('Reason (goes to the journal)'),
+    ],
+    buttons: [cancel(), confirm('Shelve')],
+  });
+  if (value !== 'ok') return null;
+  return { duration_s: Number(data.minutes) * 60, comment: data.reason.trim() };
 }
 
 /** A short word at the foot of the page about something that did not work. */

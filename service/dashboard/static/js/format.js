@@ -17,7 +17,13 @@ const CHANNEL_NAMES = {
 /** What a channel or node is called on screen. */
 export function channelName(channel) {
   const node = /^t_node_(\d+)_c$/.exec(channel);
-  return node ? NODE_NAMES[node[1] - 1] : CHANNEL_NAMES[channel] ?? channel;
+  return (node && NODE_NAMES[node[1] - 1]) ?? CHANNEL_NAMES[channel] ?? ownName(channel);
+}
+
+/** The name of a temperature of one's own network: t_gearbox_oil_c is Gearbox oil. */
+function ownName(channel) {
+  const words = /^t_(.+)_c$/.exec(channel)?.[1].replaceAll('_', ' ');
+  return words ? words[0].toUpperCase() + words.slice(1) : channel;
 }
 
 export const isNumber = (value) => typeof value === 'number' && Number.isFinite(value);
@@ -53,6 +59,14 @@ export const dayTime = (ms) => {
   const day = new Date(ms).toLocaleDateString([], { day: 'numeric', month: 'short' });
   return `${day} ${hourMinute(ms)}`;
 };
+export const dayTimeSecond = (ms) => {
+  const day = new Date(ms).toLocaleDateString([], { day: 'numeric', month: 'short' });
+  return `${day} ${hourMinuteSecond(ms)}`;
+};
+/** The time of day, with its day where that is not today's. */
+export const dayOrTime = (ms, nowMs) =>
+  (Math.abs(nowMs - ms) < 12 * 3600e3 || sameDay(ms, nowMs) ? hourMinute(ms) : dayTime(ms));
+const sameDay = (a, b) => new Date(a).toDateString() === new Date(b).toDateString();
 export const utc = (ms) => new Date(ms).toISOString().replace('T', ' ').replace(/\.\d+Z/, ' UTC');
 export const timeZone = (ms) =>
   new Date(ms).toLocaleTimeString([], { timeZoneName: 'short' }).split(' ').pop();

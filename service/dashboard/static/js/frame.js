@@ -1,12 +1,11 @@
-// What surrounds every view: header, lost-data strip, alarm banner, job strip.
-import { detailText, isShown, needsAcknowledge, symbol, worst } from './alarms.js';
+// What surrounds every view: header, lost-data strip, job strip (the banner: banner.js).
 import { h, put, setText } from './dom.js';
 import {
-  ageText, channelName, fixed, hourMinuteSecond, joined, milliseconds, shortAge, significant,
+  ageText, channelName, dayTime, fixed, hourMinuteSecond, milliseconds, shortAge, significant,
   timeElement, timeZone, utc,
 } from './format.js';
 import { icon, logo } from './icons.js';
-import { isDistrust, limitedReadings } from './readings.js';
+import { limitedReadings } from './readings.js';
 
 const JOB_SHOWN_AFTER_MS = 15000;
 
@@ -34,11 +33,12 @@ export class Header {
 
   createMenu() {
     this.role = h('summary', {});
+    this.key = h('p', { class: 's mut' });
     this.theme = h('button', { class: 'btn', type: 'button', onclick: this.actions.switchTheme });
     this.exit = h('button', { class: 'btn', type: 'button', onclick: this.actions.logOut },
       'Log out');
     const menu = h('details', { class: 'menu' }, this.role,
-      h('div', {}, this.theme, this.exit, h('a', { href: '/docs' }, 'HTTP interface')));
+      h('div', {}, this.key, this.theme, this.exit, h('a', { href: '/docs' }, 'HTTP interface')));
     const close = (event) => {
       if (!menu.contains(event.target) || event.key === 'Escape') menu.open = false;
     };
@@ -51,21 +51,27 @@ export class Header {
     setText(this.theme, theme === 'dark' ? 'Light theme' : 'Dark theme');
   }
 
-  showSession(session, canLogOut) {
-    setText(this.role, session?.role ?? 'menu');
-    this.exit.hidden = !canLogOut;
+  /** Who is logged in, or null. */
+  showSession(session) {
+    setText(this.role, session ? session.role : 'menu');
+    this.exit.hidden = !session;
+    put(this.key, session && keyText(session));
   }
 
-  showViews(views, current) {
-    put(this.tabs, views.map(([name, title]) => h('a', {
-      href: `#${name}`, 'aria-current': name === current ? 'page' : null,
+  /** views: [{ title, href, current, reason }]; a reason says why it cannot be opened. */
+  showViews(views) {
+    put(this.tabs, views.map(({ title, href, current, reason }) => h('a', {
+      href: reason ? null : href, 'aria-current': current ? 'page' : null,
+      role: reason ? 'link' : null, 'aria-disabled': reason ? 'true' : null,
+      tabindex: reason ? 0 : null, title: reason || null,
     }, title)));
+    this.tabs.querySelector('[aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' });
   }
 
   showAssets(assets, current) {
     const title = (asset) => (asset.bearing ? `${asset.id} · ${asset.bearing}` : asset.id);
-    if (assets.length === 1) {
-      put(this.asset, h('b', { class: 'nw' }, title(assets[0])));
+    if (assets.length < 2) {
+      put(this.asset, assets.map((asset) => h('b', { class: 'nw' }, title(asset))));
       return;
     }
     put(this.asset, h('select', {
@@ -118,8 +124,15 @@ export class Header {
   }
 }
 
-/** What is lost at this moment: { title, ageS, text } or null. */
-export function lostState(state, clock) {
+/** The key of the session and how long it lasts. */
+function keyText({ label, prefix, expires_at: expires }) {
+  const name = label || (prefix ? `${prefix}…` : 'this session');
+  return [`Key ${name}`, expires ? [', until ', timeElement(milliseconds(expires),
+    dayTime(milliseconds(expires)))] : ', without end'];
+}
+
+/** What is lost at this moment: { title, ageS, text } or null; `whole`: only of the service. */
+export function lostState(state, clock, whole = false) {
   if (state.link.status === 'away') {
     const { sinceMs, nextTryMs } = state.link;
     const waitS = Math.max(0, Math.ceil((nextTryMs - Date.now()) / 1000));
@@ -130,6 +143,7 @@ export function lostState(state, clock) {
     };
   }
   if (state.link.status !== 'live' || !state.asset || !Object.keys(state.tags).length) return null;
+  if (whole) return silentSource(state, clock);
   const readings = limitedReadings(state, clock);
   const lost = readings.filter((reading) => !reading.usable);
   if (lost.length) {
@@ -143,6 +157,10 @@ export function lostState(state, clock) {
       text: [sentence(lost[0].reason), ' ', shown, state.forecast ? goesOn(all) : ''],
     };
   }
+  return silentSource(state, clock);
+}
+
+function silentSource(state, clock) {
   const silent = state.sources.find((source) => !source.up);
   if (!silent) return null;
   return {
@@ -157,8 +175,10 @@ const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}`.rep
 
 /** The strip that says which data are lost; the growing age is not read out every second. */
 export class LostStrip {
-  constructor(box) {
+  /** tryNow(): look for the service at once. */
+  constructor(box, tryNow) {
     this.box = box;
+    this.again = h('button', { class: 'btn', type: 'button', onclick: tryNow }, 'Try now');
     this.title = h('b', { role: 'alert' });
     this.age = h('b', { 'aria-live': 'off' });
     this.text = h('span', { class: 'x' });
@@ -174,7 +194,8 @@ export class LostStrip {
     }
     if (this.key === null) {
       this.box.className = 'lost';
-      put(this.box, icon('bad', 'current', '2rem'), this.title, this.age, this.text, this.aside);
+      put(this.box, icon('bad', 'current', '2rem'), this.title, this.age, this.text, this.aside,
+        this.again);
     }
     const key = h('i', {}, [lost.title, lost.text].flat(Infinity).map((part) =>
       part.textContent ?? part)).textContent;
@@ -185,68 +206,7 @@ export class LostStrip {
     }
     setText(this.age, lost.ageS === null ? '' : `for ${ageText(lost.ageS)}`);
     setText(this.aside, lost.aside ?? '');
-  }
-}
-
-/** The worst active alarm; the bar keeps its place when there is none, so that nothing jumps. */
-export class Banner {
-  constructor(box, { onAcknowledge, mayAcknowledge }) {
-    this.box = box;
-    this.mayAcknowledge = mayAcknowledge;
-    this.symbol = h('span', {});
-    this.message = h('span', { class: 'msg', role: 'status', 'aria-live': 'assertive' });
-    this.detail = h('span', { class: 'msg' });
-    this.since = h('span', { class: 'sub nw' });
-    this.more = h('span', { class: 'sub nw' });
-    this.button = h('button', {
-      class: 'btn', type: 'button', onclick: () => onAcknowledge(this.alarm, this.button),
-    }, 'Acknowledge');
-    this.look = null;
-    put(box, this.symbol, h('div', { class: 'grow' }, this.message, this.detail, this.since),
-      this.more, this.button);
-  }
-
-  update(alarms, live, away) {
-    const alarm = worst(alarms);
-    this.alarm = alarm;
-    const others = [...alarms.values()].filter((one) =>
-      isShown(one) && needsAcknowledge(one) && one.id !== alarm?.id).length;
-    const more = alarm ? `+ ${others} more` : `${others} to acknowledge`;
-    setText(this.more, others ? more : '');
-    this.button.hidden = !alarm || !needsAcknowledge(alarm) || !this.mayAcknowledge();
-    this.button.disabled = away;
-    const look = alarm ? [alarm.id, alarm.state, alarm.priority].join() : 'quiet';
-    if (look !== this.look) this.changeLook(alarm);
-    this.look = look;
-    if (!alarm) {
-      const distrust = [...alarms.values()].some((one) => isShown(one) && isDistrust(one));
-      setText(this.message, distrust ? 'No limit alarms' : 'No active alarms');
-      setText(this.detail, '');
-      put(this.since);
-      return;
-    }
-    setText(this.message, joined(`${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
-    setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, live)}`);
-    const raised = milliseconds(alarm.raised_at);
-    if (this.raised !== raised || look !== this.sinceLook) {
-      const state = alarm.state === 'UNACK' ? 'unacknowledged' : 'acknowledged';
-      put(this.since, `  ·  ${state} since `, timeElement(raised));
-      this.raised = raised;
-      this.sinceLook = look;
-    }
-  }
-
-  changeLook(alarm) {
-    delete this.box.dataset.p;
-    if (!alarm) {
-      this.box.className = 'banner quiet';
-      put(this.symbol, icon('ok')).className = '';
-      return;
-    }
-    this.box.className = `banner${alarm.predicted ? ` pred pr${alarm.priority}` : ''}`;
-    if (!alarm.predicted) this.box.dataset.p = alarm.priority;
-    put(this.symbol, symbol(alarm, '2.3rem', true));
-    this.symbol.className = alarm.state === 'UNACK' ? 'blink' : '';
+    this.again.hidden = !lost.aside;
   }
 }
 

@@ -19,7 +19,11 @@ const COLOURS = {
   none: ['var(--ink-3)', 'var(--ink-3)', 'var(--ink-3)'],
 };
 
-function mark(kind, colour) {
+function mark(kind, look, colour) {
+  if (look === 'shelved') {
+    return s('path', { d: 'M12 8v5l3 2', fill: 'none', stroke: colour, 'stroke-width': 2.2 });
+  }
+  if (look === 'struck') return s('path', { d: 'M4 20 20 4', stroke: colour, 'stroke-width': 2.2 });
   if (kind === 'ok') {
     return s('path', {
       d: 'M7 12.5 10.5 16 17 8.5', fill: 'none', stroke: colour, 'stroke-width': 2.4,
@@ -42,20 +46,24 @@ function mark(kind, colour) {
  *
  * kind: 1, 2, 3 (priority), 'bad' (untrusted), 'ok', 'none' (nothing to say).
  * look: 'filled', 'hollow' (returned), 'dashed' (predicted), 'inverse' (on its own full colour),
- *       'current' (hollow in the colour of the text around it).
+ *       'current' (hollow in the colour of the text around it), 'shelved', 'suppressed',
+ *       'struck' (out of service): grey.
  */
 export function icon(kind, look = 'filled', size = '1.25em') {
   let [fill, line, on] = COLOURS[kind];
   if (look === 'inverse') [fill, line, on] = [on, on, fill];
   if (look === 'current') fill = line = 'currentColor';
-  const hollow = ['hollow', 'dashed', 'current'].includes(look) || kind === 'ok' || kind === 'none';
+  const aside = ['shelved', 'suppressed', 'struck'].includes(look);
+  if (aside) fill = line = 'var(--ink-3)';
+  const hollow = aside || ['hollow', 'dashed', 'current'].includes(look)
+    || kind === 'ok' || kind === 'none';
   const shape = s('g', {
     fill: hollow ? 'none' : fill, stroke: line, 'stroke-width': 2.2,
-    'stroke-dasharray': look === 'dashed' ? '4 2.6' : null,
+    'stroke-dasharray': { dashed: '4 2.6', suppressed: '1.6 2.4' }[look] ?? null,
   }, SHAPES[kind]());
   return s('svg', {
     class: 'ic', viewBox: '0 0 24 24', 'aria-hidden': 'true', style: { width: size, height: size },
-  }, shape, mark(kind, hollow ? line : on));
+  }, shape, mark(kind, look, hollow ? line : on));
 }
 
 /** The mark of the product: a ball bearing from the front. */

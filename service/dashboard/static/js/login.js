@@ -29,13 +29,13 @@ export async function logInFromAddress() {
   }
 }
 
-/** Show the form; resolves once a key was accepted. */
-export function showLogin(main) {
+/** Show the form, with the reason why it is there again; resolves once a key was accepted. */
+export function showLogin(main, reason = '') {
   const key = h('input', {
     id: 'key', name: 'key', type: 'password', autocomplete: 'current-password', required: true,
     spellcheck: 'false',
   });
-  const problem = h('p', { class: 'problem', role: 'alert' });
+  const problem = h('p', { class: 'problem', role: 'alert' }, reason);
   const button = h('button', { class: 'btn pri', type: 'submit' }, 'Log in');
   return new Promise((resolve) => {
     const submit = async (event) => {

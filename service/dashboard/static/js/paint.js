@@ -153,6 +153,7 @@ export function tooltip(box) {
   const element = h('div', { class: 'tip' });
   box.append(element);
   return {
+    element,
     hide: () => { element.style.display = 'none'; },
     show(lines, left) {
       element.replaceChildren(...lines.map((line, i) => h('div', {}, line.map(([text, quiet]) =>

@@ -2,20 +2,11 @@
 // convention), with the 13 nodes and the air. Greys say hot; only a limit brings a hue.
 import { h, put, s, setText } from './dom.js';
 import { fixed, NODE_NAMES } from './format.js';
+import { heatLegend, heatOf } from './heat.js';
 
-const RAMP = [20, 36, 52, 68, 84, 100];
 const INNER_RING = 'M300 254H420V200H392A40 40 0 0 1 328 200H300Z';
 const OUTER_RING = 'M300 94H420V144H392A40 40 0 0 0 328 144H300Z';
 const OUTLINES = { 2: OUTER_RING, 4: INNER_RING };
-
-/** Grey of a temperature on the ramp of six steps, mixed in OKLab. */
-function grey(temperature) {
-  const step = (RAMP.at(-1) - RAMP[0]) / (RAMP.length - 1);
-  const place = Math.max(0, Math.min(RAMP.length - 1, (temperature - RAMP[0]) / step));
-  const index = Math.min(RAMP.length - 2, Math.floor(place));
-  const share = Math.round((place - index) * 100);
-  return `color-mix(in oklab, var(--t${index + 1}) ${share}%, var(--t${index}))`;
-}
 
 const rectangle = (node, x, y, width, height, rx = 0) =>
   s('rect', { 'data-node': node, x, y, width, height, rx });
@@ -90,7 +81,7 @@ export class Section {
       s('text', { class: 'n', x: 296, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
       s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
       s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view, shortened'));
-    put(box, this.svg, legend());
+    put(box, this.svg, heatLegend());
   }
 
   /**
@@ -117,22 +108,7 @@ export class Section {
     setText(figureText, fixed(value));
     const look = measured ? (measured.usable ? 'me' : 'st') : 'es';
     figureText.setAttribute('class', `v ${look}`);
-    const heat = Number.isFinite(value) ? grey(value) : 'var(--panel-2)';
+    const heat = heatOf(value);
     for (const part of this.svg.querySelectorAll(`[data-node="${node}"]`)) part.style.fill = heat;
   }
-}
-
-function legend() {
-  const ramp = 'var(--t0),var(--t1),var(--t2),var(--t3),var(--t4),var(--t5)';
-  const sensor = s('svg', { width: 14, height: 14, 'aria-hidden': 'true' }, s('circle', {
-    cx: 7, cy: 7, r: 5, fill: 'var(--panel)', stroke: 'var(--ink)', 'stroke-width': 2.5,
-  }));
-  return h('div', { class: 'lrow' },
-    h('div', { class: 'slegend' },
-      h('span', { class: 'ramp', style: { background: `linear-gradient(90deg in oklab,${ramp})` } }),
-      h('span', { class: 'tick' },
-        RAMP.map((value) => h('i', {}, value === RAMP.at(-1) ? `${value} °C` : String(value))))),
-    h('div', { class: 'skeys' },
-      h('span', { class: 'key' }, sensor, 'PT100 measured'),
-      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated by the twin')));
 }

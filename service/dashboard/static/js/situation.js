@@ -2,14 +2,17 @@
 import { distinctSteps, fanFrom, stepsFrom, timeToLimit } from './forecast.js';
 import { ageText, milliseconds } from './format.js';
 import { limitedReadings, readChannel } from './readings.js';
-import { SENSORS } from './live.js';
+import { chartSensors } from './sensors.js';
 import { answerNextStep, answerNow, answerTimeToLimit } from './verdict.js';
+
+export const LOADING = 'asking for the forecast';
 
 const OLDEST_FORECAST_S = 900;
 const OLDEST_FORECAST_WALL_S = 30;
 
 /** Why there is no forecast to be shown, or null when there is one. */
 function whyNoForecast(state, clock, fan) {
+  if (!state.loaded && !state.forecast) return LOADING;
   if (!state.asset?.active_model) return 'there is no model yet';
   if (state.asset.active_model.trusted === false) return 'the model is not trusted';
   if (!state.forecast) return 'the twin waits for its first data';
@@ -38,7 +41,7 @@ export function situation(state, clock) {
   const live = state.link.status === 'live';
   const readings = limitedReadings(state, clock);
   const { limits } = state.asset;
-  const names = [...new Set([...SENSORS, ...Object.keys(limits)])];
+  const names = [...new Set([...chartSensors(state.asset), ...Object.keys(limits)])];
   const wholeFan = fanFrom(state.forecast, nowMs, names);
   const noForecast = whyNoForecast(state, clock, wholeFan);
   const fan = noForecast || !live ? null : wholeFan;
@@ -65,6 +68,7 @@ export function situation(state, clock) {
 
 /** What forecast and sensors say this moment about the subject of an alarm. */
 export const liveDetail = (state, clock) => ({
+  nowMs: clock.now(),
   value(channel) {
     const reading = readChannel(state, clock, channel);
     return reading.usable ? reading.value : null;

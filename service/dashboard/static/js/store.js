@@ -46,6 +46,7 @@ export class Store {
 
 /** Everything that is forgotten when another asset is chosen. */
 export const emptyAsset = () => ({
+  loaded: false, // whether everything has been asked for once
   asset: null, // GET /assets/{id}
   tags: {}, // { name: { value, quality, time (ms), unit } }
   nodes: null, // latest state message

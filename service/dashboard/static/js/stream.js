@@ -1,7 +1,7 @@
 // The WebSocket: numbered messages, resumed after a break, reconnecting at 1, 2, 4 … 30 s.
 import { isAlive } from './api.js';
 
-const SILENCE_MS = 5000; // then the service is asked whether it is alive
+const SILENCE_MS = 2500; // then the service is asked whether it is alive
 const DEAD_MS = 20000; // heartbeats come every 15 s: nothing for longer means a dead line
 const LONGEST_WAIT_S = 30;
 
@@ -9,8 +9,8 @@ export class Stream {
   /**
    * handlers: message(message), up(), down({ nextTryMs }), refused() when the session is over.
    */
-  constructor(assetId, handlers) {
-    this.assetId = assetId;
+  constructor(assetIds, handlers) {
+    this.assetIds = assetIds;
     this.handlers = handlers;
     this.epoch = null;
     this.sequence = null;
@@ -34,7 +34,7 @@ export class Stream {
   }
 
   address() {
-    const query = new URLSearchParams({ assets: this.assetId });
+    const query = new URLSearchParams({ assets: this.assetIds.join(',') });
     if (this.sequence !== null) {
       query.set('resume', String(this.sequence));
       query.set('epoch', this.epoch);

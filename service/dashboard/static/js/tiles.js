@@ -5,6 +5,7 @@ import {
   wholeMinute,
 } from './format.js';
 import { icon } from './icons.js';
+import { LOADING } from './situation.js';
 import { THRESHOLDS } from './verdict.js';
 
 const SYMBOL = '.86em';
@@ -98,7 +99,8 @@ const aheadSymbol = (priority) => (priority ? icon(priority, 'dashed', SYMBOL) :
 const WORDS = { safe: 'Safe', risk: 'At risk', unsafe: 'Not safe' };
 
 export const noForecastTile = (label, title, why) => tile({
-  look: 'none', label, title, symbol: nothing(), word: 'No forecast', why: [why],
+  look: 'none', label, title, symbol: nothing(), why: [why],
+  word: why === LOADING ? '…' : 'No forecast',
 });
 
 export const awayTile = (label, title) => unknown(label, title, 'the service does not answer');

@@ -23,9 +23,11 @@ const lowest = (values) => values.reduce((low, v) => (isNumber(v) && v < low ? v
  * crossings: [{ timeMs, value, priority }] }.
  */
 export class TrendChart {
-  constructor(box, syncKey) {
+  /** options: { small }: as on a card, without figures and names but with the hours. */
+  constructor(box, syncKey, { small = false } = {}) {
     this.box = box;
     this.syncKey = syncKey;
+    this.small = small;
     this.mounted = null;
   }
 
@@ -80,14 +82,16 @@ export class TrendChart {
       bands.push({ series: [first + 4, first], fill: token('--fan95') });
       bands.push({ series: [first + 3, first + 1], fill: token('--fan50') });
     });
-    this.tip = tooltip(this.box);
+    if (!this.small) this.tip = tooltip(this.box);
     this.mounted = mount(this.box, {
       scales: {
         x: { time: true, range: () => [this.model.fromMs / 1000, this.model.endMs / 1000] },
         y: { range: () => this.range() },
       },
-      axes: [timeAxis(false), valueAxis({ space: 46, values: (_, splits) => splits.map(String) })],
-      series, bands, padding: [6, 8, 4, 0], cursor: cursor(this.syncKey),
+      axes: [timeAxis(this.small),
+        valueAxis({ space: this.small ? 34 : 46, values: (_, splits) => splits.map(String) })],
+      series, bands, padding: [6, 8, 4, 0],
+      cursor: this.small ? { show: false } : cursor(this.syncKey),
       hooks: {
         drawClear: [(plot) => paintAhead(plot, this.model.nowMs / 1000)],
         draw: [(plot) => this.paint(plot)],
@@ -121,7 +125,7 @@ export class TrendChart {
     this.paintMedians(plot);
     this.paintLimits(plot);
     this.paintLost(plot);
-    paintNow(plot, this.model.nowMs / 1000, hourMinute(this.model.nowMs));
+    paintNow(plot, this.model.nowMs / 1000, this.small ? null : hourMinute(this.model.nowMs));
     this.paintFigures(plot);
     this.paintCrossings(plot);
     context.restore();
@@ -205,6 +209,7 @@ export class TrendChart {
     context.setLineDash([4 * ratio, 4 * ratio]);
     context.strokeRect(...area);
     context.setLineDash([]);
+    if (this.small) return;
     const size = fontSize() * ratio;
     write(context, 'no data', left - 6 * ratio, bbox.top + 3.6 * size,
       { size, strong: true, colour: token('--bad-text'), align: 'right', halo: token('--panel') });
@@ -230,6 +235,7 @@ export class TrendChart {
       context.fill();
       context.stroke();
       const under = i > 0 && y(head.value) - y(heads[i - 1].value) < size * 2.2;
+      if (this.small) return;
       this.paintName(plot, head.sensor, heads[i - 1]?.sensor);
       if (!wide) return;
       const right = x - 12 * ratio;

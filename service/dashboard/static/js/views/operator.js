@@ -1,11 +1,14 @@
 // One screen, three answers, then the evidence.
-import { AlarmList, summary } from '../alarms.js';
+import { AlarmList } from '../alarm_list.js';
+import { summary } from '../alarms.js';
 import { h, put, setText } from '../dom.js';
 import { fixed, isNumber, NODE_NAMES } from '../format.js';
 import { LaneChart } from '../lane.js';
-import { SENSORS } from '../live.js';
+import { NodeTiles } from '../nodes.js';
 import { readChannel } from '../readings.js';
+import { assetHash } from '../route.js';
 import { Section } from '../section.js';
+import { channelNames, chartSensors } from '../sensors.js';
 import { liveDetail, situation } from '../situation.js';
 import { awayTile, nextStepTile, noForecastTile, nowTile, timeToLimitTile } from '../tiles.js';
 import { TrendChart } from '../trend.js';
@@ -16,35 +19,38 @@ const SPANS = [[1, '1 h'], [3, '3 h'], [12, '12 h']];
 const BRIDGE_WALL_MS = 1500;
 const PHONE = 760;
 const PHONE_PAST_MS = 1.5 * HOUR_MS;
+const BEARING_14 = 'bearing-14';
 const NODE_OF_SENSOR = { t_inner_ring_c: 4, t_outer_ring_c: 2 };
 
 const key = (look, text) => h('span', { class: 'key' }, h('i', { class: look }), text);
 
 export class OperatorView {
-  /** page: { store, clock, live, acknowledge(alarm, button), mayAcknowledge() } */
+  /** page: { store, clock, live, desk } */
   constructor(box, page) {
     this.page = page;
     this.span = page.live.span;
+    this.sensors = chartSensors(page.store.get('asset'));
     this.answers = h('div', { class: 'answers' });
     this.trendPanel = this.createTrendPanel();
     this.sectionTitle = h('h2', {});
     this.sectionChip = h('span', { class: 'chip badc', hidden: true }, 'last known values');
     const sectionBox = h('div', { class: 'sectbox' });
+    this.isBearing = page.store.get('asset').network === BEARING_14;
     this.sectionPanel = h('section', { class: 'panel p-sect' },
       h('header', {}, this.sectionTitle, h('span', { class: 'sp' }), this.sectionChip), sectionBox);
     this.alarmCount = h('span', { class: 's mut' });
     const alarmBox = h('div', { class: 'alarmbox' });
     put(box, h('h1', { class: 'vh' }, 'Operator'), this.answers, this.trendPanel,
       this.sectionPanel, h('section', { class: 'panel p-al' },
-        h('header', {}, h('h2', {}, 'Alarms'), this.alarmCount), alarmBox));
+        h('header', {}, h('h2', {}, 'Alarms'), this.alarmCount, h('span', { class: 'sp' }),
+          h('a', { class: 'btn sm', href: assetHash('alarms', this.hashAsset()) }, 'Journal')),
+        alarmBox));
     this.trend = new TrendChart(this.boxes.temperature, 'operator');
     this.speed = new LaneChart(this.boxes.speed, { label: 'Speed, rpm', syncKey: 'operator' });
     this.load = new LaneChart(this.boxes.load,
       { label: 'Load, N', syncKey: 'operator', showTime: true });
-    this.section = new Section(sectionBox);
-    this.alarms = new AlarmList(alarmBox, {
-      onAcknowledge: page.acknowledge, mayAcknowledge: page.mayAcknowledge,
-    });
+    this.section = this.isBearing ? new Section(sectionBox) : new NodeTiles(sectionBox);
+    this.alarms = new AlarmList(alarmBox, page.desk);
     const { store } = page;
     this.endings = [
       store.on(['tags', 'forecast', 'nodes', 'asset', 'link', 'alarms', 'sources'],
@@ -57,6 +63,10 @@ export class OperatorView {
     }, 1000);
     this.update();
     this.draw();
+  }
+
+  hashAsset() {
+    return this.page.assets.length > 1 ? this.page.live.assetId : null;
   }
 
   destroy() {
@@ -104,7 +114,7 @@ export class OperatorView {
     this.updateHeads(now);
     this.updateSection(now);
     const detail = liveDetail(store.state, clock);
-    this.alarms.update(store.get('alarms'), detail, !now.live);
+    this.alarms.update(store.get('alarms'), () => detail);
     setText(this.alarmCount, summary(store.get('alarms')));
   }
 
@@ -134,7 +144,8 @@ export class OperatorView {
     this.trendPanel.classList.toggle('isstale', stale || now.lostMs !== null);
     this.sectionPanel.classList.toggle('isstale', stale);
     this.sectionChip.hidden = !stale;
-    setText(this.sectionTitle, `Bearing ${asset.bearing} in section, °C`);
+    setText(this.sectionTitle, this.isBearing ? `Bearing ${asset.bearing} in section, °C`
+      : `Network ${asset.network}, °C`);
     setText(this.modelText, this.modelLine(asset, now));
     const labels = (now.fan && forecast?.labels) || [];
     if (labels.join() !== this.shownLabels) {
@@ -160,7 +171,7 @@ export class OperatorView {
     const { history } = this.page.store.state;
     if (!history) return null;
     const { columns } = history.columns(nowMs - HOUR_MS, nowMs, 0);
-    const squares = SENSORS.flatMap((sensor) => columns[sensor].map((measured, i) => {
+    const squares = this.sensors.flatMap((sensor) => columns[sensor].map((measured, i) => {
       const twin = columns[`${sensor}.twin`][i];
       return measured === null || twin === null ? null : (measured - twin) ** 2;
     })).filter((square) => square !== null);
@@ -169,12 +180,18 @@ export class OperatorView {
   }
 
   updateSection(now) {
+    const stale = now.alone || !now.live;
+    if (this.isBearing) this.section.update({ ...this.bearingNodes(now), stale });
+    else this.section.update({ ...this.ownNodes(now), stale });
+  }
+
+  /** What the drawing shows, by number of the node. */
+  bearingNodes(now) {
     const { state } = this.page.store;
-    const { clock } = this.page;
     const nodes = {};
     const measured = {};
     const measure = (node, channel) => {
-      if (state.tags[channel]) measured[node] = readChannel(state, clock, channel);
+      if (state.tags[channel]) measured[node] = readChannel(state, this.page.clock, channel);
     };
     NODE_NAMES.forEach((_, i) => {
       nodes[i + 1] = state.nodes?.nodes?.[`t_node_${i + 1}_c`]?.mean_c ?? null;
@@ -184,11 +201,26 @@ export class OperatorView {
     const alerts = {};
     for (const [sensor, node] of Object.entries(NODE_OF_SENSOR)) {
       measure(node, sensor);
-      const reading = now.readings.find((one) => one.sensor === sensor);
-      const priority = this.alertOf(now, reading);
+      const priority = this.alertOf(now, now.readings.find((one) => one.sensor === sensor));
       if (priority) alerts[node] = priority;
     }
-    this.section.update({ nodes, measured, alerts, stale: now.alone || !now.live });
+    return { nodes, measured, alerts };
+  }
+
+  /** What the tiles show, by name. */
+  ownNodes(now) {
+    const { state } = this.page.store;
+    const temperatures = channelNames(state.asset).filter((name) => name.endsWith('_c'));
+    const byName = (names, one) => Object.fromEntries(names.map((name) => [name, one(name)]));
+    const alerts = now.readings.map((reading) => [reading.sensor, this.alertOf(now, reading)]);
+    const estimate = (name) =>
+      state.nodes?.nodes?.[name]?.mean_c ?? state.tags[`${name}.twin`]?.goodValue;
+    const nodes = Object.keys(state.nodes?.nodes ?? {});
+    return {
+      nodes: byName([...new Set([...nodes, ...temperatures])], estimate),
+      measured: byName(temperatures, (name) => readChannel(state, this.page.clock, name)),
+      alerts: Object.fromEntries(alerts.filter(([, alert]) => alert)),
+    };
   }
 
   /** A ring over its limit, or on its way there. */
@@ -208,20 +240,20 @@ export class OperatorView {
     const { store, clock } = this.page;
     const now = situation(store.state, clock);
     const { history } = store.state;
-    if (!now || !history || document.hidden) return;
+    if (!now || !history || document.hidden || !this.sensors.length) return;
     this.drawnMs = now.nowMs;
     const past = window.innerWidth < PHONE ? Math.min(this.span, PHONE_PAST_MS) : this.span;
     const fromMs = now.nowMs - past;
     const { times, columns } = history.columns(fromMs, now.nowMs, BRIDGE_WALL_MS * clock.rate);
     const span = { nowMs: now.nowMs, fromMs, endMs: now.endMs ?? now.nowMs + past * 0.15, times };
     const limits = Object.fromEntries(
-      Object.entries(now.limits).filter(([sensor]) => SENSORS.includes(sensor)));
+      Object.entries(now.limits).filter(([sensor]) => this.sensors.includes(sensor)));
     this.trend.update({
-      ...span, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: SENSORS,
+      ...span, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: this.sensors,
       crossings: now.crossings,
-      past: Object.fromEntries(SENSORS.map((sensor) => [sensor,
+      past: Object.fromEntries(this.sensors.map((sensor) => [sensor,
         { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
-      current: Object.fromEntries(SENSORS.map((sensor) =>
+      current: Object.fromEntries(this.sensors.map((sensor) =>
         [sensor, readChannel(store.state, clock, sensor)])),
     });
     const lane = (values, reading, name) => ({

@@ -1,0 +1,93 @@
+// The worst active alarm; the bar keeps its place when there is none, so that nothing jumps.
+import { refuse } from './alarm_list.js';
+import {
+  byUrgency, detailText, isAside, isShown, needsAcknowledge, symbol, worst,
+} from './alarms.js';
+import { h, put, setText } from './dom.js';
+import { dayOrTime, joined, milliseconds, timeElement } from './format.js';
+import { icon } from './icons.js';
+import { isDistrust } from './readings.js';
+
+const isQuiet = (alarm) => isShown(alarm) && !isAside(alarm);
+
+export class Banner {
+  constructor(box, desk) {
+    this.box = box;
+    this.desk = desk;
+    this.symbol = h('span', {});
+    this.message = h('span', { class: 'msg', role: 'status', 'aria-live': 'assertive' });
+    this.detail = h('span', { class: 'msg' });
+    this.since = h('span', { class: 'sub nw' });
+    this.more = h('a', { class: 'sub nw', href: '#alarms' });
+    const button = (name, text) => h('button', {
+      class: 'btn', type: 'button', onclick: () => desk.take(name, this.alarm),
+    }, text);
+    this.acknowledge = button('acknowledge', 'Acknowledge');
+    this.shelve = button('shelve', 'Shelve…');
+    this.look = null;
+    put(box, this.symbol, h('div', { class: 'grow' }, this.message, this.detail, this.since),
+      this.more, this.acknowledge, this.shelve);
+  }
+
+  /**
+   * feeds: the assets whose alarms are meant; named: tell the asset's name with the alarm;
+   * live(alarm): what forecast and sensor of its asset say now.
+   */
+  update(feeds, named, live) {
+    const all = feeds.flatMap((feed) => [...feed.store.get('alarms').values()]);
+    const alarm = feeds.map((feed) => worst(feed.store.get('alarms'))).filter(Boolean)
+      .sort(byUrgency)[0] ?? null;
+    this.alarm = alarm;
+    this.updateRest(all, alarm);
+    for (const [button, name] of [[this.acknowledge, 'acknowledge'], [this.shelve, 'shelve']]) {
+      button.hidden = !alarm || (name === 'acknowledge' && !needsAcknowledge(alarm));
+      if (alarm) refuse(button, this.desk.refusal(name, alarm));
+    }
+    const look = alarm ? [alarm.id, alarm.state, alarm.priority].join() : 'quiet';
+    if (look !== this.look) this.changeLook(alarm);
+    this.look = look;
+    if (!alarm) {
+      setText(this.message, all.some((one) => isQuiet(one) && isDistrust(one))
+        ? 'No limit alarms' : 'No active alarms');
+      setText(this.detail, '');
+      put(this.since);
+      this.sinceKey = null;
+      return;
+    }
+    const now = live(alarm);
+    const asset = named ? `${alarm.asset}: ` : '';
+    setText(this.message,
+      joined(`${asset}${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
+    setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, now)}`);
+    this.updateSince(alarm, dayOrTime(milliseconds(alarm.raised_at), now.nowMs), look);
+  }
+
+  updateSince(alarm, text, look) {
+    if (this.sinceKey === look + text) return;
+    this.sinceKey = look + text;
+    const state = alarm.state === 'UNACK' ? 'unacknowledged' : 'acknowledged';
+    put(this.since, `  ·  ${state} since `, timeElement(milliseconds(alarm.raised_at), text));
+  }
+
+  /** What waits beside the alarm that is shown. */
+  updateRest(all, alarm) {
+    const others = all.filter((one) => needsAcknowledge(one) && one.id !== alarm?.id).length;
+    const aside = all.filter(isAside).length;
+    const waiting = alarm ? `+ ${others} more` : `${others} to acknowledge`;
+    setText(this.more, [others && waiting, aside && !alarm && `${aside} put aside`]
+      .filter(Boolean).join(', '));
+  }
+
+  changeLook(alarm) {
+    delete this.box.dataset.p;
+    if (!alarm) {
+      this.box.className = 'banner quiet';
+      put(this.symbol, icon('ok')).className = '';
+      return;
+    }
+    this.box.className = `banner${alarm.predicted ? ` pred pr${alarm.priority}` : ''}`;
+    if (!alarm.predicted) this.box.dataset.p = alarm.priority;
+    put(this.symbol, symbol(alarm, '2.3rem', true));
+    this.symbol.className = alarm.state === 'UNACK' ? 'blink' : '';
+  }
+}

@@ -1,0 +1,199 @@
+// What the page knows of one asset: its store, its history, and how messages change them.
+import { applyAlarm, isShown } from './alarms.js';
+import { assetPath, call, callOptional, callPages } from './api.js';
+import { isNumber, milliseconds } from './format.js';
+import { History } from './history.js';
+import { GOOD } from './readings.js';
+import { chartSensors } from './sensors.js';
+import { emptyAsset, Store } from './store.js';
+
+const HOUR_MS = 3600e3;
+const FLEET_SPAN_MS = 2 * HOUR_MS;
+const MOST_TRACE_POINTS = 5000;
+
+export class AssetFeed {
+  /** guarded(request): runs a request whose failure only means that the next one must do. */
+  constructor(assetId, clock, guarded) {
+    this.assetId = assetId;
+    this.clock = clock;
+    this.guarded = guarded;
+    this.store = new Store({
+      link: { status: 'connecting' }, sources: [], history: null, ...emptyAsset(),
+    });
+    this.history = null;
+    this.span = HOUR_MS * 3;
+    this.depth = null; // null, 'card' or 'whole': how much is asked for beside the stream
+  }
+
+  stop() {
+    clearTimeout(this.historyTimer);
+    this.stopped = true;
+  }
+
+  /** Ask for what the fleet's card needs ('card') or for everything ('whole'), and keep it. */
+  async open(depth) {
+    if (this.depth === depth || (this.depth === 'whole' && depth === 'card')) return;
+    this.depth = depth;
+    if (this.store.get('link').status === 'live') await this.loadAll();
+  }
+
+  receive(message) {
+    const handle = {
+      hello: () => this.greet(message),
+      measurement: () => this.takeSamples(message.data.samples),
+      state: () => this.takeState(message.data),
+      forecast: () => this.takeForecast(message.data),
+      alarm: () => this.takeAlarm(message.data),
+      job: () => this.takeJob(message.data),
+      health: () => this.takeHealth(message.data),
+    }[message.type];
+    handle?.();
+  }
+
+  /** First message of a connection: all that may have been missed is asked for anew. */
+  greet(message) {
+    if (message.epoch !== this.epoch) this.meetAnew(message.epoch);
+    this.takeSnapshot(message.data.tags);
+    if (this.depth) this.guarded(() => this.loadAll());
+  }
+
+  /** What a service that was started anew had said before is void. */
+  meetAnew(epoch) {
+    this.epoch = epoch;
+    this.store.set('forecast', null);
+    this.store.set('nodes', null);
+    this.store.set('jobs', new Map());
+  }
+
+  async loadAll() {
+    // What the stream says while the answers are on their way is newer than the answers.
+    const newer = [];
+    this.newerAlarms = newer;
+    await this.loadAsset();
+    const path = (rest) => assetPath(this.assetId, rest);
+    const [state, forecast, alarms] = await Promise.all([
+      call(path('/state')), this.firstForecast(), callPages('/alarms', { asset: this.assetId }),
+    ]);
+    this.store.set('alarms', new Map(alarms.filter(isShown).map((alarm) => [alarm.id, alarm])));
+    newer.forEach((alarm) => applyAlarm(this.store, alarm));
+    if (this.newerAlarms === newer) this.newerAlarms = null;
+    this.takeState(state);
+    if (forecast) this.takeForecast(forecast);
+    this.store.set('loaded', true);
+    await this.keepHistory();
+  }
+
+  /** The latest forecast, null while the twin still waits for its first data. */
+  firstForecast() {
+    const ready = Object.entries(this.store.get('tags')).some(([name, tag]) =>
+      name.endsWith('.forecast_max') && tag.quality >= GOOD);
+    return ready ? callOptional(assetPath(this.assetId, '/forecast')) : null;
+  }
+
+  async loadAsset() {
+    this.takeAsset(await call(assetPath(this.assetId)));
+  }
+
+  takeAsset(asset) {
+    this.clock.setRate(asset.clock_rate);
+    this.history ??= new History(this.assetId, pastChannels(asset));
+    this.store.set('asset', asset);
+  }
+
+  takeAlarm(alarm) {
+    this.newerAlarms?.push(alarm);
+    applyAlarm(this.store, alarm);
+  }
+
+  takeForecast(forecast) {
+    const known = this.store.get('forecast');
+    if (known && milliseconds(known.made_at) > milliseconds(forecast.made_at)) return;
+    this.store.set('forecast', forecast);
+  }
+
+  /** The span of the past that the charts show, in milliseconds of process time. */
+  async showPast(spanMs) {
+    this.span = spanMs;
+    await this.guarded(() => this.loadHistory());
+  }
+
+  async loadHistory() {
+    const now = this.clock.now();
+    const { history } = this;
+    if (now === null || !history) return;
+    await history.refresh(now);
+    await history.load(now - (this.depth === 'whole' ? this.span : FLEET_SPAN_MS), now);
+    if (!this.stopped) this.store.set('history', history);
+  }
+
+  /** Fetch the latest means again and again, more often when process time runs fast. */
+  async keepHistory() {
+    if (this.store.get('link').status === 'live') await this.guarded(() => this.loadHistory());
+    if (this.stopped) return;
+    const everyMs = Math.min(30000, Math.max(2000, 60000 / this.clock.rate));
+    clearTimeout(this.historyTimer);
+    this.historyTimer = setTimeout(() => this.keepHistory(), everyMs);
+  }
+
+  takeSnapshot(tags) {
+    const known = {};
+    for (const [name, tag] of Object.entries(tags)) {
+      known[name] = patched(this.store.get('tags')[name], {
+        value: tag.value, quality: tag.quality, time: milliseconds(tag.time),
+      });
+    }
+    this.store.set('tags', { ...this.store.get('tags'), ...known });
+  }
+
+  takeSamples(samples) {
+    const tags = { ...this.store.get('tags') };
+    for (const sample of samples) {
+      const time = milliseconds(sample.time);
+      tags[sample.channel] = patched(tags[sample.channel], { ...sample, time });
+      this.history?.add(sample.channel, time, sample.value, sample.quality >= GOOD);
+    }
+    this.store.set('tags', tags);
+  }
+
+  takeState(state) {
+    const { model_version: before, time } = this.store.get('nodes') ?? {};
+    if (time && milliseconds(time) > milliseconds(state.time)) return;
+    this.store.set('nodes', state);
+    const changed = before !== undefined && before !== state.model_version;
+    if (changed) this.guarded(() => this.loadAsset());
+  }
+
+  /** A job keeps the trace of its best fitness as long as the page is open. */
+  takeJob(job) {
+    const trace = this.store.get('jobs').get(job.id)?.trace ?? [[], []];
+    const [evaluations, fitness] = trace;
+    const further = job.evaluations > (evaluations.at(-1) ?? 0);
+    if (further && job.best_fitness > 0 && evaluations.length < MOST_TRACE_POINTS) {
+      evaluations.push(job.evaluations);
+      fitness.push(job.best_fitness);
+    }
+    const heard = { ...job, trace, heardMs: Date.now() };
+    this.store.set('jobs', new Map(this.store.get('jobs')).set(job.id, heard));
+  }
+
+  takeHealth(health) {
+    const heardMs = this.clock.now();
+    this.store.set('sources', health.sources.map((source) => ({ ...source, heardMs })));
+  }
+}
+
+/** Measured and estimated channels of the charts. */
+function pastChannels(asset) {
+  const sensors = chartSensors(asset);
+  return ['speed_rpm', 'load_n', ...sensors, ...sensors.map((sensor) => `${sensor}.twin`)];
+}
+
+/** A tag keeps its last good value and time beside the latest word on it. */
+function patched(before, { value, quality, time }) {
+  const good = quality >= GOOD && isNumber(value);
+  return {
+    value, quality, time,
+    goodValue: good ? value : before?.goodValue ?? null,
+    goodTime: good ? time : before?.goodTime ?? null,
+  };
+}

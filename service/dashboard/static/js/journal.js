@@ -1,0 +1,52 @@
+// Lines of the alarm journal in words, and their table.
+import { bold, h } from './dom.js';
+import { channelName, dayTimeSecond, fixed, isNumber, milliseconds, timeElement } from './format.js';
+
+const REACHED = {
+  UNACK: 'raised', ACKED: 'acknowledged', RTNUN: 'returned, not acknowledged',
+  NORM: 'returned to normal', LATCH: 'returned, latched', SHLVD: 'shelved', DSUPR: 'suppressed by design',
+  OOSRV: 'taken out of service',
+};
+const LEFT = { SHLVD: 'unshelved', DSUPR: 'no longer suppressed', OOSRV: 'returned to service' };
+
+/** What happened, in a few words. */
+export function transitionText(line) {
+  const { from, to } = line;
+  if (line.class === 'event') return 'event';
+  if (from && from === to) return 'comment';
+  if (from in LEFT && !(to in LEFT)) return LEFT[from];
+  if (from === 'LATCH' && to === 'NORM') return 'reset';
+  if (from === 'RTNUN' && to === 'NORM') return 'acknowledged, over';
+  if (from === 'RTNUN' && to === 'UNACK') return 'raised again';
+  return REACHED[to] ?? (to ? to.toLowerCase() : 'noted');
+}
+
+/** One line of the journal's table. */
+export function journalRow(line, withAsset) {
+  const timeMs = milliseconds(line.time);
+  const what = transitionText(line);
+  const value = isNumber(line.value) ? `${fixed(line.value)} ${line.unit ?? '°C'}` : '';
+  return h('tr', { 'data-class': line.class ?? 'alarm' },
+    h('td', { class: 'nw' }, timeElement(timeMs, dayTimeSecond(timeMs))),
+    withAsset && h('td', { class: 'nw' }, line.asset),
+    h('td', { class: `nw${what === 'raised' ? ' b' : ''}` }, what),
+    h('td', {}, bold(line.message || line.kind)),
+    h('td', { class: 'nw mut' }, line.channel ? channelName(line.channel) : line.kind),
+    h('td', { class: 'r nw' }, value),
+    h('td', { class: 'nw' }, line.who || ''),
+    h('td', {}, line.comment || ''));
+}
+
+export const journalHead = (withAsset) => h('tr', {},
+  ['Time', withAsset && 'Asset', 'What', 'Alarm or event', 'Of', 'Value', 'Who', 'Comment']
+    .filter(Boolean).map((title) =>
+      h('th', { scope: 'col', class: title === 'Value' ? 'r' : null }, title)));
+
+const quoted = (value) => `"${String(value ?? '').replaceAll('"', '""')}"`;
+const CSV_COLUMNS = ['time', 'asset', 'class', 'from', 'to', 'kind', 'channel', 'message', 'value',
+  'who', 'comment'];
+
+/** The same lines as CSV; a cell that a spreadsheet would take for a formula is text. */
+export const journalCsv = (lines) => [CSV_COLUMNS.join(','), ...lines.map((line) =>
+  CSV_COLUMNS.map((name) => quoted(String(line[name] ?? '').replace(/^[=+@-](?!\d)/, "'$&")))
+    .join(','))].join('\r\n');

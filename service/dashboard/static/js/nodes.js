@@ -1,0 +1,45 @@
+// The nodes of a network of one's own: nothing is known of its shape, so they are shown as tiles.
+import { h, put, setText } from './dom.js';
+import { channelName, fixed } from './format.js';
+import { heatLegend, heatOf } from './heat.js';
+
+export class NodeTiles {
+  constructor(box) {
+    this.grid = h('ul', { class: 'ntiles' });
+    this.tiles = new Map();
+    put(box, this.grid, heatLegend());
+  }
+
+  /**
+   * nodes: { name: estimate °C }, measured: { name: { value, usable } } of measured points (which
+   * need not be nodes), alerts: { name: { priority, predicted } }, stale: all is of the past.
+   */
+  update({ nodes, measured, alerts, stale }) {
+    const names = [...new Set([...Object.keys(measured), ...Object.keys(nodes)])];
+    this.grid.classList.toggle('stale', stale);
+    for (const name of names) {
+      if (!this.tiles.has(name)) this.tiles.set(name, this.createTile(name));
+      this.updateTile(this.tiles.get(name), nodes[name], measured[name], alerts[name]);
+    }
+  }
+
+  createTile(name) {
+    const heat = h('i', {});
+    const value = h('b', { 'data-figure': name }, '–');
+    const twin = h('small', {});
+    const element = h('li', {}, heat, h('span', {}, channelName(name)), value, twin);
+    this.grid.append(element);
+    return { element, heat, value, twin };
+  }
+
+  updateTile({ element, heat, value, twin }, estimate, measured, alert) {
+    const shown = measured?.value ?? estimate;
+    setText(value, fixed(shown));
+    const both = measured && Number.isFinite(estimate);
+    setText(twin, both ? `twin ${fixed(estimate)}` : measured ? 'measured' : 'estimated');
+    value.className = measured ? (measured.usable ? 'me' : 'st') : 'es';
+    element.className = [measured?.usable === false && 'lost', alert && `a${alert.priority}`,
+      alert?.predicted && 'ahead'].filter(Boolean).join(' ');
+    heat.style.background = heatOf(shown);
+  }
+}

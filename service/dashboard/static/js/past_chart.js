@@ -1,0 +1,211 @@
+// A chart of the past: mean lines within their minimum and maximum, holes hatched.
+import { rem, token } from './dom.js';
+import { channelName, dayTimeSecond, fixed, isNumber, utc } from './format.js';
+import { font, fontSize, hatching, mount, pixelRatio, tooltip, valueAxis, write } from './paint.js';
+import { joined } from './past.js';
+
+const CLEAR = 'rgba(0,0,0,0)';
+const PER_LINE = 3;
+const LEAST_DRAG = 6;
+// Lines of the same colour differ by their dashes; names stand beside the figures.
+const DASHES = [[], [10, 5], [3, 4], [12, 4, 3, 4], [6, 3]];
+
+const isTwin = (name) => name.endsWith('.twin');
+
+/** How a channel is drawn: the twin in its blue, everything measured in ink. */
+export function lookOf(names, name) {
+  const same = names.filter((one) => isTwin(one) === isTwin(name));
+  return {
+    colour: isTwin(name) ? '--twin' : '--ink', dash: DASHES[same.indexOf(name) % DASHES.length],
+  };
+}
+
+export const lineName = (name) => (isTwin(name) ? `${channelName(name.slice(0, -5))}, twin`
+  : channelName(name));
+
+export class PastChart {
+  /** onZoom(fromMs, toMs): a part was drawn out with the mouse. */
+  constructor(box, { title, unit, syncKey, onZoom }) {
+    Object.assign(this, { box, title, unit, syncKey, onZoom });
+  }
+
+  /** model: { names, lines: { name: line }, fromMs, toMs, showTime }. */
+  update(model) {
+    this.model = model;
+    const key = [...model.names, model.showTime].join();
+    const data = joined(model.names.map((name) => model.lines[name] ?? EMPTY));
+    if (this.mounted && key === this.key) {
+      this.mounted.plot.setData(data);
+      return;
+    }
+    this.destroy();
+    this.key = key;
+    this.create(data);
+  }
+
+  destroy() {
+    this.mounted?.destroy();
+    this.tip?.element.remove();
+    this.mounted = null;
+  }
+
+  create(data) {
+    const { names } = this.model;
+    const series = [{}];
+    const bands = [];
+    names.forEach((name, i) => {
+      const { colour, dash } = lookOf(names, name);
+      const line = (stroke, width, dashes) => ({
+        stroke, width, dash: dashes, points: { show: false }, spanGaps: false,
+      });
+      series.push(line(token(colour), 2, dash), line(CLEAR, 0), line(CLEAR, 0));
+      bands.push({
+        series: [PER_LINE * i + 3, PER_LINE * i + 2],
+        fill: token(isTwin(name) ? '--fan95' : '--range'),
+      });
+    });
+    this.tip = tooltip(this.box);
+    this.mounted = mount(this.box, {
+      scales: {
+        x: { time: true, range: () => [this.model.fromMs / 1000, this.model.toMs / 1000] },
+        y: { range: (_, low, high) => roomy(low, high) },
+      },
+      axes: [spanAxis(this.model.showTime), valueAxis({
+        space: 34, values: (_, splits) => splits.map((value) => fixed(value, decimals(splits))),
+      })],
+      series, bands, padding: [8, 8, 2, 0],
+      cursor: {
+        y: false, points: { show: false }, sync: { key: this.syncKey },
+        drag: { x: true, y: false, setScale: false },
+      },
+      hooks: {
+        draw: [(plot) => this.paint(plot)],
+        setCursor: [(plot) => this.point(plot)],
+        setSelect: [(plot) => this.select(plot)],
+      },
+    }, data);
+  }
+
+  select(plot) {
+    const { left, width } = plot.select;
+    if (width < LEAST_DRAG) return;
+    const at = (pixel) => plot.posToVal(pixel, 'x') * 1000;
+    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    this.onZoom(at(left), at(left + width));
+  }
+
+  paint(plot) {
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    context.save();
+    context.beginPath();
+    context.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    context.clip();
+    this.paintGaps(plot);
+    context.restore();
+    write(context, `${this.title}, ${this.unit}`, bbox.left + 8 * ratio, bbox.top + 3 * ratio,
+      { size, base: 'top', colour: token('--ink-2'), halo: token('--panel') });
+    const nothing = this.model.names.every((name) =>
+      !this.model.lines[name]?.values.some(isNumber));
+    if (nothing) {
+      write(context, 'no data in this span', bbox.left + bbox.width / 2,
+        bbox.top + bbox.height / 2, { size, align: 'center', colour: token('--ink-3') });
+    }
+  }
+
+  /** Where a channel has no good data: hatched, with its name and the reason. */
+  paintGaps(plot) {
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    const { names, lines } = this.model;
+    const hatch = hatching(context, token('--bad-hatch'));
+    names.filter((name) => !isTwin(name)).forEach((name, row) => {
+      for (const [from, to, why] of lines[name]?.gaps ?? []) {
+        const left = Math.max(bbox.left, plot.valToPos(from / 1000, 'x', true));
+        const right = Math.min(bbox.left + bbox.width, plot.valToPos(to / 1000, 'x', true));
+        const width = Math.max(2 * ratio, right - left);
+        for (const fill of [token('--bad-tint'), hatch]) {
+          context.fillStyle = fill;
+          context.fillRect(left, bbox.top, width, bbox.height);
+        }
+        context.strokeStyle = token('--bad');
+        context.lineWidth = ratio;
+        context.setLineDash([4 * ratio, 4 * ratio]);
+        context.strokeRect(left, bbox.top, width, bbox.height);
+        context.setLineDash([]);
+        const text = `${lineName(name)}: ${why}`;
+        context.font = font(size);
+        if (context.measureText(text).width + 12 * ratio > width) continue;
+        write(context, text, left + 6 * ratio, bbox.top + (2 + 1.4 * (row + 1)) * size,
+          { size, colour: token('--bad-text'), halo: token('--panel') });
+      }
+    });
+  }
+
+  point(plot) {
+    const { idx: index, left } = plot.cursor;
+    if (index === null || index === undefined || left < 0) {
+      this.tip?.hide();
+      return;
+    }
+    const ms = plot.data[0][index] * 1000;
+    const lines = [[[dayTimeSecond(ms)], [`  ${utc(ms)}`, true]]];
+    this.model.names.forEach((name, i) => {
+      const [value, low, high] = [1, 2, 3].map((column) => plot.data[PER_LINE * i + column][index]);
+      if (!isNumber(value)) return;
+      const range = isNumber(low) && high - low > 1e-9;
+      lines.push([[`${lineName(name)} ${fixed(value, this.digits())} ${this.unit}`],
+        [range ? `  ${fixed(low, this.digits())} … ${fixed(high, this.digits())}` : '', true]]);
+    });
+    this.tip.show(lines, left + plot.bbox.left / pixelRatio() + 14);
+  }
+
+  digits() {
+    return this.unit === '°C' ? 2 : 0;
+  }
+}
+
+const EMPTY = { times: [], values: [], low: [], high: [], gaps: [] };
+
+/** A little room above and below; never a line that fills everything with its noise. */
+function roomy(low, high) {
+  if (!isNumber(low) || !isNumber(high)) return [0, 1];
+  const least = Math.max(2, Math.abs(high) * 0.02);
+  const room = Math.max(high - low, least) * 0.12;
+  const middle = (low + high) / 2;
+  const half = Math.max(high - low, least) / 2;
+  return [middle - half - room, middle + half + room * 2];
+}
+
+/** As many decimals as the steps of an axis need. */
+function decimals(splits) {
+  const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
+  return Math.max(0, Math.min(3, Math.ceil(-Math.log10(step) - 1e-9)));
+}
+
+/** Hours and minutes, the day where it changes, seconds where the span is short. */
+function spanAxis(show) {
+  const at = (second, options) => new Date(second * 1000)
+    .toLocaleString([], { hourCycle: 'h23', ...options });
+  return {
+    show, stroke: token('--ink-2'), font: font(fontSize()), size: rem() * 2, space: 96,
+    grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
+    values: (plot, splits) => {
+      const spanS = plot.scales.x.max - plot.scales.x.min;
+      let day = null;
+      return splits.map((second) => {
+        const today = at(second, { day: 'numeric', month: 'short' });
+        const changed = spanS > 12 * 3600 && today !== day;
+        day = today;
+        const room = plot.valToPos(plot.scales.x.max, 'x') - plot.valToPos(second, 'x');
+        if (room < 26) return '';
+        if (changed) return today;
+        return at(second, spanS < 600
+          ? { hour: '2-digit', minute: '2-digit', second: '2-digit' }
+          : { hour: '2-digit', minute: '2-digit' });
+      });
+    },
+  };
+}

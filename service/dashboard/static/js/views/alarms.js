@@ -1,0 +1,110 @@
+// All alarms, their journal, and how many there are: what has to be answered, and what was.
+import { AlarmList, refuse } from '../alarm_list.js';
+import { needsAcknowledge, summary } from '../alarms.js';
+import { call } from '../api.js';
+import { h, put, setText } from '../dom.js';
+import { channelName, fixed } from '../format.js';
+import { JournalPanel } from '../journal_panel.js';
+import { liveDetail } from '../situation.js';
+
+const COUNT_EVERY_MS = 10000;
+const FLOOD = 10;
+
+export class AlarmsView {
+  constructor(box, page) {
+    this.page = page;
+    this.several = page.assets.length > 1;
+    this.chosen = new Set();
+    this.count = h('span', { class: 's mut' });
+    this.all = h('input', { type: 'checkbox', onchange: () => this.chooseAll() });
+    this.bulk = h('button', { class: 'btn sm', type: 'button', onclick: () => this.acknowledge() });
+    const list = h('div', { class: 'alarmbox' });
+    this.list = new AlarmList(list, page.desk, {
+      chosen: this.chosen, onChoice: () => this.update(), withAsset: this.several,
+    });
+    this.statistics = h('dl', { class: 'stats' });
+    this.frequent = h('ol', { class: 'freq' });
+    this.journal = new JournalPanel(page);
+    put(box, h('h1', { class: 'vh' }, 'Alarms'),
+      h('section', { class: 'panel p-alist' },
+        h('header', {}, h('h2', {}, 'Alarms'), this.count, h('span', { class: 'sp' }),
+          h('label', { class: 'chk' }, this.all, 'all to acknowledge'), this.bulk), list),
+      h('section', { class: 'panel p-stat' },
+        h('header', {}, h('h2', {}, 'How many')), this.statistics,
+        h('h3', {}, 'Most frequent, last 24 h'), this.frequent),
+      this.journal.element);
+    const feeds = [...page.connection.feeds.values()];
+    this.endings = feeds.map((feed) =>
+      feed.store.on(['alarms', 'link', 'forecast'], () => this.update(), 250));
+    this.timers = [setInterval(() => this.update(), 1000),
+      setInterval(() => this.countAlarms(), COUNT_EVERY_MS)];
+    this.update();
+    this.countAlarms();
+  }
+
+  destroy() {
+    this.timers.forEach(clearInterval);
+    this.endings.forEach((end) => end());
+    this.journal.destroy();
+  }
+
+  /** Alarms of all assets that wait for an acknowledgement. */
+  waiting() {
+    return this.page.connection.alarms().map(({ alarm }) => alarm).filter(needsAcknowledge);
+  }
+
+  update() {
+    const { connection, clock, desk } = this.page;
+    const alarms = new Map(connection.alarms().map(({ alarm }) => [alarm.id, alarm]));
+    const live = new Map([...connection.feeds.values()].map((feed) =>
+      [feed.assetId, liveDetail(feed.store.state, clock)]));
+    const waiting = this.waiting();
+    for (const id of this.chosen) if (!waiting.some((alarm) => alarm.id === id)) this.chosen.delete(id);
+    this.list.update(alarms, (alarm) => live.get(alarm.asset));
+    setText(this.count, summary(alarms));
+    setText(this.bulk, this.chosen.size ? `Acknowledge ${this.chosen.size} chosen`
+      : 'Acknowledge chosen');
+    const reason = desk.refusal('acknowledge');
+    refuse(this.bulk, reason || (this.chosen.size ? '' : 'Choose alarms first.'));
+    refuse(this.all, reason || (waiting.length ? '' : 'Nothing to acknowledge.'));
+    this.all.checked = waiting.length > 0 && this.chosen.size === waiting.length;
+    this.all.indeterminate = this.chosen.size > 0 && this.chosen.size < waiting.length;
+    const key = [...alarms.values()].map((alarm) => alarm.id + alarm.state).join();
+    if (this.key !== undefined && key !== this.key) {
+      this.journal.refresh();
+      this.countAlarms();
+    }
+    this.key = key;
+  }
+
+  chooseAll() {
+    this.chosen.clear();
+    if (this.all.checked) this.waiting().forEach((alarm) => this.chosen.add(alarm.id));
+    this.update();
+  }
+
+  async acknowledge() {
+    const chosen = this.waiting().filter((alarm) => this.chosen.has(alarm.id));
+    this.bulk.disabled = true;
+    await this.page.desk.acknowledgeAll(chosen);
+    this.update();
+  }
+
+  async countAlarms() {
+    await this.page.connection.guarded(async () => {
+      const told = await call('/alarms/statistics');
+      const lines = [
+        ['In the last 10 minutes', String(told.last_10_min),
+          told.flood ? h('b', { class: 'chip badc' }, 'alarm flood') : `flood above ${FLOOD}`],
+        ['Per 10 minutes, mean of 24 h', fixed(told.per_10_min_average_24h, 2), 'at most 1 is wanted'],
+        ['Standing for more than 24 h', String(told.stale_over_24h), 'below 5 is wanted'],
+      ];
+      put(this.statistics, lines.map(([name, figure, note]) => h('div', {},
+        h('dt', {}, name), h('dd', {}, figure), h('dd', { class: 's mut' }, note))));
+      put(this.frequent, told.most_frequent.map(({ kind, channel, count }) => h('li', {},
+        h('b', {}, String(count)), ` ${kind}`,
+        channel && h('span', { class: 'mut' }, `, ${channelName(channel).toLowerCase()}`))));
+      if (!told.most_frequent.length) put(this.frequent, h('li', { class: 'mut' }, 'none'));
+    });
+  }
+}
