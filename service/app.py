@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import socket
+import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +32,7 @@ from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.outlets import Outlet, check_outlets, open_outlets
+from service.security.tls import tls_context
 from service.settings import AssetSection, Settings
 from service.store import Alarm, ModelVersion, Retention, Store, lock_data_directory
 from service.upkeep import keep_up
@@ -182,7 +184,11 @@ class Service:
 
     # ------------------------------------------------------------------ life
     async def run(
-        self, listener: socket.socket, stop: asyncio.Event, outlets: Sequence[Outlet] = ()
+        self,
+        listener: socket.socket,
+        stop: asyncio.Event,
+        outlets: Sequence[Outlet] = (),
+        tls: ssl.SSLContext | None = None,
     ) -> None:
         """Serve until ``stop`` is set, then stop cleanly: nothing accepted is lost.
 
@@ -194,6 +200,8 @@ class Service:
             Set it to end the service.
         outlets : sequence of Outlet
             What else is to be done beside it.
+        tls : ssl.SSLContext, optional
+            With it the web side talks HTTPS.
         """
         closing: list[asyncio.Task[None]] = []
 
@@ -222,7 +230,7 @@ class Service:
                         identify_by_itself(self.jobs, self.histories, self.clock),
                     ),
                     *((name, work()) for name, work in outlets),
-                    ("web", self._web(listener)),
+                    ("web", self._web(listener, tls)),
                 ):
                     await stack.enter_async_context(self._background(task, name, stop))
                 await stop.wait()
@@ -231,7 +239,7 @@ class Service:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self.spool.close()
 
-    async def _web(self, listener: socket.socket) -> None:
+    async def _web(self, listener: socket.socket, tls: ssl.SSLContext | None) -> None:
         config = uvicorn.Config(
             self.app,
             log_config=None,
@@ -240,6 +248,7 @@ class Service:
             server_header=False,
             ws_per_message_deflate=False,
             ws_max_size=64 * 1024,
+            ssl_context_factory=None if tls is None else lambda config, default: tls,
         )
         server = _Server(config)
         serving = asyncio.create_task(server.serve(sockets=[listener]))
@@ -350,6 +359,9 @@ async def serve(
     host = settings.service.host
     data_dir: Path = settings.data_dir
     check_outlets(settings)
+    tls = None
+    if settings.tls is not None:
+        tls = tls_context(settings.path(settings.tls.certificate), settings.path(settings.tls.key))
     with contextlib.ExitStack() as stack:
         stack.enter_context(lock_data_directory(data_dir))
         listener = stack.enter_context(contextlib.closing(bind(host, settings.service.port)))
@@ -363,6 +375,7 @@ async def serve(
         clock = ProcessClock.resume(settings.clock.rate, data_dir)
         service = Service(settings, wiring, store, clock)
         port = listener.getsockname()[1]
+        scheme = "http" if tls is None else "https"
         async with open_outlets(settings, service.assets, service.bus, store) as outlets:
-            announce(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
-            await service.run(listener, stop, outlets)
+            announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
+            await service.run(listener, stop, outlets, tls)

@@ -230,6 +230,13 @@ class MqttSection(Section):
     ca_file: Path | None = None
 
 
+class TlsSection(Section):
+    """PEM files for HTTPS: the certificate (with its chain) and its private key."""
+
+    certificate: Path
+    key: Path
+
+
 class Settings(BaseSettings):
     """The whole configuration of a service."""
 
@@ -243,6 +250,7 @@ class Settings(BaseSettings):
     security: SecuritySection = SecuritySection()
     opcua: OpcUaSection = OpcUaSection()
     mqtt: MqttSection = MqttSection()
+    tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
     sources: tuple[dict[str, Any], ...] = ()
     assets: tuple[AssetSection, ...] = ()
