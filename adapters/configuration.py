@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 
 class ConfigurationError(ValueError):
@@ -49,3 +49,23 @@ def ascending(limits: tuple[float, float] | None) -> tuple[float, float] | None:
     if limits is not None and not limits[0] < limits[1]:
         raise ValueError(f"expected [low, high] with low < high, got {list(limits)}")
     return limits
+
+
+class MeasuredChannel(StrictModel):
+    """What every channel may say of the values that are to be believed, in the channel's unit.
+
+    `max_jump`, `max_rate_per_s` and `flat_line_s` may be 0 (no such check); without them a channel
+    has the defaults of its kind. `max_age_s`, `max_rate_per_s` and `flat_line_s` are process time.
+    """
+
+    source: str
+    valid_range: tuple[float, float] | None = None
+    max_age_s: float | None = Field(default=None, gt=0.0)
+    max_jump: float | None = Field(default=None, ge=0.0)
+    max_rate_per_s: float | None = Field(default=None, ge=0.0)
+    flat_line_s: float | None = Field(default=None, ge=0.0)
+
+    @field_validator("valid_range")
+    @classmethod
+    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        return ascending(limits)

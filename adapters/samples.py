@@ -23,10 +23,37 @@ class Quality(IntEnum):
     UNCERTAIN = 64
     LAST_USABLE = 68
     SENSOR_NOT_ACCURATE = 80
+    FROZEN = 83  # sensor not accurate, with the limit bits of a constant
     EU_EXCEEDED = 84
     SUB_NORMAL = 88
     GOOD = 192
     LOCAL_OVERRIDE = 216
+
+
+_MEANINGS: dict[int, str] = {
+    Quality.BAD: "no usable value",
+    Quality.CONFIG_ERROR: "the device does not know this channel",
+    Quality.NOT_CONNECTED: "not connected",
+    Quality.DEVICE_FAILURE: "device failure",
+    Quality.SENSOR_FAILURE: "sensor failure",
+    Quality.LAST_KNOWN: "stale: no new value",
+    Quality.COMM_FAILURE: "communication failure",
+    Quality.OUT_OF_SERVICE: "nothing was recorded",
+    Quality.WAITING_FOR_INITIAL_DATA: "no value yet",
+    Quality.UNCERTAIN: "uncertain",
+    Quality.LAST_USABLE: "device busy, last value kept",
+    Quality.SENSOR_NOT_ACCURATE: "sensor not accurate",
+    Quality.FROZEN: "frozen value",
+    Quality.EU_EXCEEDED: "outside the valid range",
+    Quality.SUB_NORMAL: "sub-normal",
+}
+
+
+def meaning(quality: int) -> str:
+    """Say in words what a quality byte means; empty when it is good."""
+    if is_good(quality):
+        return ""
+    return _MEANINGS.get(quality) or ("bad" if is_bad(quality) else "uncertain")
 
 
 def is_good(quality: int) -> bool:

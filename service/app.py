@@ -7,6 +7,7 @@ import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ProcessClock
 from service.configuration import SettingsError
-from service.ingest import Ingest, Spool
+from service.ingest import Ingest, QualityChecks, Spool
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
@@ -70,7 +71,10 @@ class Service:
         self.bus = Bus(clock)
         self.alarms = AlarmBook(store, clock, self._alarm_changed)
         self.spool = Spool.open(settings.data_dir, settings.service.spool_mib)
-        self.ingest = Ingest(store, self.spool, clock, self._take, registry=self.registry)
+        self.checks = QualityChecks(wiring.check_limits, self.registry)
+        self.ingest = Ingest(
+            store, self.spool, clock, self._take, registry=self.registry, checks=self.checks
+        )
         self.drivers: list[Driver] = [source.create(clock) for source in wiring.sources]
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
@@ -130,6 +134,7 @@ class Service:
             store_samples=self._store_derived,
             save_state=save_state,
             windows=self.histories[asset.id].windows_json,
+            doubt=partial(self.checks.reason, asset.id),
         )
 
     def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:

@@ -1,6 +1,7 @@
 """From the configuration to drivers: which channel of which asset comes from which source."""
 
 import ipaddress
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from adapters.configuration import ConfigurationError, suggestion
+from adapters.configuration import ConfigurationError, MeasuredChannel, suggestion
 from adapters.drivers import (
     DRIVERS,
     ChannelBinding,
@@ -19,11 +20,19 @@ from adapters.drivers import (
     UnknownDriverError,
 )
 from service.configuration import SettingsError, describe
+from service.ingest.quality import CheckLimits
 from service.settings import AssetSection, Settings
 
 PUSH = "push"
 CONTROLLER_CHANNELS = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
 _DEFAULT_MAX_AGE_S = 10.0
+# A PT100 in a bearing of this size follows with a time constant of seconds, and all the friction
+# heat of its highest speed and load, put into one ring alone, warms that by less than 2 K/s.
+_TEMPERATURE_RATE_K_PER_S = 2.0
+_TEMPERATURE_JUMP_K = 5.0
+# While a machine runs, noise and the hall's air move a reading of this resolution sooner.
+_TEMPERATURE_FLAT_S = 1800.0
+_FLAT_RESOLUTION_K = 0.2
 
 
 @dataclass(slots=True)
@@ -47,6 +56,7 @@ class ChannelFacts:
 
     source: str
     max_age_s: float
+    limits: CheckLimits = field(default_factory=CheckLimits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +65,15 @@ class Wiring:
 
     sources: list[SourceWiring]
     channels: Mapping[str, Mapping[str, ChannelFacts]]
+
+    @property
+    def check_limits(self) -> dict[tuple[str, str], CheckLimits]:
+        """What the values of every channel can do, by asset and channel."""
+        return {
+            (asset, channel): facts.limits
+            for asset, channels in self.channels.items()
+            for channel, facts in channels.items()
+        }
 
 
 def wire(settings: Settings) -> Wiring:
@@ -81,17 +100,13 @@ def _wire(settings: Settings) -> Wiring:
         for channel, table, key in _channels(asset, f"assets[{number}]"):
             source_name = _source_name(table, sources, key)
             if source_name == PUSH:
-                unknown = set(table) - {"source"}
-                if unknown:
-                    raise SettingsError(
-                        f"{key}.{min(unknown)}: unknown key; a pushed channel has only 'source'"
-                    )
-                facts[asset.id][channel] = ChannelFacts(PUSH, _DEFAULT_MAX_AGE_S)
+                pushed = _validated(MeasuredChannel, table, key)
+                facts[asset.id][channel] = _facts(channel, PUSH, None, pushed)
                 continue
             source = sources[source_name]
             config = _validated(source.spec.channel_model, table, key)
             source.channels.append(ChannelBinding(asset.id, channel, config))
-            facts[asset.id][channel] = ChannelFacts(source_name, _max_age_s(source.config, config))
+            facts[asset.id][channel] = _facts(channel, source_name, source.config, config)
         _wire_plan(asset, f"assets[{number}].controller.plan", sources)
     for source in sources.values():
         source.spec.check(source.config, source.channels, source.plans)
@@ -152,7 +167,41 @@ def _validated(
         raise SettingsError(describe(error, key)) from error
 
 
-def _max_age_s(source: BaseModel, channel: BaseModel) -> float:
+def _facts(
+    name: str, source_name: str, source: BaseModel | None, channel: BaseModel
+) -> ChannelFacts:
+    return ChannelFacts(
+        source_name, _max_age_s(source, channel), _check_limits(name, source, channel)
+    )
+
+
+def _check_limits(name: str, source: BaseModel | None, channel: BaseModel) -> CheckLimits:
+    """What a channel's values can do: as configured, else by what physics lets a temperature do."""
+    if not isinstance(channel, MeasuredChannel):
+        return CheckLimits()
+    jump = rate = flat = 0.0
+    # A record that is played faster than it happened changes as much faster.
+    if name.endswith("_c") and getattr(source, "speed", 1.0) <= 1.0:
+        jump, rate = _TEMPERATURE_JUMP_K, _TEMPERATURE_RATE_K_PER_S
+        is_whole = getattr(channel, "type", "").lstrip("u").startswith("int")
+        coarse = is_whole and abs(getattr(channel, "scale", 1.0)) > _FLAT_RESOLUTION_K
+        flat = 0.0 if name == "ambient_c" or coarse else _TEMPERATURE_FLAT_S
+    low, high = channel.valid_range or (-math.inf, math.inf)
+    return CheckLimits(
+        low,
+        high,
+        _or_nothing(channel.max_jump, jump),
+        _or_nothing(channel.max_rate_per_s, rate),
+        _or_nothing(channel.flat_line_s, flat),
+    )
+
+
+def _or_nothing(configured: float | None, default: float) -> float:
+    """Limit as configured, else by default; 0 is no limit."""
+    return (default if configured is None else configured) or math.inf
+
+
+def _max_age_s(source: BaseModel | None, channel: BaseModel) -> float:
     """Age at which a channel is stale: as configured, else some periods of its source."""
     configured = getattr(channel, "max_age_s", None)
     if configured is not None:

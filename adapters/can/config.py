@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
-from adapters.configuration import StrictModel, ascending
+from adapters.configuration import MeasuredChannel, StrictModel
 
 
 class CanSource(StrictModel):
@@ -35,21 +35,13 @@ class CanSource(StrictModel):
         return dict(self.model_extra or {})
 
 
-class CanChannel(StrictModel):
+class CanChannel(MeasuredChannel):
     """Which signal of which message a channel is.
 
     `frame_id_mask` says which bits of the identifier must agree with the DBC's. Without it all
     must; of a J1939 message neither priority nor the sender's address.
     """
 
-    source: str
     message: str
     signal: str
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
-    valid_range: tuple[float, float] | None = None
-    max_age_s: float | None = Field(default=None, gt=0.0)
-
-    @field_validator("valid_range")
-    @classmethod
-    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        return ascending(limits)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from adapters.configuration import StrictModel, ascending
+from adapters.configuration import MeasuredChannel, StrictModel
 
 Kind = Literal["input", "holding", "coil", "discrete"]
 ValueType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64", "bool"]
@@ -75,7 +75,7 @@ class ModbusStatus(StrictModel):
     bits: dict[Annotated[int, Field(ge=0, le=15)], str] = Field(min_length=1)
 
 
-class ModbusChannel(StrictModel):
+class ModbusChannel(MeasuredChannel):
     """Where a channel is found and what its raw value means.
 
     value = raw * scale + offset, then the conversion. `register` counts from 0, as on the wire.
@@ -84,7 +84,6 @@ class ModbusChannel(StrictModel):
     mean "no value".
     """
 
-    source: str
     address: Register = Field(alias="register")
     kind: Kind = "holding"
     type: ValueType = "int16"
@@ -95,8 +94,6 @@ class ModbusChannel(StrictModel):
     unit_id: Unit | None = None
     sentinels: tuple[float, ...] = ()
     conversion: Literal["pt100_ohm"] | None = None
-    valid_range: tuple[float, float] | None = None
-    max_age_s: float | None = Field(default=None, gt=0.0)
     status: ModbusStatus | None = None
 
     @model_validator(mode="before")
@@ -112,11 +109,6 @@ class ModbusChannel(StrictModel):
         if scale == 0.0:
             raise ValueError("scale must not be 0")
         return scale
-
-    @field_validator("valid_range")
-    @classmethod
-    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        return ascending(limits)
 
     @model_validator(mode="after")
     def _type_fits_kind(self) -> Self:

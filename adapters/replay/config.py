@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from adapters.configuration import StrictModel, ascending
+from adapters.configuration import MeasuredChannel, StrictModel
 
 TABLES = (".csv", ".parquet", ".pq")
 CAN_LOGS = (".asc", ".blf")
@@ -51,26 +51,18 @@ class ReplaySource(StrictModel):
         return self.file.suffix.lower() in CAN_LOGS
 
 
-class ReplayChannel(StrictModel):
+class ReplayChannel(MeasuredChannel):
     """Where a channel is found: in a column of a table, or in a signal of a CAN message.
 
     In a table with the columns ``time, channel, value`` the `column` is the name of the channel.
     """
 
-    source: str
     column: str | None = None
     scale: float = 1.0
     offset: float = 0.0
     message: str | None = None
     signal: str | None = None
     frame_id_mask: int | None = Field(default=None, ge=1, le=0x1FFFFFFF)
-    valid_range: tuple[float, float] | None = None
-    max_age_s: float | None = Field(default=None, gt=0.0)
-
-    @field_validator("valid_range")
-    @classmethod
-    def _range_ascends(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        return ascending(limits)
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:

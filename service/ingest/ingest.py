@@ -2,6 +2,8 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter
 
 import structlog
 from prometheus_client import CollectorRegistry
@@ -9,6 +11,7 @@ from prometheus_client import CollectorRegistry
 from adapters.drivers import Clock, Driver
 from adapters.samples import Batch, Quality, Sample
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_spool
+from service.ingest.quality import QualityChecks
 from service.ingest.spool import Spool
 from service.ingest.writer import SampleWriter
 from service.store import Store, WriteCounts
@@ -42,6 +45,8 @@ class Ingest:
         return quickly; what it raises is logged and does not hold up the samples.
     registry : prometheus_client.CollectorRegistry
         Where the metrics are shown.
+    checks : QualityChecks, optional
+        What every sample from outside must stand to be taken for good.
     """
 
     def __init__(
@@ -52,8 +57,10 @@ class Ingest:
         on_batch: Callable[[Batch], None],
         *,
         registry: CollectorRegistry,
+        checks: QualityChecks | None = None,
     ) -> None:
         self._store = store
+        self._checks = checks or QualityChecks({}, registry)
         self._spool = spool
         self._clock = clock
         self._on_batch = on_batch
@@ -118,6 +125,8 @@ class Ingest:
         """
         if not samples:
             return WriteCounts(0, 0)
+        # The checks compare each sample with the one before; a gateway may send them in any order.
+        samples = self._checks.judge(sorted(samples, key=attrgetter("time_us")))
         stored = asyncio.wrap_future(self._writer.put_and_tell(samples))
         self._hand_over(Batch(list(samples)))
         return await stored
@@ -159,6 +168,9 @@ class Ingest:
         if batch.samples:
             if self._unmarked_gaps:
                 self._mark_gaps(batch.samples)
+            judged = self._checks.judge(batch.samples)
+            if judged is not batch.samples:
+                batch = replace(batch, samples=list(judged))
             self._writer.put(batch.samples)
         self._hand_over(batch)
 

@@ -74,6 +74,8 @@ class AssetRuntime:
         Keeps the estimate, so that a restart goes on from it.
     windows : callable
         Finds the low-risk windows in the store.
+    doubt : callable
+        Why the latest sample of a channel failed a check; empty when it did not.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class AssetRuntime:
         store_samples: Store,
         save_state: SaveState,
         windows: Callable[[], Awaitable[Sequence[Mapping[str, Any]]]],
+        doubt: Callable[[str], str] = lambda channel: "",
     ) -> None:
         self.settings = settings
         self.facts = channels
@@ -96,7 +99,7 @@ class AssetRuntime:
             name: warnings.allowed_age_s(facts.max_age_s, clock.rate)
             for name, facts in channels.items()
         }
-        self.readings = Readings(settings.id, ages_s, clock.now_us())
+        self.readings = Readings(settings.id, ages_s, clock.now_us(), doubt=doubt)
         self.estimate = LiveEstimate(active)
         self.plan: PlannedProfile | None = None
         self.running = False
@@ -157,7 +160,12 @@ class AssetRuntime:
             "low_risk": self.settings.low_risk.model_dump(),
             "limits": {name: pair.model_dump() for name, pair in self.settings.limits.items()},
             "channels": [
-                {"name": name, "source": source, "unit": presentation.unit_of(name)}
+                {
+                    "name": name,
+                    "source": source,
+                    "unit": presentation.unit_of(name),
+                    "reason": (name in self.facts and self.readings.reason(name, now_us)) or None,
+                }
                 for name, source in self.channels.items()
             ],
             "health": {

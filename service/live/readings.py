@@ -1,10 +1,10 @@
 """What the channels of one asset say now, and their means over a step of the twin."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from adapters.samples import Quality, Sample, is_bad, is_good
+from adapters.samples import Quality, Sample, is_bad, is_good, meaning
 
 # Samples received so much before the latest one were received before the clock was set back.
 _CLOCK_SET_BACK_US = 1_000_000
@@ -33,12 +33,18 @@ class Readings:
         Process time from which a channel without any sample is waited for.
     latest : dict of str to Sample
         Newest sample of each channel that had any.
+    doubt : callable
+        Why the latest sample of a channel failed a check; empty when it did not.
+    late : int
+        Samples that came when a newer one of their channel was known already.
     """
 
     asset: str
     max_age_s: Mapping[str, float]
     began_us: int
     latest: dict[str, Sample] = field(default_factory=dict)
+    doubt: Callable[[str], str] = lambda channel: ""
+    late: int = 0
     _means: dict[str, _Mean] = field(default_factory=dict)
 
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
@@ -49,6 +55,7 @@ class Readings:
                 continue
             known = self.latest.get(sample.channel)
             if known is not None and _is_late(sample, known):
+                self.late += 1
                 continue  # late data belong in the store, not on the screen
             self.latest[sample.channel] = sample
             news.append(sample)
@@ -92,6 +99,14 @@ class Readings:
         if not is_bad(sample.quality) and self.is_stale(channel, now_us):
             return Quality.LAST_KNOWN
         return sample.quality
+
+    def reason(self, channel: str, now_us: int) -> str:
+        """Say why the channel's value is not good now; empty when it is."""
+        quality = self.quality(channel, now_us)
+        if is_good(quality):
+            return ""
+        doubt = "" if is_bad(quality) else self.doubt(channel)
+        return doubt or meaning(quality)
 
     @staticmethod
     def _age_s(sample: Sample, now_us: int) -> float:

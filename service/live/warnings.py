@@ -124,7 +124,7 @@ def sensor_conditions(
             active=None if sample is None or stale else faulty,
             value=None,
             message=f"{label(channel)}: no usable value from {facts.source}"
-            + (f" (quality {int(sample.quality)})" if sample is not None and faulty else ""),
+            + (f" ({readings.reason(channel, now_us)})" if faulty else ""),
             priority=2,
             on_delay_s=SENSOR_ON_DELAY_S,
             off_delay_s=SENSOR_OFF_DELAY_S,

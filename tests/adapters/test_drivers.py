@@ -32,6 +32,7 @@ def test_quality_classes() -> None:
         "UNCERTAIN",
         "LAST_USABLE",
         "SENSOR_NOT_ACCURATE",
+        "FROZEN",
         "EU_EXCEEDED",
         "SUB_NORMAL",
     ]

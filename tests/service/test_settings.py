@@ -105,7 +105,7 @@ def test_a_complete_configuration_is_wired(folder: Path) -> None:
         (
             'ambient_c = { source = "push" }',
             'ambient_c = { source = "push", register = 3 }',
-            ["assets[0].channels.ambient_c.register"],
+            ["assets[0].channels.ambient_c", "register"],
         ),
         ('name = "drive"', 'name = "pt100"', ["sources", "pt100", "twice"]),
     ],

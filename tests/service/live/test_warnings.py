@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.samples import Quality, Sample
+from adapters.samples import Quality, Sample, meaning
 from service.alarms import AlarmBook, AlarmCondition
 from service.live import warnings
 from service.live.presentation import LimitCrossing
@@ -217,7 +217,7 @@ def test_a_sensor_without_a_usable_value_is_faulty(
     condition = scene.sensors()["sensor fault"]
     assert condition.active is faulty
     assert condition.message.startswith("Inner ring: no usable value from pt100")
-    assert (f"(quality {int(quality)})" in condition.message) is faulty
+    assert (f"({meaning(quality)})" in condition.message) is faulty
     assert scene.sensors()["stale data"].active is False
 
 
