@@ -7,6 +7,22 @@ import pytest
 _skipped: list[str] = []
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("faults")
+    group.addoption(
+        "--faults",
+        choices=("short", "full"),
+        default="short",
+        help="full: outages of 60 s and 50 kills, as in docs/reliability.md",
+    )
+    group.addoption(
+        "--soak-minutes",
+        type=float,
+        default=0.4,
+        help="how long random faults strike a bench at 60 times the speed of life",
+    )
+
+
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if report.skipped and not hasattr(report, "wasxfail"):
         _skipped.append(report.nodeid)

@@ -98,7 +98,52 @@ class Command:
             self.process.stdout.close()
 
 
-class Site:
+class Station:
+    """A service with its configuration, and a client with a key for it.
+
+    Parameters
+    ----------
+    folder
+        Of logs and of the data directory.
+    configuration, port
+        The service's configuration file, and the port in it.
+    """
+
+    def __init__(self, folder: Path, configuration: Path, port: int) -> None:
+        self.folder, self.configuration, self.port = folder, configuration, port
+        with self.open_store() as store:
+            self.key = create_key(store, "admin").text
+        self.service: Command | None = None
+        self.client = httpx2.Client(
+            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": self.key}, timeout=20
+        )
+
+    def start_service(self) -> None:
+        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
+
+    def open_store(self) -> Store:
+        settings = load_settings(self.configuration)
+        return Store.open(settings.service.database_url, settings.data_dir)
+
+    def get(self, path: str, **parameters: Any) -> Any:
+        answer = self.client.get(path, params=parameters)
+        assert answer.status_code == httpx2.codes.OK, answer.text
+        return answer.json()
+
+    def tags(self) -> dict[str, Any]:
+        tags: dict[str, Any] = self.get(f"/api/v1/assets/{ASSET}/snapshot")["tags"]
+        return tags
+
+    def tag(self, name: str) -> Any:
+        return self.tags()[name]["value"]
+
+    def close(self) -> None:
+        self.client.close()
+        if self.service is not None:
+            self.service.end()
+
+
+class Site(Station):
     """A virtual bench and a service beside it, both of which can be stopped and started again.
 
     Parameters
@@ -122,27 +167,22 @@ class Site:
         service_keys: str = "",
         pushed: str = "",
     ) -> None:
-        self.folder, self.scenario, self.rate, self.seed = folder, scenario, rate, seed
-        self.modbus_port, self.can_port, self.port = free_port(), free_port(), free_port()
+        self.scenario, self.rate, self.seed = scenario, rate, seed
+        self.modbus_port, self.can_port = free_port(), free_port()
+        self.bench: Command | None = None
         bench = {
             "modbus": {"host": "127.0.0.1", "port": self.modbus_port},
             "can": {"channel": f"socket://127.0.0.1:{self.can_port}"},
         }
-        self.configuration = write_configuration(folder, bench, rate, self.port)
-        text = self.configuration.read_text()
+        port = free_port()
+        configuration = write_configuration(folder, bench, rate, port)
+        text = configuration.read_text()
         text = text.replace("[service]\n", f"[service]\n{service_keys}\n", 1)
         if pushed:
             section = "[assets.channels]\n"
             text = text.replace(section, f'{section}{pushed} = {{ source = "push" }}\n', 1)
-        self.configuration.write_text(text)
-        settings = load_settings(self.configuration)
-        with Store.open(settings.service.database_url, settings.data_dir) as store:
-            self.key = create_key(store, "admin").text
-        self.bench: Command | None = None
-        self.service: Command | None = None
-        self.client = httpx2.Client(
-            base_url=f"http://127.0.0.1:{self.port}", headers={"X-API-Key": self.key}, timeout=20
-        )
+        configuration.write_text(text)
+        super().__init__(folder, configuration, port)
 
     def start_bench(self) -> None:
         self.bench = Command(
@@ -155,27 +195,7 @@ class Site:
         )  # fmt: skip
         assert json.loads(self.bench.first_line)["modbus"]["port"] == self.modbus_port
 
-    def start_service(self) -> None:
-        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
-
-    def open_store(self) -> Store:
-        settings = load_settings(self.configuration)
-        return Store.open(settings.service.database_url, settings.data_dir)
-
-    def get(self, path: str, **parameters: Any) -> Any:
-        answer = self.client.get(path, params=parameters)
-        assert answer.status_code == httpx2.codes.OK, answer.text
-        return answer.json()
-
-    def tags(self) -> dict[str, Any]:
-        tags: dict[str, Any] = self.get(f"/api/v1/assets/{ASSET}/snapshot")["tags"]
-        return tags
-
-    def tag(self, name: str) -> Any:
-        return self.tags()[name]["value"]
-
     def close(self) -> None:
-        self.client.close()
-        for command in (self.service, self.bench):
-            if command is not None:
-                command.end()
+        super().close()
+        if self.bench is not None:
+            self.bench.end()

@@ -1,0 +1,62 @@
+"""How long the faults last, and the table of what became of the samples."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import pytest
+from faults.hall import BACK_S, Outcome
+
+_OUTCOMES = pytest.StashKey[list[Outcome]]()
+
+
+class Extent(NamedTuple):
+    """How much a run of the faults takes upon itself."""
+
+    outage_s: float
+    kills: int
+
+
+SHORT, FULL = Extent(5.0, 3), Extent(60.0, 50)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_OUTCOMES] = []
+
+
+@pytest.fixture
+def extent(pytestconfig: pytest.Config) -> Extent:
+    return FULL if pytestconfig.getoption("--faults") == "full" else SHORT
+
+
+@pytest.fixture
+def tell(pytestconfig: pytest.Config) -> Iterator[Callable[[Outcome], None]]:
+    """Take a row for the table at the end of the run."""
+    yield pytestconfig.stash[_OUTCOMES].append
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    config = terminalreporter.config
+    outcomes = config.stash.get(_OUTCOMES, [])
+    if not outcomes:
+        return
+    write = terminalreporter.write_line
+    terminalreporter.section("faults: what became of the samples")
+    write(
+        "| fault | sent | stored | skipped, counted | lost on the wire | twice | order | back after, s |"
+    )
+    write("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for one in outcomes:
+        count, times = one.count, sorted(one.recoveries_s)
+        back = "" if not times else f"{times[-1]:.1f}"
+        if len(times) > 1:
+            back = f"{times[len(times) // 2]:.1f} (at most {times[-1]:.1f})"
+        late = sum(time > BACK_S for time in times)
+        back += f", {late} of {len(times)} late" if late else ""
+        write(
+            f"| {one.fault} | {count.sent:,} | {count.stored:,} | {one.skipped:,} "
+            f"| {count.missing - one.skipped:,} | {count.duplicates} "
+            f"| {'kept' if count.in_order else 'BROKEN'} | {back} |"
+        )
+    for one in outcomes:
+        if one.note:
+            write(f"{one.fault}: {one.note}")
