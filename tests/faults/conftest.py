@@ -1,6 +1,6 @@
 """How long the faults last, and the table of what became of the samples."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
@@ -29,9 +29,9 @@ def extent(pytestconfig: pytest.Config) -> Extent:
 
 
 @pytest.fixture
-def tell(pytestconfig: pytest.Config) -> Iterator[Callable[[Outcome], None]]:
+def tell(pytestconfig: pytest.Config) -> Callable[[Outcome], None]:
     """Take a row for the table at the end of the run."""
-    yield pytestconfig.stash[_OUTCOMES].append
+    return pytestconfig.stash[_OUTCOMES].append
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -41,10 +41,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         return
     write = terminalreporter.write_line
     terminalreporter.section("faults: what became of the samples")
-    write(
-        "| fault | sent | stored | skipped, counted | lost on the wire | twice | order | back after, s |"
-    )
-    write("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    columns = ("fault", "sent", "stored", "skipped", "on the wire", "twice", "order", "back in s")
+    write(f"| {' | '.join(columns)} |")
+    write(f"|{' --- |' * len(columns)}")
     for one in outcomes:
         count, times = one.count, sorted(one.recoveries_s)
         back = "" if not times else f"{times[-1]:.1f}"
