@@ -1,19 +1,30 @@
 """Alarms: the state machine of ISA-18.2 / IEC 62682 and the book of present alarms."""
 
-from service.alarms.book import AlarmBook, UnknownAlarmError
-from service.alarms.conditions import AlarmCondition, AlarmKind, Priority
+from service.alarms.book import (
+    LONGEST_SHELVING_S,
+    AlarmBook,
+    NotAllowedError,
+    UnknownAlarmError,
+)
+from service.alarms.conditions import AlarmCondition, AlarmKind, EventKind, Priority
 from service.alarms.documents import alarm_document, transition_document
 from service.alarms.states import (
     ACTIVE_STATES,
+    SET_ASIDE_STATES,
     TRANSITIONS,
     UNACKNOWLEDGED_STATES,
     AlarmEvent,
     AlarmState,
+    Transition,
     next_state,
 )
+from service.alarms.statistics import FLOOD_IN_10_MIN, statistics_document
 
 __all__ = [
     "ACTIVE_STATES",
+    "FLOOD_IN_10_MIN",
+    "LONGEST_SHELVING_S",
+    "SET_ASIDE_STATES",
     "TRANSITIONS",
     "UNACKNOWLEDGED_STATES",
     "AlarmBook",
@@ -21,9 +32,13 @@ __all__ = [
     "AlarmEvent",
     "AlarmKind",
     "AlarmState",
+    "EventKind",
+    "NotAllowedError",
     "Priority",
+    "Transition",
     "UnknownAlarmError",
     "alarm_document",
     "next_state",
+    "statistics_document",
     "transition_document",
 ]

@@ -1,23 +1,40 @@
 """The alarm book: which alarms there are now, and what became of each."""
 
 import threading
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Collection
 from dataclasses import replace
-from uuid import uuid4
 
 from adapters.drivers import Clock
-from service.alarms.conditions import AlarmCondition
+from service.alarms.conditions import AlarmCondition, EventKind
+from service.alarms.lives import (
+    AlarmKey,
+    following,
+    journal_line,
+    key_of,
+    normal_alarm,
+    updated,
+)
 from service.alarms.recorder import AlarmRecorder
-from service.alarms.states import ACTIVE_STATES, AlarmEvent, AlarmState, next_state
+from service.alarms.states import ACTIVE_STATES, AlarmEvent, AlarmState
+from service.alarms.timers import Timer
 from service.store import Alarm, AlarmTransition, Store
 
 #: Who the journal names for what happens without a person.
 SERVICE = "service"
+#: No alarm may be shelved for longer at a time, in process seconds.
+LONGEST_SHELVING_S = 8 * 3600.0
 _MICROSECONDS = 1_000_000
+_NOT_CONFIGURED = "no longer configured"
+_TIME_IS_OVER = "the time is over"
 
 
 class UnknownAlarmError(KeyError):
-    """There is no open alarm of this id."""
+    """There is no alarm of this id."""
+
+
+class NotAllowedError(ValueError):
+    """An alarm's state does not allow what was asked; the text names alarm, state and wish."""
 
 
 class AlarmBook:
@@ -27,12 +44,16 @@ class AlarmBook:
     (`flush` waits for them), and read back at the next start. All methods may be called from any
     thread.
 
+    An alarm has an id for one life: from the first event after it was normal until it is normal
+    again. An alarm that has never been anything but normal has an id too, so that it can be
+    shelved or taken out of service, but it is not kept.
+
     Parameters
     ----------
     store : Store
         Holds the alarms that were open when the service stopped; takes the changes.
     clock : Clock
-        Delays count in its process time.
+        Delays and shelving count in its process time.
     on_change : callable
         Gets every alarm whose state, message or priority changed, in order, also once when it
         has become normal. It must return quickly.
@@ -42,85 +63,162 @@ class AlarmBook:
         self._clock = clock
         self._on_change = on_change
         self._lock = threading.RLock()
-        self._timers: dict[tuple[str, str, str, str], _Timer] = {}
-        self._open = {_key(alarm): alarm for alarm in store.load_alarms()}
+        self._timers: defaultdict[AlarmKey, Timer] = defaultdict(Timer)
+        self._normal: dict[AlarmKey, Alarm] = {}
+        self._open = {key_of(alarm): alarm for alarm in store.load_alarms()}
+        self._conditions: dict[AlarmKey, AlarmCondition] = {}
         self._recorder = AlarmRecorder(store)
 
+    # ------------------------------------------------------------------ what the rules say
     def evaluate(self, condition: AlarmCondition) -> None:
         """Take note of the present truth of a condition; raises, renews or returns its alarm."""
         now_us = self._clock.now_us()
         with self._lock:
-            alarm = self._open.get(condition.key)
-            raised = alarm is not None and alarm.state in ACTIVE_STATES
+            self._end_shelving(now_us)
+            self._conditions[condition.key] = condition
+            alarm = self._open.get(condition.key) or self._normal.get(condition.key)
+            if alarm is None:
+                alarm = self._normal[condition.key] = normal_alarm(condition, now_us)
             holds = condition.active
-            if raised and holds is False and condition.in_deadband:
+            if alarm.present and holds is False and condition.in_deadband:
                 holds = None
-            timer = self._timers.setdefault(condition.key, _Timer())
+            timer = self._timers[condition.key]
             if holds is None:
                 timer.pause()
-            elif holds == raised:
+            elif holds == alarm.present:
                 timer.reset()
-                if alarm is not None and raised:
-                    self._renew(alarm, condition)
+                alarm = self._renew(alarm, condition)
             elif timer.run(now_us) >= (condition.on_delay_s if holds else condition.off_delay_s):
                 timer.reset()
-                if holds:
-                    self._raise(alarm, condition, now_us)
-                elif alarm is not None:
-                    self._move(
-                        replace(alarm, returned_at_us=now_us), AlarmEvent.RETURN, now_us, SERVICE
-                    )
+                alarm = self._turn(alarm, condition, holds, now_us)
+            alarm = self._suppress(alarm, condition, now_us)
+            standing_s = (now_us - alarm.since_us) / _MICROSECONDS
+            if alarm.state == AlarmState.ACKED and 0 < condition.re_alarm_s <= standing_s:
+                self._move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE)
 
+    def withdraw(self, asset: str, known: Collection[AlarmKey]) -> None:
+        """End the alarms of an asset whose conditions do not exist any more.
+
+        After a change of the configuration nothing would ever bring them back to normal.
+
+        Parameters
+        ----------
+        asset : str
+            Whose alarms.
+        known : collection of tuple
+            The keys of all conditions that the asset has.
+        """
+        now_us = self._clock.now_us()
+        with self._lock:
+            for key, alarm in list(self._open.items()):
+                if alarm.asset == asset and key not in known:
+                    gone = replace(alarm, present=False, returned_at_us=now_us)
+                    self._go(gone, AlarmState.NORM, "withdraw", now_us, SERVICE, _NOT_CONFIGURED)
+
+    def record_event(
+        self, asset: str, kind: EventKind, message: str, who: str = SERVICE, comment: str = ""
+    ) -> None:
+        """Write an event into the journal: worth knowing, but no alarm."""
+        event = AlarmTransition(
+            alarm_id=None,
+            asset=asset,
+            kind=kind,
+            channel="",
+            level="",
+            time_us=self._clock.now_us(),
+            from_state="",
+            to_state="",
+            who=who,
+            comment=comment,
+            value=None,
+            message=message,
+        )
+        self._recorder.record(None, event)
+
+    # ------------------------------------------------------------------ what people say
     def acknowledge(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
-        """Acknowledge an open alarm and return it as it is then.
+        """Acknowledge an alarm and return it as it is then; one that has returned is over.
 
-        An alarm that was acknowledged already stays as it is; one that has returned to normal is
-        over thereby.
+        Raises
+        ------
+        UnknownAlarmError
+            If there is no alarm of this id.
+        NotAllowedError
+            If the alarm's state does not allow it. So do the methods below.
+        """
+        return self._act(alarm_id, AlarmEvent.ACKNOWLEDGE, who, comment)
+
+    def reset(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+        """Reset a latched alarm that has returned to normal and is acknowledged."""
+        return self._act(alarm_id, AlarmEvent.RESET, who, comment)
+
+    def shelve(self, alarm_id: str, duration_s: float, who: str, comment: str = "") -> Alarm:
+        """Set an alarm aside for a while; it comes back by itself.
 
         Parameters
         ----------
         alarm_id : str
             Which alarm.
+        duration_s : float
+            Process seconds, at most `LONGEST_SHELVING_S`.
         who, comment : str
             For the journal.
-
-        Raises
-        ------
-        UnknownAlarmError
-            If there is no open alarm of this id.
         """
+        if not 0 < duration_s <= LONGEST_SHELVING_S:
+            raise ValueError(
+                f"duration_s {duration_s:g}: expected more than 0 and at most "
+                f"{LONGEST_SHELVING_S:g} s"
+            )
+        return self._act(alarm_id, AlarmEvent.SHELVE, who, comment, duration_s)
+
+    def unshelve(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+        """End the shelving of an alarm early."""
+        return self._act(alarm_id, AlarmEvent.UNSHELVE, who, comment)
+
+    def take_out_of_service(self, alarm_id: str, who: str, comment: str) -> Alarm:
+        """Silence an alarm until it is returned to service."""
+        return self._act(alarm_id, AlarmEvent.TAKE_OUT, who, comment)
+
+    def return_to_service(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+        """Let an alarm that was out of service work again."""
+        return self._act(alarm_id, AlarmEvent.PUT_BACK, who, comment)
+
+    def comment(self, alarm_id: str, who: str, comment: str) -> Alarm:
+        """Write a comment on an alarm that is not over."""
         now_us = self._clock.now_us()
         with self._lock:
-            alarm = self.alarm(alarm_id)
-            if next_state(AlarmState(alarm.state), AlarmEvent.ACKNOWLEDGE) == alarm.state:
-                return alarm
-            return self._move(
-                replace(alarm, acknowledged_at_us=now_us, acknowledged_by=who),
-                AlarmEvent.ACKNOWLEDGE,
-                now_us,
-                who,
-                comment,
-            )
+            alarm = replace(self.alarm(alarm_id), comment=comment)
+            if alarm.state == AlarmState.NORM:
+                raise NotAllowedError(f"alarm {alarm_id} is NORM: there is nothing to comment on")
+            self._keep(alarm)
+            line = journal_line(alarm, alarm.state, "comment", now_us, who, comment)
+            self._recorder.record(alarm, line)
+            self._on_change(alarm)
+        return alarm
 
+    # ------------------------------------------------------------------ what there is
     def alarm(self, alarm_id: str) -> Alarm:
-        """Give one open alarm.
+        """Give one alarm.
 
         Raises
         ------
         UnknownAlarmError
-            If there is no open alarm of this id.
+            If there is no alarm of this id.
         """
         with self._lock:
-            for alarm in self._open.values():
+            self._end_shelving(self._clock.now_us())
+            for alarm in (*self._open.values(), *self._normal.values()):
                 if alarm.id == alarm_id:
                     return alarm
         raise UnknownAlarmError(f"no open alarm {alarm_id!r}")
 
     def active(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are not over, of one asset or of all: most urgent first, then newest."""
-        with self._lock:
-            alarms = [one for one in self._open.values() if asset is None or one.asset == asset]
-        return sorted(alarms, key=lambda one: (one.priority, -one.raised_at_us, one.id))
+        return self._listed(asset, self._open)
+
+    def normal(self, asset: str | None = None) -> list[Alarm]:
+        """All alarms that are normal: the conditions that are watched and not there."""
+        return self._listed(asset, self._normal)
 
     def flush(self, timeout_s: float = 10.0) -> bool:
         """Wait until the store has all changes so far; False when that takes too long."""
@@ -130,107 +228,133 @@ class AlarmBook:
         """Write what is left, for at most so many wall seconds, and stop."""
         self._recorder.close(timeout_s)
 
-    def _raise(self, alarm: Alarm | None, condition: AlarmCondition, now_us: int) -> None:
-        if alarm is None:
-            alarm = Alarm(
-                id=uuid4().hex,
-                asset=condition.asset,
-                kind=condition.kind,
-                channel=condition.channel,
-                level=condition.level,
-                state=AlarmState.NORM.value,
-                priority=condition.priority,
-                message=condition.message,
-                predicted=condition.predicted,
-                raised_at_us=now_us,
-                since_us=now_us,
-                returned_at_us=None,
-                acknowledged_at_us=None,
-                acknowledged_by=None,
-                value=None,
-                limit_value=None,
-                unit=None,
-                lead_time_s=None,
-                probability=None,
-            )
-        alarm = replace(_updated(alarm, condition), returned_at_us=None)
-        self._move(alarm, AlarmEvent.RAISE, now_us, SERVICE)
+    # ------------------------------------------------------------------ changes
+    def _listed(self, asset: str | None, alarms: dict[AlarmKey, Alarm]) -> list[Alarm]:
+        with self._lock:
+            self._end_shelving(self._clock.now_us())
+            wanted = [one for one in alarms.values() if asset is None or one.asset == asset]
+        return sorted(wanted, key=lambda one: (one.priority, -one.raised_at_us, one.id))
 
-    def _renew(self, alarm: Alarm, condition: AlarmCondition) -> None:
-        """Keep the figures of a standing alarm fresh; only a new text or priority is news."""
-        renewed = _updated(alarm, condition)
-        self._open[_key(alarm)] = renewed
-        if (renewed.message, renewed.priority) != (alarm.message, alarm.priority):
-            self._recorder.record(renewed)
-            self._on_change(renewed)
+    def _act(
+        self, alarm_id: str, event: AlarmEvent, who: str, comment: str, duration_s: float = 0.0
+    ) -> Alarm:
+        now_us = self._clock.now_us()
+        with self._lock:
+            alarm = self.alarm(alarm_id)
+            if following(alarm, event) is None:
+                by = f" (acknowledged by {alarm.acknowledged_by})" if alarm.acknowledged_by else ""
+                raise NotAllowedError(
+                    f"alarm {alarm_id} is {alarm.state}{by}: {_WISHES[event]} means nothing there"
+                )
+            if event == AlarmEvent.ACKNOWLEDGE:
+                alarm = replace(alarm, acknowledged_at_us=now_us, acknowledged_by=who)
+            elif event == AlarmEvent.SHELVE:
+                until_us = now_us + round(duration_s * _MICROSECONDS)
+                alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
+            alarm = self._move(alarm, event, now_us, who, comment)
+            condition = self._conditions.get(key_of(alarm))
+            return alarm if condition is None else self._suppress(alarm, condition, now_us)
+
+    def _end_shelving(self, now_us: int) -> None:
+        """Bring back what was shelved long enough; also after the clock was set back by hours."""
+        longest_us = round(LONGEST_SHELVING_S * _MICROSECONDS)
+        for alarm in list(self._open.values()):
+            until_us = alarm.shelved_until_us
+            if until_us is not None and not 0 < until_us - now_us <= longest_us:
+                alarm = self._move(alarm, AlarmEvent.UNSHELVE, now_us, SERVICE, _TIME_IS_OVER)
+                condition = self._conditions.get(key_of(alarm))
+                if condition is not None:
+                    self._suppress(alarm, condition, now_us)
+
+    def _turn(self, alarm: Alarm, condition: AlarmCondition, holds: bool, now_us: int) -> Alarm:
+        """Take in that the condition has come or gone, delays included."""
+        if holds:
+            alarm = replace(
+                updated(alarm, condition),
+                present=True,
+                raised_at_us=alarm.raised_at_us or now_us,
+                returned_at_us=None,
+            )
+            event = AlarmEvent.SUPPRESS if condition.suppressed_reason else AlarmEvent.RAISE
+        else:
+            alarm = replace(alarm, present=False, returned_at_us=now_us)
+            event = AlarmEvent.RETURN
+        if following(alarm, event) is None:  # set aside already
+            return self._replace(alarm)
+        if event == AlarmEvent.SUPPRESS:
+            alarm = replace(alarm, suppressed_reason=condition.suppressed_reason)
+        return self._move(alarm, event, now_us, SERVICE)
+
+    def _suppress(self, alarm: Alarm, condition: AlarmCondition, now_us: int) -> Alarm:
+        """Set aside what means nothing now, and bring it back."""
+        reason = condition.suppressed_reason
+        if reason and alarm.state in ACTIVE_STATES:
+            return self._move(
+                replace(alarm, suppressed_reason=reason), AlarmEvent.SUPPRESS, now_us, SERVICE
+            )
+        if alarm.state == AlarmState.DSUPR:
+            if not reason:
+                return self._move(alarm, AlarmEvent.UNSUPPRESS, now_us, SERVICE)
+            if reason != alarm.suppressed_reason:
+                return self._replace(replace(alarm, suppressed_reason=reason))
+        return alarm
+
+    def _renew(self, alarm: Alarm, condition: AlarmCondition) -> Alarm:
+        """Keep the figures fresh; only a new text or priority of an open alarm is news."""
+        normal = alarm.state == AlarmState.NORM
+        if not (alarm.present or normal):
+            return alarm  # what was wrong when it returned stays to be read
+        renewed = updated(alarm, condition)
+        if normal or (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
+            self._keep(renewed)
+            return renewed
+        return self._replace(renewed)
 
     def _move(
         self, alarm: Alarm, event: AlarmEvent, now_us: int, who: str, comment: str = ""
     ) -> Alarm:
-        state = next_state(AlarmState(alarm.state), event)
-        moved = replace(alarm, state=state.value, since_us=now_us)
+        state = following(alarm, event)
+        if state is None:
+            raise NotAllowedError(f"alarm {alarm.id} is {alarm.state}: no {event}")
+        return self._go(alarm, state, str(event), now_us, who, comment)
+
+    def _go(
+        self, alarm: Alarm, state: AlarmState, event: str, now_us: int, who: str, comment: str
+    ) -> Alarm:
+        moved = replace(alarm, state=state.value, since_us=now_us, comment=comment or alarm.comment)
+        if state != AlarmState.SHLVD:
+            moved = replace(moved, shelved_until_us=None, shelved_by=None)
+        if state != AlarmState.DSUPR:
+            moved = replace(moved, suppressed_reason=None)
+        key = key_of(moved)
+        self._normal.pop(key, None)
         if state == AlarmState.NORM:
-            del self._open[_key(moved)]
+            self._open.pop(key, None)
+            condition = self._conditions.get(key)
+            if condition is not None:
+                self._normal[key] = normal_alarm(condition, now_us)
         else:
-            self._open[_key(moved)] = moved
-        self._recorder.record(
-            moved,
-            AlarmTransition(
-                alarm_id=moved.id,
-                asset=moved.asset,
-                kind=moved.kind,
-                channel=moved.channel,
-                level=moved.level,
-                time_us=now_us,
-                from_state=alarm.state,
-                to_state=state.value,
-                who=who,
-                comment=comment,
-                value=moved.value,
-                message=moved.message,
-            ),
-        )
+            self._open[key] = moved
+        self._recorder.record(moved, journal_line(moved, alarm.state, event, now_us, who, comment))
         self._on_change(moved)
         return moved
 
+    def _replace(self, alarm: Alarm) -> Alarm:
+        """Take news of an alarm that stays in its state."""
+        self._keep(alarm)
+        self._recorder.record(alarm)
+        self._on_change(alarm)
+        return alarm
 
-class _Timer:
-    """Adds up the process time during which a condition was known to differ from its alarm."""
-
-    def __init__(self) -> None:
-        self._total_us = 0
-        self._last_us: int | None = None
-
-    def run(self, now_us: int) -> float:
-        """Go on counting; returns the seconds so far."""
-        if self._last_us is not None:
-            self._total_us += max(now_us - self._last_us, 0)
-        self._last_us = now_us
-        return self._total_us / _MICROSECONDS
-
-    def pause(self) -> None:
-        """Stand still until the condition is known again."""
-        self._last_us = None
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self._total_us = 0
-        self._last_us = None
+    def _keep(self, alarm: Alarm) -> None:
+        (self._normal if alarm.state == AlarmState.NORM else self._open)[key_of(alarm)] = alarm
 
 
-def _key(alarm: Alarm) -> tuple[str, str, str, str]:
-    return alarm.asset, alarm.kind, alarm.channel, alarm.level
-
-
-def _updated(alarm: Alarm, condition: AlarmCondition) -> Alarm:
-    return replace(
-        alarm,
-        priority=condition.priority,
-        message=condition.message,
-        predicted=condition.predicted,
-        value=condition.value,
-        limit_value=condition.limit_value,
-        unit=condition.unit,
-        lead_time_s=condition.lead_time_s,
-        probability=condition.probability,
-    )
+_WISHES = {
+    AlarmEvent.ACKNOWLEDGE: "to acknowledge it",
+    AlarmEvent.RESET: "to reset it",
+    AlarmEvent.SHELVE: "to shelve it",
+    AlarmEvent.UNSHELVE: "to unshelve it",
+    AlarmEvent.TAKE_OUT: "to take it out of service",
+    AlarmEvent.PUT_BACK: "to return it to service",
+}

@@ -3,7 +3,24 @@
 from dataclasses import dataclass
 from typing import Literal
 
-AlarmKind = Literal["measured limit", "forecast limit", "sensor fault", "stale data"]
+AlarmKind = Literal[
+    "measured limit",
+    "above ambient",
+    "twin difference",
+    "forecast limit",
+    "rate of rise",
+    "twin residual",
+    "sensor fault",
+    "stale data",
+]
+EventKind = Literal[
+    "model drift",
+    "model not trusted",
+    "model trusted again",
+    "model activated",
+    "model rolled back",
+]
+"""What is worth a line in the journal, but asks for no answer of an operator."""
 Priority = Literal[1, 2, 3]
 
 
@@ -41,6 +58,12 @@ class AlarmCondition:
         The alarm returns only when the value is this far below the limit, in ``unit``.
     unit : str or None
         Unit of value, limit and deadband.
+    latched : bool
+        The alarm stays after its return to normal until it is reset.
+    re_alarm_s : float
+        An acknowledged alarm that stands so many process seconds is raised again; 0: never.
+    suppressed_reason : str or None
+        Why the alarm means nothing now (suppressed by design); None where it does.
     """
 
     asset: str
@@ -59,6 +82,9 @@ class AlarmCondition:
     limit_value: float | None = None
     deadband: float = 0.0
     unit: str | None = None
+    latched: bool = False
+    re_alarm_s: float = 0.0
+    suppressed_reason: str | None = None
 
     @property
     def key(self) -> tuple[str, str, str, str]:

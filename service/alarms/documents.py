@@ -16,12 +16,18 @@ def alarm_document(alarm: Alarm) -> dict[str, Any]:
         "limit_level": alarm.level or None,
         "priority": alarm.priority,
         "state": str(alarm.state),
+        "active": alarm.present,
         "message": alarm.message,
-        "raised_at": rfc3339(alarm.raised_at_us),
+        "raised_at": _time(alarm.raised_at_us or None),
         "since": rfc3339(alarm.since_us),
         "returned_at": _time(alarm.returned_at_us),
         "acknowledged_at": _time(alarm.acknowledged_at_us),
         "acknowledged_by": alarm.acknowledged_by,
+        "shelved_until": _time(alarm.shelved_until_us),
+        "shelved_by": alarm.shelved_by,
+        "suppressed_reason": alarm.suppressed_reason,
+        "latched": alarm.latched,
+        "comment": alarm.comment,
         "value": alarm.value,
         "limit_value": alarm.limit_value,
         "unit": alarm.unit,
@@ -31,21 +37,25 @@ def alarm_document(alarm: Alarm) -> dict[str, Any]:
     }
 
 
-def transition_document(transition: AlarmTransition) -> dict[str, Any]:
+def transition_document(line: AlarmTransition) -> dict[str, Any]:
     """Show one line of the journal as plain JSON types; times as RFC 3339."""
     return {
-        "alarm_id": transition.alarm_id,
-        "asset": transition.asset,
-        "kind": transition.kind,
-        "channel": transition.channel,
-        "limit_level": transition.level or None,
-        "time": rfc3339(transition.time_us),
-        "from": transition.from_state,
-        "to": transition.to_state,
-        "who": transition.who,
-        "comment": transition.comment,
-        "value": transition.value,
-        "message": transition.message,
+        "class": "alarm" if line.alarm_id else "event",
+        "alarm_id": line.alarm_id,
+        "asset": line.asset,
+        "kind": line.kind,
+        "channel": line.channel or None,
+        "limit_level": line.level or None,
+        "priority": line.priority,
+        "time": rfc3339(line.time_us),
+        "event": line.event or None,
+        "from": line.from_state or None,
+        "to": line.to_state or None,
+        "who": line.who,
+        "comment": line.comment,
+        "shelved_until": _time(line.until_us),
+        "value": line.value,
+        "message": line.message,
     }
 
 

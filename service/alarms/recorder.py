@@ -26,16 +26,24 @@ class AlarmRecorder:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._changes: deque[tuple[Alarm, tuple[AlarmTransition, ...]]] = deque()
+        self._changes: deque[tuple[Alarm | None, tuple[AlarmTransition, ...]]] = deque()
         self._condition = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="alarm-journal", daemon=True)
         self._thread.start()
 
-    def record(self, alarm: Alarm, *transitions: AlarmTransition) -> None:
-        """Have an alarm written as it is now, with the lines for the journal; returns at once."""
+    def record(self, alarm: Alarm | None, *lines: AlarmTransition) -> None:
+        """Have an alarm written as it is now, with lines for the journal; returns at once.
+
+        Parameters
+        ----------
+        alarm : Alarm or None
+            None for lines that belong to no alarm.
+        *lines : AlarmTransition
+            What happened.
+        """
         with self._condition:
-            self._changes.append((alarm, transitions))
+            self._changes.append((alarm, lines))
             self._condition.notify_all()
 
     def flush(self, timeout_s: float) -> bool:
@@ -60,9 +68,9 @@ class AlarmRecorder:
                 self._condition.wait_for(lambda: self._changes or self._closing)
                 if self._closing:
                     return
-                alarm, transitions = self._changes[0]
+                alarm, lines = self._changes[0]
             try:
-                self._store.save_alarm(alarm, transitions)
+                self._store.save_alarm(alarm, lines)
             except StoreUnavailableError as error:
                 if not failing:
                     _log.warning("alarm_journal_waits", error=str(error))
@@ -71,7 +79,7 @@ class AlarmRecorder:
                 continue
             except Exception:
                 # A change that the store refuses must not hold up the ones behind it.
-                _log.exception("alarm_change_refused", alarm=alarm)
+                _log.exception("alarm_change_refused", alarm=alarm, lines=lines)
             if failing:
                 failing = False
                 _log.info("alarm_journal_written_again")

@@ -1,16 +1,15 @@
 """The life of an alarm as a table: ISA-18.2 / IEC 62682, figure "alarm state transitions".
 
-The states shelved (SHLVD), suppressed by design (DSUPR) and out of service (OOSRV) of the
-standard are further rows of the same table; the service has no such functions yet.
+The table is the only place that says what an event does to an alarm; `docs/alarms.md` shows it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 
 
 class AlarmState(StrEnum):
-    """States with the standard's mnemonics."""
+    """States with the standard's mnemonics, and one for latched alarms."""
 
     NORM = "NORM"
     """Normal: the condition is not there and nothing waits for acknowledgement."""
@@ -20,6 +19,14 @@ class AlarmState(StrEnum):
     """The condition is there and somebody has acknowledged it."""
     RTNUN = "RTNUN"
     """Returned to normal, but never acknowledged."""
+    LATCH = "LATCH"
+    """Returned to normal and acknowledged; a latched alarm that waits for its reset."""
+    SHLVD = "SHLVD"
+    """Shelved by an operator, for a time."""
+    DSUPR = "DSUPR"
+    """Suppressed by design: another fact makes it meaningless."""
+    OOSRV = "OOSRV"
+    """Taken out of service by an engineer."""
 
 
 class AlarmEvent(StrEnum):
@@ -27,26 +34,97 @@ class AlarmEvent(StrEnum):
 
     RAISE = "raise"
     RETURN = "return to normal"
+    RE_ALARM = "re-alarm"
     ACKNOWLEDGE = "acknowledge"
+    RESET = "reset"
+    SHELVE = "shelve"
+    UNSHELVE = "unshelve"
+    SUPPRESS = "suppress"
+    UNSUPPRESS = "unsuppress"
+    TAKE_OUT = "out of service"
+    PUT_BACK = "return to service"
 
 
-#: States in which the condition of the alarm is there.
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One row of the table.
+
+    Attributes
+    ----------
+    state, event, target
+        Which event leads from which state to which.
+    present : bool or None
+        Only while the condition is there (is not); None: either way.
+    latched : bool or None
+        Only for an alarm that is latched and has been raised (is not); None: either way.
+    """
+
+    state: AlarmState
+    event: AlarmEvent
+    target: AlarmState
+    present: bool | None = None
+    latched: bool | None = None
+
+
+#: States in which the condition of the alarm is there, and operators are told so.
 ACTIVE_STATES = frozenset({AlarmState.UNACK, AlarmState.ACKED})
-#: States that wait for an operator.
+#: States that wait for an operator's acknowledgement.
 UNACKNOWLEDGED_STATES = frozenset({AlarmState.UNACK, AlarmState.RTNUN})
-
-TRANSITIONS: Mapping[tuple[AlarmState, AlarmEvent], AlarmState] = MappingProxyType(
-    {
-        (AlarmState.NORM, AlarmEvent.RAISE): AlarmState.UNACK,
-        (AlarmState.UNACK, AlarmEvent.ACKNOWLEDGE): AlarmState.ACKED,
-        (AlarmState.UNACK, AlarmEvent.RETURN): AlarmState.RTNUN,
-        (AlarmState.ACKED, AlarmEvent.RETURN): AlarmState.NORM,
-        (AlarmState.RTNUN, AlarmEvent.ACKNOWLEDGE): AlarmState.NORM,
-        (AlarmState.RTNUN, AlarmEvent.RAISE): AlarmState.UNACK,
-    }
-)
+#: States in which operators are not told, whatever the condition does.
+SET_ASIDE_STATES = frozenset({AlarmState.SHLVD, AlarmState.DSUPR, AlarmState.OOSRV})
 
 
-def next_state(state: AlarmState, event: AlarmEvent) -> AlarmState:
-    """Where an event leads; an event that means nothing in a state leaves it as it is."""
-    return TRANSITIONS.get((state, event), state)
+def _rows() -> Iterator[Transition]:
+    state, event = AlarmState, AlarmEvent
+    yield Transition(state.NORM, event.RAISE, state.UNACK)
+    yield Transition(state.UNACK, event.ACKNOWLEDGE, state.ACKED)
+    yield Transition(state.UNACK, event.RETURN, state.RTNUN)
+    yield Transition(state.ACKED, event.RE_ALARM, state.UNACK)
+    yield Transition(state.RTNUN, event.RAISE, state.UNACK)
+    yield Transition(state.LATCH, event.RAISE, state.UNACK)
+    yield Transition(state.LATCH, event.RESET, state.NORM)
+    for before, over in ((state.ACKED, event.RETURN), (state.RTNUN, event.ACKNOWLEDGE)):
+        yield Transition(before, over, state.NORM, latched=False)
+        yield Transition(before, over, state.LATCH, latched=True)
+    for before in state:
+        if before != state.OOSRV:
+            yield Transition(before, event.SHELVE, state.SHLVD)  # shelved again: for longer
+            yield Transition(before, event.TAKE_OUT, state.OOSRV)
+        if before not in SET_ASIDE_STATES:
+            yield Transition(before, event.SUPPRESS, state.DSUPR)
+    for before, back in (
+        (state.SHLVD, event.UNSHELVE),
+        (state.DSUPR, event.UNSUPPRESS),
+        (state.OOSRV, event.PUT_BACK),
+    ):
+        yield Transition(before, back, state.UNACK, present=True)
+        yield Transition(before, back, state.NORM, present=False, latched=False)
+        yield Transition(before, back, state.LATCH, present=False, latched=True)
+
+
+TRANSITIONS: tuple[Transition, ...] = tuple(_rows())
+
+_BY_CAUSE = {
+    (row.state, row.event, present, latched): row.target
+    for row in TRANSITIONS
+    for present in (False, True)
+    for latched in (False, True)
+    if row.present in (None, present) and row.latched in (None, latched)
+}
+
+
+def next_state(
+    state: AlarmState, event: AlarmEvent, *, present: bool = False, latched: bool = False
+) -> AlarmState | None:
+    """Where an event leads; None where it means nothing in that state.
+
+    Parameters
+    ----------
+    state, event
+        What happens to an alarm in which state.
+    present : bool
+        Whether the condition of the alarm is there.
+    latched : bool
+        Whether the alarm is a latched one that has been raised.
+    """
+    return _BY_CAUSE.get((state, event, present, latched))

@@ -17,6 +17,7 @@ from service.api.middleware import AtTheDoor, BodyLimit, Gunzip, LastResort, Sec
 from service.api.problems import install_handlers
 from service.api.routes import (
     advice,
+    alarm_journal,
     alarms,
     assets,
     audit,
@@ -109,6 +110,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         identifications,
         models,
         drift,
+        alarm_journal,
         alarms,
         session,
         keys,

@@ -273,48 +273,6 @@ class ActivationList(Page):
     items: list[ActivationLine]
 
 
-# ---------------------------------------------------------------------------- alarms
-class AlarmDocument(_Answer):
-    """One alarm; states after ISA-18.2."""
-
-    id: str
-    asset: str
-    kind: str = Field(examples=["forecast limit"])
-    priority: int = Field(ge=1, le=3, description="1 high, 2 medium, 3 low.")
-    state: str = Field(examples=["UNACK"])
-    channel: str | None
-    message: str
-    raised_at: Time
-    predicted: bool
-    lead_time_s: Number = Field(description="Process seconds until it is expected to happen.")
-    probability: Number
-
-
-class AlarmList(Page):
-    """Alarms that are not over, most urgent first."""
-
-    items: list[AlarmDocument]
-
-
-class AlarmJournalLine(_Answer):
-    """One change of an alarm's state."""
-
-    alarm_id: str
-    asset: str
-    kind: str
-    channel: str | None
-    time: Time
-    who: str
-    comment: str | None
-    message: str
-
-
-class AlarmJournalList(Page):
-    """The alarm journal, newest first."""
-
-    items: list[AlarmJournalLine]
-
-
 # ---------------------------------------------------------------------------- session, health
 class SessionDocument(_Answer):
     """Who is logged in."""

@@ -11,12 +11,7 @@ import structlog
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
-from service.alarms import (
-    ACTIVE_STATES,
-    UNACKNOWLEDGED_STATES,
-    AlarmBook,
-    AlarmCondition,
-)
+from service.alarms import AlarmBook, AlarmCondition
 from service.api.context import NotReadyError, ProfileStep
 from service.clock import rfc3339
 from service.live import presentation, warnings
@@ -213,13 +208,10 @@ class AssetRuntime:
         tags |= presentation.forecast_tags(
             self.settings.limits, self._forecast, self._crossings, self._began
         )
-        active = self._alarms.active(self.id)
-        unacknowledged = sum(alarm.state in UNACKNOWLEDGED_STATES for alarm in active)
-        present = sum(alarm.state in ACTIVE_STATES for alarm in active)
-        good, counted = Quality.GOOD, self._alarms_changed
-        tags["alarms.active"] = presentation.tag(present, "", good, counted)
-        tags["alarms.unacknowledged"] = presentation.tag(unacknowledged, "", good, counted)
-        tags["model.version"] = presentation.tag(self.active.version, "", good, self._switched)
+        tags |= presentation.alarm_tags(self._alarms.active(self.id), self._alarms_changed)
+        tags["model.version"] = presentation.tag(
+            self.active.version, "", Quality.GOOD, self._switched
+        )
         return {"tags": tags}
 
     def state(self) -> Mapping[str, Any]:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.samples import Quality
+from service.alarms import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
 from service.clock import rfc3339
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
 from service.settings import Limits
+from service.store import Alarm
 from twin_core.forecasting import Forecast
 
 QUANTILE_NAMES = ("q025", "q25", "q50", "q75", "q975")
@@ -135,6 +137,24 @@ def forecast_tags(
                 made,
             )
     return tags
+
+
+def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any]]:
+    """Tags that count the alarms that are not over; ``changed`` is when one last changed.
+
+    What is shelved, suppressed or out of service is neither active nor unacknowledged. Highest
+    priority: 1 to 3, or 0 when no alarm is active or waits for an operator.
+    """
+    told = [alarm for alarm in alarms if alarm.state in ACTIVE_STATES | UNACKNOWLEDGED_STATES]
+    counts = {
+        "active": sum(alarm.state in ACTIVE_STATES for alarm in told),
+        "unacknowledged": sum(alarm.state in UNACKNOWLEDGED_STATES for alarm in told),
+        "shelved": sum(alarm.state == AlarmState.SHLVD for alarm in alarms),
+        "highest_priority": min((alarm.priority for alarm in told), default=0),
+    }
+    return {
+        f"alarms.{name}": tag(count, "", Quality.GOOD, changed) for name, count in counts.items()
+    }
 
 
 def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:

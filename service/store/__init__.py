@@ -1,5 +1,13 @@
 """The store: samples, models, jobs, alarms, keys, in SQLite or PostgreSQL."""
 
+from service.store.alarm_records import (
+    Alarm,
+    AlarmCount,
+    AlarmJournalPage,
+    AlarmTransition,
+    Annunciations,
+    JournalFilter,
+)
 from service.store.errors import (
     ActiveJobError,
     DataDirectoryInUseError,
@@ -9,9 +17,6 @@ from service.store.errors import (
 from service.store.locking import DataDirectoryLock, lock_data_directory
 from service.store.records import (
     Activation,
-    Alarm,
-    AlarmJournalPage,
-    AlarmTransition,
     ApiKey,
     AuditEntry,
     AuditPage,
@@ -34,8 +39,10 @@ __all__ = [
     "Activation",
     "ActiveJobError",
     "Alarm",
+    "AlarmCount",
     "AlarmJournalPage",
     "AlarmTransition",
+    "Annunciations",
     "ApiKey",
     "AuditEntry",
     "AuditPage",
@@ -45,6 +52,7 @@ __all__ = [
     "Job",
     "JobChanges",
     "JobStatus",
+    "JournalFilter",
     "MinuteTable",
     "ModelStatus",
     "ModelVersion",

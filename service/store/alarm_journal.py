@@ -2,10 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from typing import Any
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import ColumnElement, Select, func, insert, select, update
 
-from service.store.records import Alarm, AlarmJournalPage, AlarmTransition
+from service.store.alarm_records import (
+    Alarm,
+    AlarmCount,
+    AlarmJournalPage,
+    AlarmTransition,
+    Annunciations,
+    JournalFilter,
+)
 from service.store.section import Section
 from service.store.tables import AlarmRow, AlarmTransitionRow
 
@@ -13,22 +21,35 @@ _ALARM_COLUMNS = tuple(getattr(AlarmRow, field.name) for field in fields(Alarm))
 _JOURNAL_COLUMNS = tuple(
     getattr(AlarmTransitionRow, field.name) for field in fields(AlarmTransition)
 )
+_TEN_MINUTES_US = 600_000_000
+_DAY_US = 86_400_000_000
+_MOST_FREQUENT = 10
+_EVERYTHING = JournalFilter()
 
 
 class AlarmJournal(Section):
     """An alarm and the line in the journal that tells of its change are written together."""
 
-    def save_alarm(self, alarm: Alarm, transitions: Sequence[AlarmTransition] = ()) -> None:
-        """Write an alarm as it is now, and what happened to it, in one transaction."""
-        values = asdict(alarm)
+    def save_alarm(self, alarm: Alarm | None, lines: Sequence[AlarmTransition] = ()) -> None:
+        """Write an alarm as it is now, and what happened to it, in one transaction.
+
+        Parameters
+        ----------
+        alarm : Alarm or None
+            None writes lines alone: events that belong to no alarm.
+        lines : sequence of AlarmTransition
+            For the journal.
+        """
         with self._database.writing() as connection:
-            changed = connection.execute(
-                update(AlarmRow).where(AlarmRow.id == alarm.id).values(values)
-            )
-            if changed.rowcount == 0:
-                connection.execute(insert(AlarmRow).values(values))
-            if transitions:
-                connection.execute(insert(AlarmTransitionRow), [asdict(one) for one in transitions])
+            if alarm is not None:
+                values = asdict(alarm)
+                changed = connection.execute(
+                    update(AlarmRow).where(AlarmRow.id == alarm.id).values(values)
+                )
+                if changed.rowcount == 0:
+                    connection.execute(insert(AlarmRow).values(values))
+            if lines:
+                connection.execute(insert(AlarmTransitionRow), [asdict(line) for line in lines])
 
     def load_alarms(self) -> list[Alarm]:
         """All alarms that are not over (state other than NORM), oldest first."""
@@ -42,8 +63,7 @@ class AlarmJournal(Section):
 
     def alarm_journal(
         self,
-        start_us: int | None = None,
-        end_us: int | None = None,
+        wanted: JournalFilter = _EVERYTHING,
         limit: int = 100,
         cursor: int | None = None,
     ) -> AlarmJournalPage:
@@ -51,20 +71,18 @@ class AlarmJournal(Section):
 
         Parameters
         ----------
-        start_us, end_us : int, optional
-            Process time, UTC microseconds; the start is included, the end is not.
+        wanted : JournalFilter
+            Which lines.
         limit : int
             Lines at most.
         cursor : int, optional
             `AlarmJournalPage.next_cursor` of the page before.
         """
-        query = select(AlarmTransitionRow.id, *_JOURNAL_COLUMNS).order_by(
-            AlarmTransitionRow.id.desc()
+        query = (
+            select(AlarmTransitionRow.id, *_JOURNAL_COLUMNS)
+            .where(*_conditions(wanted))
+            .order_by(AlarmTransitionRow.id.desc())
         )
-        if start_us is not None:
-            query = query.where(AlarmTransitionRow.time_us >= start_us)
-        if end_us is not None:
-            query = query.where(AlarmTransitionRow.time_us < end_us)
         if cursor is not None:
             query = query.where(AlarmTransitionRow.id < cursor)
         with self._database.reading() as connection:
@@ -75,3 +93,63 @@ class AlarmJournal(Section):
             items=[AlarmTransition(*row[1:]) for row in rows],
             next_cursor=rows[-1][0] if more else None,
         )
+
+    def annunciations(self, now_us: int, asset: str | None = None) -> Annunciations:
+        """Count how often alarms called for an operator in the last day.
+
+        Parameters
+        ----------
+        now_us : int
+            Process time, UTC microseconds.
+        asset : str, optional
+            Only of this asset.
+        """
+        line = AlarmTransitionRow
+        calls = [
+            *_conditions(JournalFilter(asset, start_us=now_us - _DAY_US + 1, end_us=now_us + 1)),
+            line.to_state == "UNACK",
+            line.from_state != "UNACK",
+        ]
+        ago = ((now_us - line.time_us) // _TEN_MINUTES_US).label("ago")
+        with self._database.reading() as connection:
+
+            def counted(query: Select[Any, int]) -> dict[int, int]:
+                return {int(what): int(count) for what, count in connection.execute(query)}
+
+            spans = counted(select(ago, func.count()).where(*calls).group_by("ago"))
+            priorities = counted(
+                select(line.priority, func.count())
+                .where(*calls, line.priority.is_not(None))
+                .group_by(line.priority)
+            )
+            count = func.count().label("count")
+            frequent = connection.execute(
+                select(line.kind, line.channel, count)
+                .where(*calls)
+                .group_by(line.kind, line.channel)
+                .order_by(count.desc(), line.kind, line.channel)
+                .limit(_MOST_FREQUENT)
+            ).all()
+        return Annunciations(
+            in_last_10_min=spans.get(0, 0),
+            in_last_24_h=sum(spans.values()),
+            most_in_10_min=max(spans.values(), default=0),
+            by_priority=priorities,
+            most_frequent=[AlarmCount(*row) for row in frequent],
+        )
+
+
+def _conditions(wanted: JournalFilter) -> list[ColumnElement[bool]]:
+    line = AlarmTransitionRow
+    conditions: list[ColumnElement[bool]] = []
+    if wanted.asset is not None:
+        conditions.append(line.asset == wanted.asset)
+    if wanted.alarm_id is not None:
+        conditions.append(line.alarm_id == wanted.alarm_id)
+    if wanted.start_us is not None:
+        conditions.append(line.time_us >= wanted.start_us)
+    if wanted.end_us is not None:
+        conditions.append(line.time_us < wanted.end_us)
+    if wanted.events is not None:
+        conditions.append(line.alarm_id.is_(None) if wanted.events else line.alarm_id.is_not(None))
+    return conditions

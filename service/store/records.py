@@ -128,60 +128,6 @@ class JobChanges(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True)
-class Alarm:
-    """One life cycle of an alarm, from its raise until it is normal and acknowledged.
-
-    ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began.
-    """
-
-    id: str
-    asset: str
-    kind: str
-    channel: str
-    level: str
-    state: str
-    priority: int
-    message: str
-    predicted: bool
-    raised_at_us: int
-    since_us: int
-    returned_at_us: int | None
-    acknowledged_at_us: int | None
-    acknowledged_by: str | None
-    value: float | None
-    limit_value: float | None
-    unit: str | None
-    lead_time_s: float | None
-    probability: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmTransition:
-    """One line of the alarm journal: who or what moved an alarm from one state to another."""
-
-    alarm_id: str
-    asset: str
-    kind: str
-    channel: str
-    level: str
-    time_us: int
-    from_state: str
-    to_state: str
-    who: str
-    comment: str
-    value: float | None
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmJournalPage:
-    """Part of the alarm journal, newest first; ``next_cursor`` is None on the last page."""
-
-    items: list[AlarmTransition]
-    next_cursor: int | None
-
-
-@dataclass(frozen=True, slots=True)
 class ApiKey:
     """An API key as the store knows it: never the key itself (times on the wall clock)."""
 

@@ -11,6 +11,7 @@ from sqlalchemy import (
     Integer,
     MetaData,
     SmallInteger,
+    false,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -210,16 +211,25 @@ class AlarmRow(Base):
     unit: Mapped[str | None]
     lead_time_s: Mapped[float | None]
     probability: Mapped[float | None]
+    present: Mapped[bool] = mapped_column(server_default=false())
+    latched: Mapped[bool] = mapped_column(server_default=false())
+    shelved_until_us: Mapped[int | None]
+    shelved_by: Mapped[str | None]
+    suppressed_reason: Mapped[str | None]
+    comment: Mapped[str | None]
 
 
 class AlarmTransitionRow(Base):
-    """Journal of the alarms: one line per change of state."""
+    """Journal of the alarms: one line per change of state or comment, and events without alarm."""
 
     __tablename__ = "alarm_journal"
-    __table_args__ = (Index("ix_alarm_journal_time_us", "time_us"),)
+    __table_args__ = (
+        Index("ix_alarm_journal_time_us", "time_us"),
+        Index("ix_alarm_journal_alarm_id", "alarm_id"),
+    )
 
     id: Mapped[int] = mapped_column(_Serial, primary_key=True)
-    alarm_id: Mapped[str] = mapped_column(ForeignKey("alarms.id"))
+    alarm_id: Mapped[str | None] = mapped_column(ForeignKey("alarms.id"))
     asset: Mapped[str]
     kind: Mapped[str]
     channel: Mapped[str]
@@ -231,6 +241,9 @@ class AlarmTransitionRow(Base):
     comment: Mapped[str]
     value: Mapped[float | None]
     message: Mapped[str]
+    event: Mapped[str]
+    priority: Mapped[int | None] = mapped_column(SmallInteger)
+    until_us: Mapped[int | None]
 
 
 class ApiKeyRow(Base):

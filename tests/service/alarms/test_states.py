@@ -1,40 +1,101 @@
 import itertools
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from service.alarms import TRANSITIONS, AlarmEvent, AlarmState, next_state
-
-NORM, UNACK, ACKED, RTNUN = AlarmState
-RAISE, RETURN, ACKNOWLEDGE = AlarmEvent
-
-
-@pytest.mark.parametrize(
-    ("state", "event", "expected"),
-    [
-        (NORM, RAISE, UNACK),
-        (NORM, RETURN, NORM),
-        (NORM, ACKNOWLEDGE, NORM),
-        (UNACK, RAISE, UNACK),
-        (UNACK, RETURN, RTNUN),
-        (UNACK, ACKNOWLEDGE, ACKED),
-        (ACKED, RAISE, ACKED),
-        (ACKED, RETURN, NORM),
-        (ACKED, ACKNOWLEDGE, ACKED),
-        (RTNUN, RAISE, UNACK),
-        (RTNUN, RETURN, RTNUN),
-        (RTNUN, ACKNOWLEDGE, NORM),
-    ],
+from service.alarms import (
+    ACTIVE_STATES,
+    SET_ASIDE_STATES,
+    TRANSITIONS,
+    AlarmEvent,
+    AlarmState,
+    next_state,
 )
+
+NORM, UNACK, ACKED, RTNUN, LATCH, SHLVD, DSUPR, OOSRV = AlarmState
+RAISE, RETURN, RE_ALARM, ACK, RESET, SHELVE, UNSHELVE, SUPPRESS, UNSUPPRESS, OUT, BACK = AlarmEvent
+
+# The standard's figure, written down a second time: state -> event -> target; a pair is (condition
+# gone, condition there). What is not named means nothing.
+PLAIN = {
+    NORM: {RAISE: UNACK, SHELVE: SHLVD, SUPPRESS: DSUPR, OUT: OOSRV},
+    UNACK: {ACK: ACKED, RETURN: RTNUN, SHELVE: SHLVD, SUPPRESS: DSUPR, OUT: OOSRV},
+    ACKED: {RETURN: NORM, RE_ALARM: UNACK, SHELVE: SHLVD, SUPPRESS: DSUPR, OUT: OOSRV},
+    RTNUN: {ACK: NORM, RAISE: UNACK, SHELVE: SHLVD, SUPPRESS: DSUPR, OUT: OOSRV},
+    LATCH: {RESET: NORM, RAISE: UNACK, SHELVE: SHLVD, SUPPRESS: DSUPR, OUT: OOSRV},
+    SHLVD: {UNSHELVE: (NORM, UNACK), SHELVE: SHLVD, OUT: OOSRV},
+    DSUPR: {UNSUPPRESS: (NORM, UNACK), SHELVE: SHLVD, OUT: OOSRV},
+    OOSRV: {BACK: (NORM, UNACK)},
+}
+# What is different for a latched alarm that has been raised.
+LATCHED = {
+    (ACKED, RETURN): LATCH,
+    (RTNUN, ACK): LATCH,
+    (SHLVD, UNSHELVE): (LATCH, UNACK),
+    (DSUPR, UNSUPPRESS): (LATCH, UNACK),
+    (OOSRV, BACK): (LATCH, UNACK),
+}
+
+
+@pytest.mark.parametrize("present", [False, True])
+@pytest.mark.parametrize("latched", [False, True])
+@pytest.mark.parametrize(("state", "event"), list(itertools.product(AlarmState, AlarmEvent)))
 def test_every_event_in_every_state(
-    state: AlarmState, event: AlarmEvent, expected: AlarmState
+    state: AlarmState, event: AlarmEvent, latched: bool, present: bool
 ) -> None:
-    assert next_state(state, event) is expected
+    expected = PLAIN[state].get(event)
+    if latched:
+        expected = LATCHED.get((state, event), expected)
+    if isinstance(expected, tuple):
+        expected = expected[present]
+    assert next_state(state, event, present=present, latched=latched) is expected
 
 
-def test_the_table_names_changes_only_and_the_standard_mnemonics() -> None:
-    assert all(state is not target for (state, _), target in TRANSITIONS.items())
-    assert [str(state) for state in AlarmState] == ["NORM", "UNACK", "ACKED", "RTNUN"]
-    reachable = {NORM}
-    for _ in AlarmState:
-        reachable |= {next_state(*pair) for pair in itertools.product(reachable, AlarmEvent)}
-    assert reachable == set(AlarmState)
+def test_the_states_have_the_standard_mnemonics() -> None:
+    standard = ["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV"]
+    assert [state for state in AlarmState if state != LATCH] == standard
+
+
+def test_no_row_says_the_same_twice_or_contradicts_another() -> None:
+    causes = [
+        (row.state, row.event, present, latched)
+        for row in TRANSITIONS
+        for present in (False, True)
+        for latched in (False, True)
+        if row.present in (None, present) and row.latched in (None, latched)
+    ]
+    assert len(causes) == len(set(causes))
+
+
+@given(
+    events=st.lists(st.tuples(st.sampled_from(AlarmEvent), st.booleans()), max_size=40),
+    latched=st.booleans(),
+)
+def test_any_sequence_stays_in_the_table_and_finds_its_way_home(
+    events: list[tuple[AlarmEvent, bool]], latched: bool
+) -> None:
+    state = NORM
+    for event, present in events:
+        state = next_state(state, event, present=present, latched=latched) or state
+        assert state in AlarmState
+        assert latched or state is not LATCH
+    # The condition goes, people do what can be done: every alarm is over in the end.
+    for event in (UNSHELVE, UNSUPPRESS, BACK, RETURN, ACK, RESET):
+        state = next_state(state, event, present=False, latched=latched) or state
+    assert state is NORM
+
+
+@given(
+    state=st.sampled_from(sorted(SET_ASIDE_STATES)),
+    event=st.sampled_from(AlarmEvent),
+    present=st.booleans(),
+)
+def test_what_is_set_aside_is_told_to_nobody_until_it_is_brought_back(
+    state: AlarmState, event: AlarmEvent, present: bool
+) -> None:
+    target = next_state(state, event, present=present)
+    if event in (UNSHELVE, UNSUPPRESS, BACK):
+        assert (target in ACTIVE_STATES) == present or target is None
+    else:
+        assert target is None or target in SET_ASIDE_STATES

@@ -242,7 +242,9 @@ class World:
             ]
         )
 
-    def raise_alarm(self, channel: str = "t_inner_ring_c", active: bool = True) -> str:
+    def raise_alarm(
+        self, channel: str = "t_inner_ring_c", active: bool = True, latched: bool = False
+    ) -> str:
         """Raise an alarm (or let it return) and give its id."""
         self.alarms.evaluate(
             AlarmCondition(
@@ -254,6 +256,7 @@ class World:
                 value=91.0 if active else 70.0,
                 message=f"{channel} over its warning limit",
                 priority=2,
+                latched=latched,
             )
         )
         return next((a.id for a in self.alarms.active() if a.channel == channel), "")

@@ -1,6 +1,15 @@
+import csv
+import io
+import json
 from typing import Any
 
-from service.api.bodies import AlarmDocument, AlarmJournalList, AlarmList
+from service.api.alarm_bodies import (
+    AcknowledgedAlarms,
+    AlarmDocument,
+    AlarmJournalList,
+    AlarmList,
+    AlarmStatistics,
+)
 from service.clock import rfc3339
 
 ALARMS = "/api/v1/alarms"
@@ -58,7 +67,7 @@ async def test_acknowledging_twice_is_a_conflict(world: Any) -> None:
     await acknowledge(world, alarm_id)
     response = await acknowledge(world, alarm_id)
     assert response.status_code == 409
-    assert "acknowledged already by operator" in response.json()["detail"]
+    assert "is ACKED (acknowledged by operator" in response.json()["detail"]
 
 
 async def test_returned_alarm_is_over_once_acknowledged(world: Any) -> None:
@@ -105,3 +114,128 @@ async def test_journal_can_be_limited_in_time(world: Any) -> None:
         f"{ALARMS}/journal", params={"start": rfc3339(now_us), "end": rfc3339(now_us)}
     )
     assert wrong.json()["errors"][0]["parameter"] == "end"
+
+
+async def say(
+    world: Any, alarm_id: str, what: str, body: Any = None, role: str = "operator"
+) -> Any:
+    options = {} if body is None else {"json": body}
+    return await world.client(role).post(f"{ALARMS}/{alarm_id}/{what}", **options)
+
+
+async def test_shelving_needs_a_duration_and_is_told_on_the_stream(world: Any) -> None:
+    alarm_id = world.raise_alarm()
+    for body in ({}, {"duration_s": 0}, {"duration_s": 28_801}, {"duration_s": "60"}):
+        refused = await say(world, alarm_id, "shelve", body)
+        assert refused.status_code == 422
+        assert refused.json()["errors"][0]["pointer"] == "/duration_s"
+    subscription = world.bus.subscribe()
+    response = await say(world, alarm_id, "shelve", {"duration_s": 60, "comment": "service"})
+    shelved = AlarmDocument.model_validate(response.json())
+    assert (shelved.state, shelved.comment) == ("SHLVD", "service")
+    assert shelved.shelved_by == f"operator {world.keys['operator'][:11]}"
+    assert shelved.shelved_until is not None
+    told = json.loads((await subscription.get()).text)["data"]
+    assert told == response.json()
+    assert [alarm.id for alarm in await listed(world, state="SHLVD")] == [alarm_id]
+    assert await listed(world, active="true") == []
+    assert (await say(world, alarm_id, "unshelve")).json()["state"] == "UNACK"
+    assert (await say(world, alarm_id, "unshelve")).status_code == 409
+
+
+async def test_out_of_service_is_the_engineers_and_needs_a_reason(world: Any) -> None:
+    alarm_id = world.raise_alarm()
+    why = {"comment": "sensor is on order"}
+    assert (await say(world, alarm_id, "out-of-service", why)).status_code == 403
+    assert (await say(world, alarm_id, "out-of-service", role="engineer")).status_code == 422
+    out = await say(world, alarm_id, "out-of-service", why, "engineer")
+    assert (out.json()["state"], out.json()["comment"]) == ("OOSRV", "sensor is on order")
+    assert (await say(world, alarm_id, "shelve", {"duration_s": 60})).status_code == 409
+    assert (await say(world, alarm_id, "return-to-service")).status_code == 403
+    back = await say(world, alarm_id, "return-to-service", role="engineer")
+    assert back.json()["state"] == "UNACK"
+
+
+async def test_a_latched_alarm_is_reset_and_comments_are_kept(world: Any) -> None:
+    alarm_id = world.raise_alarm(latched=True)
+    assert (await say(world, alarm_id, "comment", {"comment": ""})).status_code == 422
+    commented = await say(world, alarm_id, "comment", {"comment": "fan is dirty"})
+    assert commented.json()["comment"] == "fan is dirty"
+    await acknowledge(world, alarm_id)
+    assert (await say(world, alarm_id, "reset")).status_code == 409
+    world.raise_alarm(active=False, latched=True)
+    (waiting,) = await listed(world, state="LATCH")
+    assert waiting.latched
+    assert (await say(world, alarm_id, "reset")).json()["state"] == "NORM"
+    assert (await say(world, "none", "reset")).status_code == 404
+
+
+async def test_several_are_acknowledged_at_once(world: Any) -> None:
+    ids = [world.raise_alarm(f"t_node_{number}_c") for number in (1, 2, 3)]
+    await acknowledge(world, ids[1])
+    client = world.client("operator")
+    body = {"ids": [*ids, "none", ids[0]], "comment": "all seen"}
+    response = await client.post(f"{ALARMS}/acknowledge", json=body)
+    answer = AcknowledgedAlarms.model_validate(response.json())
+    assert {alarm.id for alarm in answer.items} == {ids[0], ids[2]}
+    assert [(one.id, one.detail[:8]) for one in answer.failed] == [
+        (ids[1], f"alarm {ids[1]}"[:8]),
+        ("none", "no open "),
+    ]
+    for wrong in ({"ids": []}, {"ids": ["x"] * 501}, {"ids": [1]}, {}):
+        assert (await client.post(f"{ALARMS}/acknowledge", json=wrong)).status_code == 422
+
+
+async def test_what_is_watched_and_normal_is_listed_on_request(world: Any) -> None:
+    world.raise_alarm()
+    world.raise_alarm("t_node_1_c", active=False)
+    assert [alarm.channel for alarm in await listed(world)] == ["t_inner_ring_c"]
+    (normal,) = await listed(world, state="NORM")
+    assert (normal.channel, normal.raised_at) == ("t_node_1_c", None)
+    both = await listed(world, state=["NORM", "UNACK"])
+    assert {alarm.state for alarm in both} == {"NORM", "UNACK"}
+    wrong = await world.client("viewer").get(ALARMS, params={"state": "GONE"})
+    assert wrong.status_code == 422
+
+
+async def test_the_journal_is_filtered_and_exported(world: Any) -> None:
+    first = world.raise_alarm("t_node_1_c")
+    world.raise_alarm("t_node_2_c")
+    await acknowledge(world, first, {"comment": 'he said "why, now?"'})
+    world.alarms.record_event("bench-1", "model drift", "friction rose by 8 %")
+    client = world.client("viewer")
+
+    async def lines(**query: Any) -> list[Any]:
+        response = await client.get(f"{ALARMS}/journal", params=query)
+        assert response.status_code == 200
+        items: list[Any] = response.json()["items"]
+        return items
+
+    assert [line["event"] for line in await lines(alarm=first)] == ["acknowledge", "raise"]
+    (event,) = await lines(**{"class": "event"})
+    assert (event["kind"], event["alarm_id"], event["class"]) == ("model drift", None, "event")
+    assert len(await lines(**{"class": "alarm", "asset": "bench-1"})) == 3
+    assert await lines(asset="rig-2") == []
+    whole = await client.get(f"{ALARMS}/journal", params={"format": "csv"})
+    assert whole.headers["Content-Type"].startswith("text/csv")
+    assert "alarm-journal.csv" in whole.headers["Content-Disposition"]
+    rows = list(csv.DictReader(io.StringIO(whole.text)))
+    assert [row["class"] for row in rows] == ["event", "alarm", "alarm", "alarm"]
+    assert rows[1]["comment"] == 'he said "why, now?"'
+    part = await client.get(f"{ALARMS}/journal", params={"format": "csv", "limit": 1})
+    assert len(part.text.splitlines()) == 2
+    assert "next" in part.links
+
+
+async def test_statistics_count_what_called_for_an_operator(world: Any) -> None:
+    for number in range(1, 12):
+        world.raise_alarm(f"t_node_{number}_c")
+    answer = (await world.client("viewer").get(f"{ALARMS}/statistics")).json()
+    statistics = AlarmStatistics.model_validate(answer)
+    assert (statistics.last_10_min, statistics.flood) == (11, True)
+    assert statistics.per_10_min_average_24h == round(11 / 144, 4)
+    assert statistics.most_frequent[0].kind == "measured limit"
+    assert statistics.by_priority_24h == {"1": 0, "2": 11, "3": 0}
+    assert statistics.stale_over_24h == 0
+    calm = (await world.client("viewer").get(f"{ALARMS}/statistics?asset=rig-2")).json()
+    assert (calm["last_10_min"], calm["flood"], calm["most_frequent"]) == (0, False, [])

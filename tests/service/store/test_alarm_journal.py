@@ -1,9 +1,14 @@
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
+from alembic import command
+from sqlalchemy import create_engine
 from sqlalchemy.exc import IntegrityError
 
-from service.store import Alarm, AlarmTransition, Store
+from service.store import Alarm, AlarmTransition, JournalFilter, Store, migrations
+from service.store.opening import FILE_NAME
 
 ALARM = Alarm(
     id="one",
@@ -25,6 +30,12 @@ ALARM = Alarm(
     unit="°C",
     lead_time_s=None,
     probability=None,
+    present=True,
+    latched=False,
+    shelved_until_us=None,
+    shelved_by=None,
+    suppressed_reason=None,
+    comment=None,
 )
 
 
@@ -42,6 +53,8 @@ def line(time_us: int, alarm: Alarm = ALARM) -> AlarmTransition:
         comment="",
         value=alarm.value,
         message=alarm.message,
+        event="raise",
+        priority=alarm.priority,
     )
 
 
@@ -74,7 +87,7 @@ def test_the_journal_comes_in_pages_newest_first(store: Store) -> None:
     seen = []
     cursor = None
     while True:
-        page = store.alarm_journal(start_us=1, end_us=6, limit=2, cursor=cursor)
+        page = store.alarm_journal(JournalFilter(start_us=1, end_us=6), limit=2, cursor=cursor)
         seen += [one.time_us for one in page.items]
         cursor = page.next_cursor
         if cursor is None:
@@ -83,3 +96,71 @@ def test_the_journal_comes_in_pages_newest_first(store: Store) -> None:
     assert seen == [5, 4, 3, 2, 1]
     assert store.alarm_journal(limit=7).next_cursor is None
     assert store.alarm_journal(limit=1).items == [line(6)]
+
+
+def test_the_journal_is_filtered_by_asset_alarm_and_class(store: Store) -> None:
+    other = replace(ALARM, id="two", asset="b")
+    event = replace(line(3), alarm_id=None, kind="model drift", event="", from_state="")
+    store.save_alarm(ALARM, [line(1), line(2)])
+    store.save_alarm(other, [line(4, other)])
+    store.save_alarm(None, [event])
+
+    def times(**wanted: Any) -> list[int]:
+        return [one.time_us for one in store.alarm_journal(JournalFilter(**wanted)).items]
+
+    assert times(asset="b") == [4]
+    assert times(alarm_id="one") == [2, 1]
+    assert times(events=True) == [3]
+    assert sorted(times(events=False)) == [1, 2, 4]
+    assert times(asset="a", events=False, start_us=2) == [2]
+    assert store.alarm_journal(JournalFilter(events=True)).items == [event]
+
+
+def test_annunciations_are_counted_per_ten_minutes_and_by_kind(store: Store) -> None:
+    minute, now_us = 60_000_000, 10**15
+    other = replace(ALARM, id="two", asset="b", channel="c", priority=2)
+    raised = [line(now_us - k * minute) for k in (0, 9, 10, 25, 26, 27, 1439, 1440)]
+    noise = [
+        replace(line(now_us), from_state="UNACK", to_state="UNACK", event="comment"),
+        replace(line(now_us), from_state="UNACK", to_state="ACKED", event="acknowledge"),
+    ]
+    store.save_alarm(ALARM, [*raised, *noise])
+    store.save_alarm(other, [line(now_us, other)])
+    counts = store.annunciations(now_us)
+    assert (counts.in_last_10_min, counts.in_last_24_h, counts.most_in_10_min) == (3, 8, 3)
+    assert counts.by_priority == {1: 7, 2: 1}
+    assert [(one.channel, one.count) for one in counts.most_frequent] == [
+        ("t_inner_ring_c", 7),
+        ("c", 1),
+    ]
+    assert store.annunciations(now_us, "b").in_last_24_h == 1
+    assert store.annunciations(now_us, "none").in_last_10_min == 0
+
+
+def test_an_older_store_keeps_its_alarms(tmp_path: Path) -> None:
+    """What the version before these columns wrote is taken over by the migration."""
+    engine = create_engine(f"sqlite:///{tmp_path / FILE_NAME}")
+    config = migrations._config()
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0003")
+        connection.exec_driver_sql(
+            "INSERT INTO alarms (id, asset, kind, channel, level, state, priority, message, "
+            "predicted, raised_at_us, since_us) VALUES "
+            "('one', 'a', 'measured limit', 'c', 'alarm', 'ACKED', 1, 'hot', 0, 5, 6), "
+            "('two', 'a', 'measured limit', 'd', 'alarm', 'RTNUN', 1, 'hot', 0, 5, 6)"
+        )
+        connection.exec_driver_sql(
+            "INSERT INTO alarm_journal (alarm_id, asset, kind, channel, level, time_us, "
+            "from_state, to_state, who, comment, message) VALUES "
+            "('one', 'a', 'measured limit', 'c', 'alarm', 5, 'NORM', 'UNACK', 'x', '', 'hot')"
+        )
+    engine.dispose()
+    with Store.open("", tmp_path) as store:
+        assert [(one.state, one.present) for one in store.load_alarms()] == [
+            ("ACKED", True),
+            ("RTNUN", False),
+        ]
+        (kept,) = store.alarm_journal().items
+        assert (kept.alarm_id, kept.event, kept.priority) == ("one", "", None)
+        store.save_alarm(None, [replace(kept, alarm_id=None)])

@@ -1,0 +1,93 @@
+"""One alarm's life: how it begins, what renews it, where an event leads, what is journaled."""
+
+from dataclasses import replace
+from uuid import uuid4
+
+from service.alarms.conditions import AlarmCondition
+from service.alarms.states import AlarmEvent, AlarmState, next_state
+from service.store import Alarm, AlarmTransition
+
+AlarmKey = tuple[str, str, str, str]
+"""Asset, kind, channel and level: what tells one alarm from another."""
+
+
+def following(alarm: Alarm, event: AlarmEvent) -> AlarmState | None:
+    """Where an event would lead an alarm; None where it means nothing."""
+    latched = alarm.latched and alarm.raised_at_us > 0
+    return next_state(AlarmState(alarm.state), event, present=alarm.present, latched=latched)
+
+
+def key_of(alarm: Alarm) -> AlarmKey:
+    """Which condition an alarm belongs to."""
+    return alarm.asset, alarm.kind, alarm.channel, alarm.level
+
+
+def journal_line(
+    alarm: Alarm, before: str, event: str, now_us: int, who: str, comment: str
+) -> AlarmTransition:
+    """Tell the journal how an alarm came from a state into its present one."""
+    return AlarmTransition(
+        alarm_id=alarm.id,
+        asset=alarm.asset,
+        kind=alarm.kind,
+        channel=alarm.channel,
+        level=alarm.level,
+        time_us=now_us,
+        from_state=before,
+        to_state=alarm.state,
+        who=who,
+        comment=comment or alarm.suppressed_reason or "",
+        value=alarm.value,
+        message=alarm.message,
+        event=event,
+        priority=alarm.priority,
+        until_us=alarm.shelved_until_us,
+    )
+
+
+def normal_alarm(condition: AlarmCondition, now_us: int) -> Alarm:
+    """Begin a life: a condition that is watched and not there."""
+    alarm = Alarm(
+        id=uuid4().hex,
+        asset=condition.asset,
+        kind=condition.kind,
+        channel=condition.channel,
+        level=condition.level,
+        state=AlarmState.NORM.value,
+        priority=condition.priority,
+        message=condition.message,
+        predicted=condition.predicted,
+        raised_at_us=0,
+        since_us=now_us,
+        returned_at_us=None,
+        acknowledged_at_us=None,
+        acknowledged_by=None,
+        value=None,
+        limit_value=None,
+        unit=None,
+        lead_time_s=None,
+        probability=None,
+        present=False,
+        latched=condition.latched,
+        shelved_until_us=None,
+        shelved_by=None,
+        suppressed_reason=None,
+        comment=None,
+    )
+    return updated(alarm, condition)
+
+
+def updated(alarm: Alarm, condition: AlarmCondition) -> Alarm:
+    """Give an alarm the present figures and words of its condition."""
+    return replace(
+        alarm,
+        priority=condition.priority,
+        message=condition.message,
+        predicted=condition.predicted,
+        value=condition.value,
+        limit_value=condition.limit_value,
+        unit=condition.unit,
+        lead_time_s=condition.lead_time_s,
+        probability=condition.probability,
+        latched=condition.latched,
+    )

@@ -1,0 +1,27 @@
+"""Delays that count process time, but only while the condition is known."""
+
+_MICROSECONDS = 1_000_000
+
+
+class Timer:
+    """Adds up the process time during which a condition was known to differ from its alarm."""
+
+    def __init__(self) -> None:
+        self._total_us = 0
+        self._last_us: int | None = None
+
+    def run(self, now_us: int) -> float:
+        """Go on counting; returns the seconds so far."""
+        if self._last_us is not None:
+            self._total_us += max(now_us - self._last_us, 0)
+        self._last_us = now_us
+        return self._total_us / _MICROSECONDS
+
+    def pause(self) -> None:
+        """Stand still until the condition is known again."""
+        self._last_us = None
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._total_us = 0
+        self._last_us = None

@@ -1,0 +1,126 @@
+"""What the store hands out and takes in of alarms and their journal; times in process time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One life cycle of an alarm, from its raise until it is normal and acknowledged.
+
+    ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began;
+    ``raised_at_us`` is 0 for one that was set aside before it was ever raised; ``present`` is what
+    was last known of its condition, delays included; ``comment`` is the latest one.
+    """
+
+    id: str
+    asset: str
+    kind: str
+    channel: str
+    level: str
+    state: str
+    priority: int
+    message: str
+    predicted: bool
+    raised_at_us: int
+    since_us: int
+    returned_at_us: int | None
+    acknowledged_at_us: int | None
+    acknowledged_by: str | None
+    value: float | None
+    limit_value: float | None
+    unit: str | None
+    lead_time_s: float | None
+    probability: float | None
+    present: bool
+    latched: bool
+    shelved_until_us: int | None
+    shelved_by: str | None
+    suppressed_reason: str | None
+    comment: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmTransition:
+    """One line of the alarm journal: who or what moved an alarm from one state to another.
+
+    A comment leaves the state as it is. ``until_us`` is when shelving ends. A line without an
+    alarm is an event: worth knowing, but no alarm; its states and level are empty.
+    """
+
+    alarm_id: str | None
+    asset: str
+    kind: str
+    channel: str
+    level: str
+    time_us: int
+    from_state: str
+    to_state: str
+    who: str
+    comment: str
+    value: float | None
+    message: str
+    event: str = ""
+    priority: int | None = None
+    until_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmJournalPage:
+    """Part of the alarm journal, newest first; ``next_cursor`` is None on the last page."""
+
+    items: list[AlarmTransition]
+    next_cursor: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class JournalFilter:
+    """Which lines of the alarm journal are asked for; what is None does not matter.
+
+    Attributes
+    ----------
+    asset, alarm_id : str or None
+        Only of this asset, of this alarm.
+    start_us, end_us : int or None
+        Process time, UTC microseconds; the start is included, the end is not.
+    events : bool or None
+        Only events, or only what happened to alarms.
+    """
+
+    asset: str | None = None
+    alarm_id: str | None = None
+    start_us: int | None = None
+    end_us: int | None = None
+    events: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmCount:
+    """How often alarms of one kind and channel called for an operator."""
+
+    kind: str
+    channel: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Annunciations:
+    """How many times alarms called for an operator (became UNACK).
+
+    Attributes
+    ----------
+    in_last_10_min, in_last_24_h : int
+        Up to now.
+    most_in_10_min : int
+        In the worst of the last day's spans of ten minutes, counted from now backwards.
+    by_priority : mapping of int to int
+        In the last day.
+    most_frequent : list of AlarmCount
+        In the last day, most frequent first.
+    """
+
+    in_last_10_min: int
+    in_last_24_h: int
+    most_in_10_min: int
+    by_priority: Mapping[int, int]
+    most_frequent: list[AlarmCount]
