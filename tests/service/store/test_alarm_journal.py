@@ -143,7 +143,7 @@ def test_an_older_store_keeps_its_alarms(tmp_path: Path) -> None:
     config = migrations._config()
     with engine.begin() as connection:
         config.attributes["connection"] = connection
-        command.upgrade(config, "0003")
+        command.upgrade(config, "0005")
         connection.exec_driver_sql(
             "INSERT INTO alarms (id, asset, kind, channel, level, state, priority, message, "
             "predicted, raised_at_us, since_us) VALUES "
