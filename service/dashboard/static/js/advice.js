@@ -66,7 +66,14 @@ export class AdvicePanel {
     }
   }
 
+  /** Answer for the point that is there already, once there is something to answer with. */
+  begin() {
+    if (this.asked) return;
+    this.ask();
+  }
+
   async ask() {
+    this.asked = true;
     const query = {};
     for (const [name, input] of Object.entries(this.inputs)) query[name] = Number(input.value);
     this.button.disabled = true;

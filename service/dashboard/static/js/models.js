@@ -1,15 +1,19 @@
-// Model versions side by side: parameters with intervals, scores beside the naive forecasts.
+// Tables about model versions: parameters with intervals, scores, what the data inform.
 import { h } from './dom.js';
-import { channelName, fixed, isNumber, significant } from './format.js';
+import { channelName, dayTime, fixed, isNumber, milliseconds, significant, spanText } from './format.js';
 import { icon } from './icons.js';
 
 const VERDICTS = { informed: 'chip on', weak: 'chip', 'prior only': 'chip dot' };
-const STATUS_CHIPS = { active: 'chip on', rejected: 'chip dot', retired: 'chip dot' };
+const STATUS_CHIPS = { active: 'chip on', rejected: 'chip dash', retired: 'chip dot' };
+const COMBINATIONS_LISTED = 8;
 
 export const statusChip = (status) =>
   h('span', { class: STATUS_CHIPS[status] ?? 'chip' }, status);
+const verdictChip = (verdict) => h('span', { class: VERDICTS[verdict] ?? 'chip' }, verdict ?? '–');
 
-const plainName = (name) => name.replaceAll('_', ' ');
+const NAIVE = { static_linear: 'linear', arx: 'ARX' };
+const plainName = (name) => NAIVE[name] ?? name.replaceAll('_', ' ');
+const versionName = (model) => `v${model.version} ${model.status}`;
 
 /** Place of a value on a bar that spans both versions; logarithmic over more than a factor 3. */
 function scaleOf(parameters) {
@@ -25,95 +29,139 @@ function scaleOf(parameters) {
 function intervalBar(parameter, at) {
   const { low, high, value, verdict, unit } = parameter;
   if (!isNumber(low) || !isNumber(high)) return '';
+  const text = `${significant(low)} … ${significant(high)}${unit && unit !== '-' ? ` ${unit}` : ''}`;
   return h('div', {
-    class: `ivb${verdict === 'prior only' ? ' po' : ''}`,
-    title: `${significant(low)} … ${significant(high)} ${unit ?? ''}`,
+    class: `ivb${verdict === 'prior only' ? ' po' : ''}`, title: `95 %: ${text}`, role: 'img',
+    'aria-label': text,
   },
   h('i', { style: { left: `${at(low)}%`, right: `${100 - at(high)}%` } }),
   h('b', { style: { left: `${at(value)}%` } }));
 }
 
-/** Parameters of the active version, and of another one beside it. */
-export function parameterTable(active, other) {
-  const names = [...new Set([...Object.keys(active?.parameters ?? {}),
-    ...Object.keys(other?.parameters ?? {})])];
+/** Parameters of one version, and of another beside it. */
+export function parameterTable(left, right) {
+  const models = [left, right].filter(Boolean);
+  const names = [...new Set(models.flatMap((model) => Object.keys(model.parameters ?? {})))];
   const rows = names.map((name) => {
-    const both = [active, other].map((model) => model?.parameters?.[name]);
-    const at = scaleOf(both.filter(Boolean));
-    const verdict = (both[1] ?? both[0]).verdict;
-    const cells = both.flatMap((parameter, i) => (i && !other ? [] : [
+    const both = models.map((model) => model.parameters?.[name]);
+    const known = both.filter(Boolean);
+    const at = scaleOf(known);
+    const cells = both.map((parameter, i) => [
       h('td', { class: i ? 'r b' : 'r' }, significant(parameter?.value)),
       h('td', { class: 'iv' }, parameter && intervalBar(parameter, at)),
-    ]));
-    const { unit: unitText, description } = both[0] ?? both[1];
+      h('td', { class: 'vd' }, parameter && verdictChip(parameter.verdict)),
+    ]);
+    const { unit: unitText, description } = known[0];
     const hasUnit = unitText && !['1', '-'].includes(unitText);
-    return h('tr', {}, h('td', {}, description ?? plainName(name),
+    return h('tr', {}, h('td', { class: 'pn' }, description ?? plainName(name),
       h('span', { class: 'u' }, description ? plainName(name) : '',
-        hasUnit ? ` ${unitText}` : '')), cells,
-    h('td', {}, h('span', { class: VERDICTS[verdict] ?? 'chip' }, verdict ?? '–')));
+        hasUnit ? `, ${unitText}` : '')), cells);
   });
-  const heads = [active, other].filter(Boolean).flatMap((model) => [
-    h('th', { class: 'r' }, h('b', {}, `v${model.version} ${model.status}`)),
-    h('th', { class: 'iv' }, '95 % interval'),
+  const heads = models.map((model) => [
+    h('th', { class: 'r' }, h('b', {}, versionName(model))),
+    h('th', { class: 'iv' }, '95 % interval'), h('th', {}, 'Verdict'),
   ]);
-  return h('table', { class: 'vt' }, h('thead', {}, h('tr', {}, h('th', {}, 'Parameter'), heads,
-    h('th', {}, `Verdict${other ? ` v${other.version}` : ''}`))), h('tbody', {}, rows));
+  return h('table', { class: 'vt' },
+    h('thead', {}, h('tr', {}, h('th', {}, 'Parameter'), heads)), h('tbody', {}, rows));
 }
 
-const TRAINING = 'train_rms_k';
-
-/** One figure for both rings: the root of their mean square. */
+/** One figure for all sensors: the root of their mean square. */
 function together(byChannel) {
   const values = Object.values(byChannel ?? {}).filter(isNumber);
   if (!values.length) return null;
   return Math.sqrt(values.reduce((sum, value) => sum + value * value, 0) / values.length);
 }
 
-/** Rows of scores: { name, of(model), naive: { name: figure } }, all in K. */
-function scoreRows(shown) {
-  const training = Object.keys(shown.scores?.[TRAINING] ?? {}).map((channel) => ({
-    name: `${channelName(channel)}, rms on the data it was trained with`,
-    of: (model) => model.scores?.[TRAINING]?.[channel],
-    naive: {},
+/** Rows of one version: what its nested fits predicted, and what others did on the same data. */
+function scoreRows(model) {
+  const tests = Object.entries(model.scores ?? {})
+    .filter(([, score]) => isNumber(score?.nested_rms_k));
+  return tests.map(([test, score]) => ({
+    model,
+    name: `${test} to ${fixed(score.speed_rpm, 0)} rpm, ${fixed(score.load_n, 0)} N`,
+    own: score.nested_rms_k,
+    active: score.active_rms_k,
+    seen: score.active_has_seen_it,
+    naive: Object.fromEntries(Object.entries(model.naive?.[test] ?? {})
+      .map(([name, byChannel]) => [name, together(byChannel)])),
   }));
-  const tests = Object.entries(shown.scores ?? {})
-    .filter(([, score]) => isNumber(score?.nested_rms_k))
-    .map(([test, score]) => ({
-      name: `${test.charAt(0).toUpperCase()}${test.slice(1)} to ${fixed(score.speed_rpm, 0)} rpm, `
-        + `${fixed(score.load_n, 0)} N, rms without having seen it`,
-      of: (model) => model.scores?.[test]?.nested_rms_k,
-      naive: Object.fromEntries(Object.entries(shown.naive?.[test] ?? {})
-        .map(([name, byChannel]) => [name, together(byChannel)])),
-    }));
-  return [...training, ...tests];
 }
 
-/** Scores of the versions, and what the naive forecasts reached on the same data. */
-export function scoreTable(active, other) {
-  const models = [active, other].filter(Boolean);
-  const shown = other ?? active;
-  const rows = scoreRows(shown);
-  if (!rows.length) return null;
+/** Scores on data that a version had not seen, beside the naive forecasts on the same data. */
+export function scoreTable(models) {
+  const rows = models.flatMap(scoreRows);
+  if (!rows.length) {
+    return h('p', { class: 's mut' }, 'No scores: neither version has been tested on unseen data.');
+  }
   const naive = [...new Set(rows.flatMap((row) => Object.keys(row.naive)))];
-  const cells = (row) => {
-    const own = row.of(shown);
-    return [
-      models.map((model) => h('td', { class: model === shown ? 'r b' : 'r' },
-        fixed(row.of(model), 2))),
-      naive.map((name) => h('td', { class: row.naive[name] < own ? 'r lose' : 'r' },
-        fixed(row.naive[name], 2))),
-    ];
-  };
+  const other = (value, own, note) => h('td', { class: value < own ? 'r lose' : 'r' },
+    fixed(value, 2), note);
   return h('table', { class: 'vt' },
-    h('thead', {}, h('tr', {}, h('th', {}, 'Low-risk data, K'),
-      models.map((model) => h('th', { class: 'r' }, `v${model.version}`)),
-      naive.map((name) => h('th', { class: 'r' }, plainName(name))))),
-    h('tbody', {}, rows.map((row) => h('tr', {}, h('td', {}, row.name), cells(row)))));
+    h('thead', {}, h('tr', {}, h('th', {}, 'Unseen low-risk data, rms in K'),
+      ['', 'this version', 'active then', ...naive.map(plainName)].map((text, i) =>
+        h('th', { class: i ? 'r' : null }, text)))),
+    h('tbody', {}, rows.map((row) => {
+      const loses = Object.values({ ...row.naive, active: row.seen ? null : row.active })
+        .some((value) => isNumber(value) && value < row.own);
+      return h('tr', {}, h('td', {}, row.name), h('td', { class: 'b' }, `v${row.model.version}`),
+        h('td', { class: loses ? 'r lose' : 'r b' }, loses && [icon(2, 'hollow'), ' '],
+          fixed(row.own, 2)),
+        other(row.active, row.seen ? -1 : row.own,
+          row.seen && h('span', { class: 'u' }, 'had seen it')),
+        naive.map((name) => other(row.naive[name], row.own)));
+    })));
 }
+
+/** How well each version meets the data it was trained with. */
+export function trainingText(model) {
+  const figures = Object.entries(model.scores?.train_rms_k ?? {}).map(([channel, value]) =>
+    `${channelName(channel).toLowerCase()} ${fixed(value, 2)} K`);
+  return figures.length ? `rms on its own windows: ${figures.join(', ')}` : 'not identified';
+}
+
+/** Which combinations of parameters the data of a version tell, which they do not. */
+export function combinationList(model) {
+  const told = model.identifiability;
+  if (!told) return h('p', { class: 's mut' }, `v${model.version}: nothing is known of this.`);
+  const { informed, weak, prior_only: priorOnly, rank, condition, combinations } = told;
+  const head = `v${model.version}: ${informed} informed, ${weak ?? 0} weak, ${priorOnly ?? 0} prior `
+    + `only; rank ${rank}${isNumber(condition) ? `, condition ${significant(condition)}` : ''}`;
+  const shown = combinations ?? [];
+  const rows = shown.length > 2 * COMBINATIONS_LISTED
+    ? [...shown.slice(0, COMBINATIONS_LISTED), null, ...shown.slice(-COMBINATIONS_LISTED)] : shown;
+  return h('div', {}, h('p', { class: 's b' }, head), h('table', {},
+    h('thead', {}, h('tr', {}, ['Combination', 'spread left', 'Verdict'].map((text, i) =>
+      h('th', { class: i === 1 ? 'r' : null }, text)))),
+    h('tbody', {}, rows.map((one) => (one === null
+      ? h('tr', {}, h('td', { colspan: 3, class: 'mut' }, `… ${shown.length - 2
+        * COMBINATIONS_LISTED} more`))
+      : h('tr', {}, h('td', {}, one.combination.replaceAll('-', '−')),
+        h('td', { class: 'r' }, `${fixed(one.std_over_prior * 100, 1)} %`),
+        h('td', {}, verdictChip(one.verdict))))))));
+}
+
+/** The windows a version was learned from. */
+export function windowList(model) {
+  const windows = model.windows ?? [];
+  if (!windows.length) return h('p', { class: 's mut' }, `v${model.version}: learned from nothing.`);
+  return h('div', {}, h('p', { class: 's b' }, `v${model.version}: ${windows.length} windows`),
+    h('table', {}, h('tbody', {}, windows.map((window) => {
+      const [start, end] = [milliseconds(window.start), milliseconds(window.end)];
+      return h('tr', {}, h('td', { class: 'nw' }, dayTime(start)),
+        h('td', { class: 'nw' }, spanText((end - start) / 1000)),
+        h('td', {}, `up to ${fixed(window.speed_rpm_max, 0)} rpm, `
+          + `${fixed(window.load_n_max, 0)} N`));
+    }))));
+}
+
+/** What the service says of channels, in the words of the page. */
+export const plainText = (text) =>
+  text.replace(/\bt_\w+_c\b/g, (name) => channelName(name).toLowerCase());
 
 /** The gates that a version had to pass. */
 export function gateList(model) {
   return h('ul', { class: 'gates' }, (model.gates?.checks ?? []).map((gate) => h('li', {},
     gate.passed ? icon('ok') : icon(2, 'hollow'),
-    h('span', {}, gate.passed ? gate.detail : ['not passed: ', gate.detail]))));
+    h('span', {}, gate.passed ? plainText(gate.detail)
+      : ['not passed: ', plainText(gate.detail)]))));
 }
