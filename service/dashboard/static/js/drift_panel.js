@@ -30,7 +30,8 @@ export class DriftPanel {
     this.shown = [];
     this.select = h('select', { class: 'btn sm', 'aria-label': 'Quantity', onchange: () => this.show() });
     this.plot = h('div', { class: 'plot df' });
-    this.text = h('div', { class: 's' });
+    this.text = h('div', { class: 's' }, h('p', { class: 'mut' }, 'loading …'));
+    this.select.hidden = true;
     this.element = h('section', { class: 'panel e-drift' },
       h('header', {}, h('h2', {}, 'Drift over versions'), h('span', { class: 'sp' }), this.select),
       this.plot, this.text);

@@ -53,7 +53,7 @@ export class JobPanel {
 
   create() {
     this.title = h('h2', {}, 'Re-identification');
-    this.phase = h('span', { class: 'chip' });
+    this.phase = h('span', { class: 'chip' }, 'loading …');
     this.attempt = h('span', { class: 'chip dash', hidden: true });
     this.method = h('select', { class: 'btn sm', 'aria-label': 'Method' },
       Object.entries(METHODS).map(([value, text]) => h('option', { value }, text)));
@@ -64,9 +64,10 @@ export class JobPanel {
     this.method.addEventListener('change', () => {
       this.budget.disabled = this.method.value === 'refine';
     });
-    this.start = h('button', { class: 'btn pri', type: 'submit' }, 'Start');
-    this.cancel = h('button', { class: 'btn', type: 'button', onclick: () => this.stop() },
-      'Cancel');
+    this.start = h('button', { class: 'btn pri', type: 'submit', disabled: true }, 'Start');
+    this.cancel = h('button', {
+      class: 'btn', type: 'button', disabled: true, onclick: () => this.stop(),
+    }, 'Cancel');
     this.problem = h('p', { class: 'problem', role: 'alert' });
     this.text = h('p', { class: 's', role: 'status' });
     this.fill = h('i', {});
@@ -210,7 +211,9 @@ export class JobPanel {
     put(this.text, job ? this.describe(job) : why || 'Runs in the background.');
     const active = this.models.find((model) => model.status === 'active');
     const made = this.models.find((model) => model.version === job?.model_version);
-    this.chart.update(this.points.get(job?.id) ?? [], job && {
+    const points = this.points.get(job?.id) ?? [];
+    this.plot.hidden = !points.length && !isUnfinished(job);
+    this.chart.update(points, job && {
       fitness: job.active_fitness,
       label: isUnfinished(job) ? `active v${active?.version ?? '?'}` : 'active version then',
     });

@@ -56,7 +56,7 @@ export class VersionPanel {
         this[text === 'compare' ? 'left' : 'right'] = Number(event.target.value);
         this.show();
       } }));
-    this.tables = h('div', { class: 'vc' });
+    this.tables = h('div', { class: 'vc' }, h('p', { class: 's mut' }, 'loading …'));
     this.verdict = h('p', { class: 's grow' });
     this.back = h('button', { class: 'btn', type: 'button', onclick: () => this.rollBack() });
     this.force = h('button', { class: 'btn', type: 'button', onclick: () => this.activate(true) },
@@ -67,6 +67,7 @@ export class VersionPanel {
         h('label', { class: 's mut' }, 'compare ', this.choice[0]),
         h('label', { class: 's mut' }, 'with ', this.choice[1])),
       this.tables, h('div', { class: 'row act' }, this.verdict, this.back, this.force, this.take));
+    [this.back, this.force, this.take].forEach((button) => { button.hidden = true; });
     this.journalBox = h('div', {});
     this.journalElement = h('section', { class: 'panel e-jou' },
       h('header', {}, h('h2', {}, 'Versions and activations')), this.journalBox);
@@ -153,6 +154,7 @@ export class VersionPanel {
     const away = this.page.store.get('link').status !== 'live';
     put(this.verdict, kept ? [icon(2, 'hollow'), ' '] : '', plainText(text));
     setText(this.take, `Activate v${model.version}…`);
+    this.take.hidden = false;
     this.take.disabled = !offered || away;
     this.take.title = offered ? '' : text;
     this.force.hidden = !kept;

@@ -12,13 +12,17 @@ function localInput(ms) {
 }
 
 export class WindowPanel {
-  constructor() {
+  /** onChange() is called when the choice has changed. */
+  constructor(onChange) {
+    this.onChange = onChange;
     this.windows = [];
     this.byHand = null; // null: automatic, else the chosen windows
-    this.text = h('span', { class: 's mut' });
+    this.text = h('span', { class: 's mut' }, 'loading …');
     this.plot = h('div', { class: 'wtl' });
     this.table = h('div', { class: 'wt' });
-    this.button = h('button', { class: 'btn sm', type: 'button', onclick: () => this.switch() });
+    this.button = h('button', {
+      class: 'btn sm', type: 'button', disabled: true, onclick: () => this.switch(),
+    }, 'Choose by hand');
     this.element = h('section', { class: 'panel e-win' },
       h('header', {}, h('h2', {}, 'Low-risk windows'), this.text,
         h('span', { class: 'keys' }, key('box chosen', 'trains the next model'),
@@ -87,6 +91,7 @@ export class WindowPanel {
   show() {
     if (!this.given) return;
     const { region, active, nowMs, minutes } = this.given;
+    this.button.disabled = false;
     setText(this.button, this.byHand ? 'Take all windows' : 'Choose by hand');
     setText(this.text, region ? [`up to ${region.speed_rpm_max} rpm and ${region.load_n_max} N`,
       this.byHand ? 'click a window to take or leave it, drag over the time to add a span'
@@ -97,6 +102,7 @@ export class WindowPanel {
     });
     // Not while somebody types a time.
     if (!this.table.contains(document.activeElement) || !this.byHand) this.showTable();
+    this.onChange();
   }
 
   showTable() {

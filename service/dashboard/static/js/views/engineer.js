@@ -16,7 +16,7 @@ export class EngineerView {
     this.models = [];
     this.minutes = new OperationMinutes(page.live.assetId);
     const changed = () => this.load();
-    this.windows = new WindowPanel();
+    this.windows = new WindowPanel(() => this.job.show());
     this.job = new JobPanel(page, {
       windows: () => this.windows.request(), problem: () => this.windows.problem(), changed,
     });
@@ -61,26 +61,29 @@ export class EngineerView {
     }
   }
 
+  /** Every panel is shown as soon as its own answers are there. */
   async fetch() {
-    const path = (rest) => assetPath(this.page.live.assetId, rest);
+    const ask = (rest) => callPages(assetPath(this.page.live.assetId, rest), {});
     const nowMs = this.page.clock.now() ?? Date.now();
-    const [windows, models, jobs, journal, drift] = await Promise.all([
-      ...['/windows', '/models', '/identifications', '/models/activations', '/drift']
-        .map((rest) => callPages(path(rest), {})),
-      this.minutes.load(nowMs),
-    ]);
+    const [windows, jobs, drift, minutes] = [ask('/windows'), ask('/identifications'),
+      ask('/drift'), this.minutes.load(nowMs)];
+    const [models, journal] = await Promise.all([ask('/models'), ask('/models/activations')]);
     if (this.gone) return;
     this.models = models.sort((a, b) => b.version - a.version);
     const active = models.find((model) => model.status === 'active');
-    this.windows.update({
-      windows, nowMs, minutes: this.minutes,
-      active,
-      region: this.page.store.get('asset')?.low_risk,
-    });
-    this.drift.update(drift, this.models);
     if (active?.windows.length) this.advice.begin();
-    await Promise.all([this.job.update(jobs, this.models),
-      this.versions.update(this.models, journal)]);
+    const showWindows = async () => {
+      const region = this.page.store.get('asset')?.low_risk;
+      this.windows.update({
+        windows: await windows, nowMs, minutes: this.minutes, active, region,
+      });
+    };
+    await Promise.all([
+      this.versions.update(this.models, journal),
+      showWindows().then(() => minutes).then(showWindows),
+      jobs.then((found) => this.job.update(found, this.models)),
+      drift.then((items) => this.drift.update(items, this.models)),
+    ]);
   }
 
   /** The active version was changed by somebody else. */

@@ -55,7 +55,7 @@ export class EnvelopeView {
 
   createMap() {
     this.title = h('h2', {}, 'Safe operating envelope');
-    this.note = h('p', { class: 's mut' });
+    this.note = h('p', { class: 's mut', role: 'status' }, 'The twin computes the envelope …');
     this.sensorChoice = h('span', { class: 'seg' });
     this.modeChoice = h('span', { class: 'seg' });
     this.problem = h('p', { class: 'problem', role: 'alert' });

@@ -6,17 +6,18 @@ import { channelName, fixed, spanText } from '../format.js';
 import { highestSpeed } from '../highest_speed.js';
 import { LaneChart } from '../lane.js';
 import { LatestQuestion } from '../latest.js';
-import { SENSORS } from '../live.js';
 import { csvOf, fieldsFor, fromLink, linkOf, MOST_STEPS, requestProfile } from '../profile.js';
 import { ProfilePanel } from '../profile_panel.js';
 import { readChannel } from '../readings.js';
+import { chartSensors } from '../sensors.js';
 import { crossingsAhead, situation } from '../situation.js';
 import { awayTile, noForecastTile, peakTile, profileTile, timeToLimitTile } from '../tiles.js';
 import { TrendChart } from '../trend.js';
 import { answerNextStep, answerTimeToLimit } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
-const PAST_SHARE = 0.22; // of what lies ahead, but an hour at least
+const PAST_SHARE = 0.22; // of what lies ahead, within these bounds
+const PAST_MS = [HOUR_MS, 3 * HOUR_MS];
 const QUIET_MS = 500; // after the last change, before the slower questions are asked
 const REFRESH_S = 60; // of process time: the present state moves on under a profile that stays
 const REFRESH_MS = [1500, 10000];
@@ -189,12 +190,20 @@ export class WhatIfView {
     this.timer = setTimeout(() => this.refresh(), everyMs);
   }
 
+  sensors() {
+    return chartSensors(this.page.store.get('asset'));
+  }
+
+  /** The temperatures that are drawn or have limits. */
+  names() {
+    return [...new Set([...this.sensors(), ...Object.keys(this.page.store.get('asset').limits)])];
+  }
+
   ask(profile, signal, stepS = null) {
-    const names = [...new Set([...SENSORS, ...Object.keys(this.page.store.get('asset').limits)])];
     const lengthS = profile.reduce((sum, step) => sum + step.duration_s, 0);
     const step_s = Math.min(stepS ?? Math.max(FINEST_S, Math.round(lengthS / ROWS)), 3600);
     return call(assetPath(this.page.live.assetId, '/forecasts'),
-      { method: 'POST', body: { profile, nodes: names, step_s }, signal });
+      { method: 'POST', body: { profile, nodes: this.names(), step_s }, signal });
   }
 
   take(answer, { profile, madeMs }, ms) {
@@ -271,7 +280,7 @@ export class WhatIfView {
     if (!now) return;
     if (this.steps) this.showTimes(now);
     const fan = now.noForecast === 'the model is not trusted' || !now.live ? null
-      : fanFrom(this.answer, now.nowMs, SENSORS);
+      : fanFrom(this.answer, now.nowMs, this.names());
     setText(this.ghostText, now.planned ? 'as planned' : 'present point held');
     this.showAnswers(now, fan);
     this.draw(now, fan);
@@ -309,17 +318,20 @@ export class WhatIfView {
     const { history } = store.state;
     if (!history) return;
     const endMs = fan?.times.at(-1) ?? now.endMs ?? now.nowMs + HOUR_MS;
-    const fromMs = now.nowMs - Math.max(HOUR_MS, PAST_SHARE * (endMs - now.nowMs));
+    const [least, most] = PAST_MS;
+    const pastMs = Math.min(most, Math.max(least, PAST_SHARE * (endMs - now.nowMs)));
+    const fromMs = now.nowMs - pastMs;
     const { times, columns } = history.columns(fromMs, now.nowMs, 1500 * clock.rate);
     const span = { nowMs: now.nowMs, fromMs, endMs, times };
+    const sensors = this.sensors();
     const limits = Object.fromEntries(
-      Object.entries(now.limits).filter(([sensor]) => SENSORS.includes(sensor)));
+      Object.entries(now.limits).filter(([sensor]) => sensors.includes(sensor)));
     this.trend.update({
-      ...span, limits, fan, ghost: now.fan, lostMs: now.lostMs, sensors: SENSORS,
+      ...span, limits, fan, ghost: now.fan, lostMs: now.lostMs, sensors,
       crossings: crossingsAhead(this.answer, fan, limits, now.nowMs),
-      past: Object.fromEntries(SENSORS.map((sensor) => [sensor,
+      past: Object.fromEntries(sensors.map((sensor) => [sensor,
         { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
-      current: Object.fromEntries(SENSORS.map((sensor) =>
+      current: Object.fromEntries(sensors.map((sensor) =>
         [sensor, readChannel(store.state, clock, sensor)])),
     });
     const steps = fan ? stepsFrom(this.answer, now.nowMs) : [];
