@@ -194,7 +194,7 @@ def test_a_point_of_the_envelope_can_be_asked_about(page: Page, problems: list[s
 
 def test_engineer_sees_windows_jobs_and_versions(page: Page, problems: list[str]) -> None:
     page.goto(page.url.split("#")[0] + "#engineer")
-    expect(page.locator(".e-ver .chip.on").first).to_have_text("active")
+    expect(page.locator(".e-jou .chip.on").first).to_have_text("active")
     expect(page.locator(".vt tbody tr").first).to_be_visible()
     assert page.locator(".vt tbody tr").count() >= 15
     assert problems == []
