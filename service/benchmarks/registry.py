@@ -17,6 +17,9 @@ BENCHMARKS = {
     "modbus_reads": "service.benchmarks.wires:modbus_reads",
     "query_auto": "service.benchmarks.history:query_auto",
     "bytes_per_sample": "service.benchmarks.history:bytes_per_sample",
+    "snapshot": "service.benchmarks.web:snapshot",
+    "what_if_http": "service.benchmarks.web:what_if_http",
+    "websocket_500": "service.benchmarks.web:websocket_500",
 }
 """Where each one is: ``module:function``; imported only when it runs."""
 

@@ -40,6 +40,11 @@ class Process:
         self._log = log
 
     @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
     def ended(self) -> bool:
         """Whether it has ended, by itself or not."""
         return self._process.returncode is not None
