@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection, Request
+from starlette.types import Scope
 
 from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem
 from service.security import Actor, AuditTrail, Authenticator, Principal
@@ -130,10 +131,16 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
     return caller_with_role
 
 
+def known_caller(scope: Scope) -> Principal | None:
+    """Who is calling, as the door found out; None for nobody known."""
+    principal = scope.get(_PRINCIPAL)
+    return principal if isinstance(principal, Principal) else None
+
+
 async def caller(connection: HTTPConnection) -> Principal:
     """Who is calling, as the door found out."""
-    principal = connection.scope.get(_PRINCIPAL)
-    if not isinstance(principal, Principal):
+    principal = known_caller(connection.scope)
+    if principal is None:
         raise unauthorized(connection)
     return principal
 

@@ -32,6 +32,7 @@ from service.api.routes import (
     session,
     stream,
 )
+from service.api.snapshots import Snapshots, SnapshotShortcut
 from service.api.trail import Trail
 from service.security import AuditTrail, Authenticator
 
@@ -73,6 +74,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         context.store, security.failed_logins_per_minute, security.requests_per_minute
     )
     trail = AuditTrail(context.store)
+    snapshots = Snapshots()
     app = FastAPI(
         title="Bearing Twin",
         version=version("bearing-twin"),
@@ -92,6 +94,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(SecurityHeaders),
             Middleware(LastResort),
             Middleware(AtTheDoor, door=make_door(authenticator, trail)),
+            Middleware(SnapshotShortcut, snapshots=snapshots, assets=context.assets),
             Middleware(Gunzip),
             Middleware(BodyLimit),
             Middleware(Trail, trail=trail),
@@ -100,6 +103,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.context = context
     app.state.authenticator = authenticator
     app.state.trail = trail
+    app.state.snapshots = snapshots
     install_handlers(app)
     for module in (
         assets,

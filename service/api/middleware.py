@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Final
 
 import structlog
-from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -23,6 +22,11 @@ _BODY_BYTES: Final = (
 #: A small body may hold a very long one: it is unpacked in pieces, each counted.
 _UNPACKED_BYTES = 64 * KIB
 
+
+def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
+    return [(name.lower().encode(), value.encode()) for name, value in headers.items()]
+
+
 _SECURITY_HEADERS: Final[Mapping[str, str]] = {
     # The charts and the API page set inline styles; scripts come from here only.
     "Content-Security-Policy": (
@@ -37,7 +41,20 @@ _SECURITY_HEADERS: Final[Mapping[str, str]] = {
 }
 
 #: Under TLS only: for a month the browser talks to this host by HTTPS alone.
-_STRICT_TRANSPORT: Final = f"max-age={30 * 86_400}"
+_STRICT_TRANSPORT: Final = {"Strict-Transport-Security": f"max-age={30 * 86_400}"}
+
+# By (is TLS, is the API), as they go out with thousands of answers a second.
+_ADDED_HEADERS: Final = {
+    (secure, api): _encoded(
+        {
+            **_SECURITY_HEADERS,
+            **(_STRICT_TRANSPORT if secure else {}),
+            "Cache-Control": "no-store" if api else "no-cache",
+        }
+    )
+    for secure in (False, True)
+    for api in (False, True)
+}
 
 _log = structlog.get_logger(__name__)
 
@@ -56,17 +73,15 @@ class SecurityHeaders:
             await self.app(scope, receive, send)
             return
 
+        added = _ADDED_HEADERS[scope["scheme"] == "https", scope["path"].startswith("/api/")]
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in _SECURITY_HEADERS.items():
-                    headers.setdefault(name, value)
-                if scope["scheme"] == "https":
-                    headers.setdefault("Strict-Transport-Security", _STRICT_TRANSPORT)
-                if scope["path"].startswith("/api/"):
-                    headers.setdefault("Cache-Control", "no-store")
-                else:
-                    headers.setdefault("Cache-Control", "no-cache")
+                given = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [
+                    *message["headers"],
+                    *(header for header in added if header[0] not in given),
+                ]
             await send(message)
 
         await self.app(scope, receive, send_with_headers)

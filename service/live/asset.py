@@ -37,6 +37,7 @@ SAVE_EVERY_WALL_S = 5.0
 LAST_SAVE_WALL_S = 1.0
 FORECAST_LEAST_WALL_S = 1.0
 MEASUREMENTS_LEAST_WALL_S = 0.25
+SNAPSHOT_WALL_S = 0.1
 STATE_LEAST_WALL_S = 0.5
 TWIN_SOURCE = "twin"
 
@@ -115,6 +116,8 @@ class AssetRuntime:
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
+        self._snapshot: dict[str, Any] = {"tags": {}}
+        self._snapshot_us = 0
         self._step_s = max(STEP_S, 0.1 * clock.rate)
 
     # ------------------------------------------------------------------ facts for the API
@@ -193,8 +196,22 @@ class AssetRuntime:
         }
 
     def snapshot(self) -> Mapping[str, Any]:
-        """Flat tags for a SCADA system, from memory."""
+        """Flat tags for a SCADA system, from memory; the same object until a tag changes."""
         now_us = self._clock.now_us()
+        age_s = abs(now_us - self._snapshot_us) / 1e6
+        # While nothing is taken in, time alone makes values stale.
+        if age_s >= SNAPSHOT_WALL_S * self._clock.rate:
+            tags = self._tags(now_us)
+            if tags != self._snapshot["tags"]:
+                self._snapshot = {"tags": tags}
+            self._snapshot_us = now_us
+        return self._snapshot
+
+    def _changed(self) -> None:
+        """Have the next snapshot made anew."""
+        self._snapshot_us = 0
+
+    def _tags(self, now_us: int) -> dict[str, dict[str, Any]]:
         tags: dict[str, dict[str, Any]] = {}
         for channel in self.facts:
             sample = self.readings.latest.get(channel)
@@ -212,7 +229,7 @@ class AssetRuntime:
         tags["model.version"] = presentation.tag(
             self.active.version, "", Quality.GOOD, self._switched
         )
-        return {"tags": tags}
+        return tags
 
     def state(self) -> Mapping[str, Any]:
         """Mean and standard deviation of the node temperatures."""
@@ -266,6 +283,7 @@ class AssetRuntime:
         """Take in a batch from the drivers or from a gateway."""
         for sample in self.readings.add(samples):
             self._unsent[sample.channel] = sample
+        self._changed()
         for plan in plans:
             if plan.asset == self.id:
                 if _differs(self.plan, plan):
@@ -276,12 +294,14 @@ class AssetRuntime:
         """Go on with another model version, without a gap."""
         self.estimate.swap(active)
         self._switched = rfc3339(self._clock.now_us())
+        self._changed()
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
 
     def alarms_changed(self) -> None:
         """Note that an alarm of this asset has changed."""
         self._alarms_changed = rfc3339(self._clock.now_us())
+        self._changed()
 
     # ------------------------------------------------------------------ the running twin
     async def run(self, kept_state: Mapping[str, Any] | None) -> None:
@@ -304,6 +324,7 @@ class AssetRuntime:
     def _restore(self, kept_state: Mapping[str, Any]) -> None:
         try:
             self.estimate.restore(kept_state)
+            self._changed()
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 
@@ -331,6 +352,7 @@ class AssetRuntime:
             self.estimate.stop()
         if self.estimate.started and not had_started:
             self._forecast_wanted.set()
+        self._changed()
 
     async def _keep(self) -> None:
         """Keep the estimate from time to time, however long the store takes for it."""
@@ -375,6 +397,7 @@ class AssetRuntime:
             "planned": self._has_plan(made_us),
         }
         self._forecast, self._crossings = body, crossings
+        self._changed()
         self._bus.publish("forecast", self.id, body)
         now_us = self._clock.now_us()
         for condition in warnings.forecast_limits(

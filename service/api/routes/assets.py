@@ -1,21 +1,24 @@
 """Assets: what they are, how they are now, and what the twin says of them."""
 
-import hashlib
-import re
 from typing import Annotated
 
-from fastapi import APIRouter, Header
-from pydantic_core import to_json
+from fastapi import APIRouter, Depends, Header
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.bodies import AssetDocument, AssetList, Snapshot, State
 from service.api.deps import Asset, Context, json_response
+from service.api.snapshots import Snapshots
 from service.security.roles import VIEWER, VIEWER_OR_GATEWAY
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
-_ENTITY_TAG = re.compile(r'(?:W/)?("[^"]*")')
+
+async def get_snapshots(request: Request) -> Snapshots:
+    """Give the snapshots as they go out."""
+    snapshots: Snapshots = request.app.state.snapshots
+    return snapshots
 
 
 @router.get("", response_model=AssetList, summary="All assets", **secured(VIEWER_OR_GATEWAY))
@@ -50,17 +53,13 @@ async def get_asset(asset: Asset) -> Response:
 )
 async def get_snapshot(
     asset: Asset,
+    snapshots: Annotated[Snapshots, Depends(get_snapshots)],
     if_none_match: Annotated[
         str | None, Header(description="`ETag` of the snapshot that the caller has.")
     ] = None,
 ) -> Response:
     """Measured values, estimates, forecast maxima, times to limit and alarm counts, from memory."""
-    body = to_json(asset.snapshot(), inf_nan_mode="null")
-    entity_tag = f'"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
-    headers = {"ETag": entity_tag, "Cache-Control": "private, no-cache"}
-    if if_none_match and _matches(entity_tag, if_none_match):
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type="application/json")
+    return snapshots.response(asset, if_none_match)
 
 
 @router.get(
@@ -72,7 +71,3 @@ async def get_snapshot(
 async def get_state(asset: Asset) -> Response:
     """Mean and standard deviation of every node, null before the first data."""
     return json_response(asset.state())
-
-
-def _matches(entity_tag: str, if_none_match: str) -> bool:
-    return if_none_match.strip() == "*" or entity_tag in _ENTITY_TAG.findall(if_none_match)

@@ -79,3 +79,23 @@ async def test_what_if_before_the_first_data_is_to_be_tried_again(world: Any) ->
     assert response.status_code == 503
     assert int(response.headers["retry-after"]) > 0
     assert "first data" in response.json()["detail"]
+
+
+async def test_the_short_way_to_a_snapshot_refuses_and_answers_as_the_route_does(
+    world: Any,
+) -> None:
+    gateway = await world.client("gateway").get(SNAPSHOT)
+    assert gateway.status_code == 403
+    assert gateway.headers["content-type"] == "application/problem+json"
+    assert (await world.client().get(SNAPSHOT)).status_code == 401
+    assert (await world.client("viewer").get(SNAPSHOT.replace("bench-1", "b-9"))).status_code == 404
+    assert (await world.client("viewer").post(SNAPSHOT)).status_code == 405
+    answer = await world.client("viewer").get(SNAPSHOT)
+    assert answer.headers["cache-control"] == "private, no-cache"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    world.bench.tags["speed_rpm"]["value"] = 61.0
+    again = await world.client("viewer").get(
+        SNAPSHOT, headers={"If-None-Match": answer.headers["etag"]}
+    )
+    assert again.status_code == 200
+    assert again.json()["tags"]["speed_rpm"]["value"] == 61.0

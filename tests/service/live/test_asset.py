@@ -261,3 +261,16 @@ async def test_a_limit_on_a_node_is_shown_but_not_predicted(
     )
     assert live.tag("t_node_7_c.time_to_warning_s")["quality"] < 192
     assert set(live.runtime.state()["nodes"]) == set(NODES)
+
+
+async def test_a_snapshot_stays_the_same_object_until_a_tag_changes(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    await running(live, WARM)
+    first = live.runtime.snapshot()
+    assert live.runtime.snapshot() is first
+    live.feed(WARM | {"t_inner_ring_c": 55.5})
+    second = live.runtime.snapshot()
+    assert second is not first
+    assert second["tags"]["t_inner_ring_c"]["value"] == 55.5
