@@ -1,7 +1,9 @@
 """What every driver hands over: samples with their quality, and the controller's plan ahead."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 
@@ -89,6 +91,11 @@ class Sample(NamedTuple):
     value: float
     quality: int
     received_us: int
+
+
+make_sample: Callable[[tuple[str, str, int, float, int, int]], Sample]
+make_sample = partial(tuple.__new__, Sample)
+"""A sample of its attributes in order, at half the price; for loops that make very many."""
 
 
 def next_time_us(last_us: int, now_us: int) -> int:

@@ -3,10 +3,11 @@
 import asyncio
 import logging
 import termios
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+from pymodbus.pdu import ModbusPDU
 
 from adapters.modbus.config import Kind, ModbusRtuSource, ModbusSource
 
@@ -54,6 +55,7 @@ class Link:
         self.source = source
         self.timeout_s = source.timeout_s
         self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
+        self._reads: dict[Kind, Callable[..., Awaitable[ModbusPDU]]] = {}
         self._waiting = False
         self._garbage = False
 
@@ -67,6 +69,12 @@ class Link:
         self.drop()
         client = self._new_client()
         self._client = client
+        self._reads = {
+            "coil": client.read_coils,
+            "discrete": client.read_discrete_inputs,
+            "holding": client.read_holding_registers,
+            "input": client.read_input_registers,
+        }
         try:
             return bool(await client.connect())
         except asyncio.CancelledError:
@@ -122,18 +130,11 @@ class Link:
         DeviceRefusedError
             Any other exception response.
         """
-        client = self._client
-        if client is None or not client.connected:
+        if self._client is None:
             raise LinkLostError("not connected")
-        read = {
-            "coil": client.read_coils,
-            "discrete": client.read_discrete_inputs,
-            "holding": client.read_holding_registers,
-            "input": client.read_input_registers,
-        }[kind]
         self._waiting = True
         try:
-            response = await read(address, count=count, device_id=unit)
+            response = await self._reads[kind](address, count=count, device_id=unit)
         except asyncio.CancelledError:
             self.drop()
             raise

@@ -5,6 +5,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 
 from adapters.configuration import ConfigurationError
 from adapters.drivers import ChannelBinding, PlanBinding
@@ -27,6 +28,7 @@ MAX_BITS = 2000
 REGISTER_GAP = 8  # unasked-for addresses that one request may bridge
 BIT_GAP = 64
 
+_GOOD = int(Quality.GOOD)  # a look into the enumeration takes longer
 _FORMATS = {
     "int16": "h",
     "uint16": "H",
@@ -67,20 +69,21 @@ class Group:
     start: int = 0
     count: int = 0
     retry_at: float = 0.0  # wall (monotonic) time before which a refused read is not repeated
-    _decode: list[tuple[Reading, Callable[..., tuple[float, ...]], bool, int]] = field(
+    _decode: list[tuple[Reading, Callable[..., tuple[float, ...]], int]] = field(
         default_factory=list
     )
+    _swaps: bool = False
 
     def __post_init__(self) -> None:
         self.start = min(cell.address for cell, _ in self.cells)
         self.count = max(cell.address + cell.count for cell, _ in self.cells) - self.start
         if self.kind not in BIT_KINDS:
+            self._swaps = any(cell.swap_bytes for cell, _ in self.cells)
             self._decode = [
                 (
                     reading,
                     struct.Struct(cell.structure).unpack_from,
-                    cell.swap_bytes,
-                    2 * (cell.address - self.start),
+                    2 * (cell.address - self.start + cell.swap_bytes * self.count),
                 )
                 for cell, reading in self.cells
             ]
@@ -96,10 +99,11 @@ class Group:
                 reading.exception = 0
                 reading.time_us = time_us
             return
-        straight = struct.pack(f">{len(values)}H", *values)
-        swapped = struct.pack(f"<{len(values)}H", *values)
-        for reading, unpack_from, swap_bytes, offset in self._decode:
-            (reading.raw,) = unpack_from(swapped if swap_bytes else straight, offset)
+        data = struct.pack(f">{self.count}H", *values)
+        if self._swaps:  # once more behind it, with the bytes of each register swapped
+            data += struct.pack(f"<{self.count}H", *values)
+        for reading, unpack_from, offset in self._decode:
+            (reading.raw,) = unpack_from(data, offset)
             reading.exception = 0
             reading.time_us = time_us
 
@@ -138,18 +142,29 @@ class Point:
     sentinels: frozenset[float]
     status_bits: tuple[tuple[int, str], ...]
     age_limit_us: float
+    # Of the configuration; a look at its model takes longer.
+    scale: float = field(init=False)
+    offset: float = field(init=False)
+    is_resistance: bool = field(init=False)
+    valid_range: tuple[float, float] | None = field(init=False)
     last_time_us: int = 0
     last_good: float = math.nan
     last_good_us: int = 0
     problem: str = ""
     quiet_until: float = 0.0  # wall (monotonic) time before which no further line is logged
 
+    def __post_init__(self) -> None:
+        self.scale = self.config.scale
+        self.offset = self.config.offset
+        self.is_resistance = self.config.conversion == "pt100_ohm"
+        self.valid_range = self.config.valid_range
+
     @property
     def label(self) -> str:
         """The channel's full name for messages."""
         return f"{self.asset}/{self.channel}"
 
-    def evaluate(self, time_us: int) -> tuple[float, Quality, str, str]:
+    def evaluate(self, time_us: int) -> tuple[float, int, str, str]:
         """Turn the latest readings into a value.
 
         Parameters
@@ -163,49 +178,49 @@ class Point:
             Value (NaN when bad), quality, kind of error for counting and a reason for people
             (both empty when good). Never good unless the device said so in every respect.
         """
-        exception = self.reading.exception
-        if not exception and self.status is not None:
-            exception = self.status.exception
-        if exception:
-            return self._refused(exception, time_us)
+        if self.reading.exception:
+            return self._refused(self.reading.exception, time_us)
         if self.status is not None:
+            if self.status.exception:
+                return self._refused(self.status.exception, time_us)
             word = int(self.status.raw)
             set_bits = [name for bit, name in self.status_bits if word >> bit & 1]
             if set_bits:
                 return self._bad(Quality.SENSOR_FAILURE, "status", "status: " + ", ".join(set_bits))
         raw = self.reading.raw
-        if not math.isfinite(raw):
-            return self._bad(Quality.SENSOR_FAILURE, "not_a_number", "not a number")
         if raw in self.sentinels:
             return self._bad(Quality.SENSOR_FAILURE, "sentinel", f"no value (sentinel {raw:g})")
-        value = raw * self.config.scale + self.config.offset
-        if self.config.conversion == "pt100_ohm":
+        value = raw * self.scale + self.offset
+        if not isfinite(value):
+            return self._bad(Quality.SENSOR_FAILURE, "not_a_number", "not a number")
+        if self.is_resistance:
             broken = fault(value)
             if broken:
                 return self._bad(Quality.SENSOR_FAILURE, "pt100", broken)
             value = temperature_from_resistance(value)
-        limits = self.config.valid_range
-        if limits is not None and not limits[0] <= value <= limits[1]:
-            self.last_good_us = 0
-            reason = f"outside the valid range {list(limits)}"
-            return value, Quality.EU_EXCEEDED, "valid_range", reason
+        if self.valid_range is not None:
+            low, high = self.valid_range
+            if not low <= value <= high:
+                self.last_good_us = 0
+                reason = f"outside the valid range {[low, high]}"
+                return value, int(Quality.EU_EXCEEDED), "valid_range", reason
         self.last_good = value
         self.last_good_us = time_us
-        return value, Quality.GOOD, "", ""
+        return value, _GOOD, "", ""
 
-    def _bad(self, quality: Quality, kind: str, reason: str) -> tuple[float, Quality, str, str]:
+    def _bad(self, quality: Quality, kind: str, reason: str) -> tuple[float, int, str, str]:
         self.last_good_us = 0
-        return math.nan, quality, kind, reason
+        return math.nan, int(quality), kind, reason
 
-    def _refused(self, code: int, time_us: int) -> tuple[float, Quality, str, str]:
+    def _refused(self, code: int, time_us: int) -> tuple[float, int, str, str]:
         kind = f"exception_{code:02x}"
         if code in (5, 6):  # acknowledged but not ready, busy: the device keeps its old value
             if not self.last_good_us:
                 reason = "device busy, no value yet"
-                return math.nan, Quality.WAITING_FOR_INITIAL_DATA, kind, reason
+                return math.nan, int(Quality.WAITING_FOR_INITIAL_DATA), kind, reason
             if time_us - self.last_good_us > self.age_limit_us:
                 return self._bad(Quality.COMM_FAILURE, kind, "device busy for too long")
-            return self.last_good, Quality.LAST_USABLE, kind, "device busy, last value kept"
+            return self.last_good, int(Quality.LAST_USABLE), kind, "device busy, last value kept"
         config = self.config
         where = f"register {config.address} ({config.kind}, unit {self.unit})"
         if code == 1:

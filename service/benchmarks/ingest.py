@@ -10,8 +10,7 @@ import sqlite3
 import tempfile
 import time
 import warnings
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
-from functools import partial
+from collections.abc import AsyncIterator, Callable, Iterator
 from itertools import repeat
 from pathlib import Path
 from types import TracebackType
@@ -21,7 +20,7 @@ import psycopg
 from prometheus_client import CollectorRegistry
 
 from adapters.drivers import SourceHealth
-from adapters.samples import Batch, Quality, Sample
+from adapters.samples import Batch, Quality, Sample, make_sample
 from service.benchmarks.common import BenchmarkError, Measurement, Progress
 from service.clock import ProcessClock
 from service.ingest import Ingest, Spool
@@ -54,10 +53,6 @@ CREATE TABLE benchmark_copy (
 )
 """
 _COPY = "COPY benchmark_copy (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
-
-
-# A sample as cheaply as Python can make one: the work of a driver is not what is measured.
-_sample: Callable[[Iterable[object]], Sample] = partial(tuple.__new__, Sample)
 
 
 class _Source:
@@ -93,7 +88,8 @@ class _Source:
         for time_us in range(self._time_us, self._time_us + _POLLS * _PERIOD_US, _PERIOD_US):
             value = 20.0 + time_us % 977 / 64
             fields = map(repeat, (time_us, value, Quality.GOOD, time_us))
-            samples += map(_sample, zip(repeat(_ASSET), _CHANNELS, *fields, strict=False))
+            # As cheaply as can be: the work of a driver is not what is measured.
+            samples += map(make_sample, zip(repeat(_ASSET), _CHANNELS, *fields, strict=False))
         self._time_us += _POLLS * _PERIOD_US
         return samples
 
