@@ -110,10 +110,17 @@ function follow() {
 
 function tick() {
   const state = feed?.store.state;
-  header.tick(state ?? { link: live.link, sources: [] }, clock);
+  header.tick({ link: live.link, sources: state ? sourcesShown(state) : [] }, clock);
   strip.tick(state ? lostState(state, clock, viewName() === 'fleet') : null);
   if (state) jobs.update(state.jobs);
   showLink();
+}
+
+/** The sources of the asset that is looked at, or of all. */
+function sourcesShown({ asset, sources }) {
+  if (viewName() === 'fleet') return sources;
+  const own = new Set((asset?.channels ?? []).map((channel) => channel.source));
+  return sources.filter((source) => own.has(source.name));
 }
 
 /** A page that nobody keeps up to date looks like one, and takes no orders. */

@@ -1,9 +1,9 @@
 // One asset on the fleet's wall: a verdict, a figure, the reason, a small chart.
+import { needsAcknowledge } from './alarms.js';
 import { bold, h, put, setText, unit } from './dom.js';
-import { ageText, channelName, fixed, joined, percent, spanText } from './format.js';
+import { ageText, channelName, fixed, joined, percent, shortAge, spanText } from './format.js';
 import { icon } from './icons.js';
 import { isDistrust } from './readings.js';
-import { needsAcknowledge } from './alarms.js';
 import { assetHash } from './route.js';
 import { situation } from './situation.js';
 import { TrendChart } from './trend.js';
@@ -112,8 +112,8 @@ export class AssetCard {
     const waiting = [...state.alarms.values()].filter(needsAcknowledge);
     setText(this.alarms, waiting.length ? `${waiting.length} to acknowledge` : '');
     this.alarms.classList.toggle('bt', waiting.length > 0 && waiting.every(isDistrust));
-    setText(this.age, reading?.usable ? `${channelName(reading.sensor).toLowerCase()}`
-      : 'data lost');
+    setText(this.age, !reading ? '' : `${channelName(reading.sensor).toLowerCase()}, ${
+      reading.usable ? `data ${shortAge(reading.ageS / this.clock.rate)}` : 'data lost'}`);
   }
 
   draw(state, now, sensor) {

@@ -8,6 +8,7 @@ import { icon, logo } from './icons.js';
 import { limitedReadings } from './readings.js';
 
 const JOB_SHOWN_AFTER_MS = 15000;
+const MOST_SOURCES = 3; // with more, only those that are silent are named
 
 /** Age of what a source gave last, in process seconds; null when it never gave anything. */
 function sourceAge(source, clock) {
@@ -85,10 +86,14 @@ export class Header {
     const away = state.link.status !== 'live';
     // How fresh a line is belongs to the wall clock, however fast process time runs.
     const age = (source) => shortAge(sourceAge(source, clock) / clock.rate);
-    const chips = state.sources.map((source) => [
-      source.name, source.up && !away, source.up && !away ? age(source) : 'no data',
-      source.detail ?? '',
+    const up = (source) => source.up && !away;
+    const shown = state.sources.length > MOST_SOURCES ? state.sources.filter((one) => !up(one))
+      : state.sources;
+    const chips = shown.map((source) => [
+      source.name, up(source), up(source) ? age(source) : 'no data', source.detail ?? '',
     ]);
+    const rest = state.sources.length - shown.length;
+    if (rest) chips.unshift([`${rest} sources`, true, '', '']);
     if (chips.length !== this.sources.children.length) {
       put(this.sources, chips.map(() => h('span', {}, h('span', {}), h('span', {}),
         h('span', { class: 'd' }))));

@@ -9,11 +9,13 @@ export const font = (pixels, strong) =>
 
 const AXIS_WIDTH = 54 / 16;
 
+/** The shared axis of time; without figures where another chart below shows them. */
 export function timeAxis(show) {
   return {
-    show, stroke: token('--ink-2'), font: font(fontSize()), size: rem() * 1.9, space: 90,
+    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 1.9 : 0, space: 90,
     grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
     values: (plot, splits) => splits.map((second) => {
+      if (!show) return '';
       const room = plot.valToPos(plot.scales.x.max, 'x') - plot.valToPos(second, 'x');
       return room < 24 ? '' : hourMinute(second * 1000);
     }),

@@ -68,7 +68,7 @@ export class PastChart {
     this.mounted = mount(this.box, {
       scales: {
         x: { time: true, range: () => [this.model.fromMs / 1000, this.model.toMs / 1000] },
-        y: { range: (_, low, high) => roomy(low, high) },
+        y: { range: (_, low, high) => roomy(low, high, this.box.clientHeight) },
       },
       axes: [spanAxis(this.model.showTime), valueAxis({
         space: 34, values: (_, splits) => splits.map((value) => fixed(value, decimals(splits))),
@@ -169,14 +169,13 @@ export class PastChart {
 
 const EMPTY = { times: [], values: [], low: [], high: [], gaps: [] };
 
-/** A little room above and below; never a line that fills everything with its noise. */
-function roomy(low, high) {
+/** Room below, and above for the title; never a line that fills everything with its noise. */
+function roomy(low, high, height) {
   if (!isNumber(low) || !isNumber(high)) return [0, 1];
-  const least = Math.max(2, Math.abs(high) * 0.02);
-  const room = Math.max(high - low, least) * 0.12;
+  const range = Math.max(high - low, 2, Math.abs(high) * 0.02);
   const middle = (low + high) / 2;
-  const half = Math.max(high - low, least) / 2;
-  return [middle - half - room, middle + half + room * 2];
+  const title = Math.min(0.5, 1.9 * fontSize() / Math.max(1, height));
+  return [middle - range * 0.58, middle + range * 0.55 + range * title / (1 - title)];
 }
 
 /** As many decimals as the steps of an axis need. */
@@ -190,9 +189,10 @@ function spanAxis(show) {
   const at = (second, options) => new Date(second * 1000)
     .toLocaleString([], { hourCycle: 'h23', ...options });
   return {
-    show, stroke: token('--ink-2'), font: font(fontSize()), size: rem() * 2, space: 96,
+    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 2 : 0, space: 96,
     grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
     values: (plot, splits) => {
+      if (!show) return splits.map(() => '');
       const spanS = plot.scales.x.max - plot.scales.x.min;
       let day = null;
       return splits.map((second) => {

@@ -109,7 +109,7 @@ export class TrendChart {
       model.current[sensor].value ?? -Infinity,
     ]);
     const low = Math.min(...model.sensors.map((sensor) => lowest(model.past[sensor].measured)));
-    const calm = Math.max(...alarms, 60) + 7;
+    const calm = Math.max(...alarms, 60) + (this.small ? 16 : 7);
     const needed = Math.min(Math.max(...seen) + 3, calm + 40);
     const top = Math.max(calm, Math.ceil(needed / 5) * 5);
     return [low < 27 ? Math.floor((low - 12) / 10) * 10 : 20, top];
@@ -185,7 +185,9 @@ export class TrendChart {
       context.stroke();
       context.setLineDash([]);
       const whose = main ? '' : `${channelName(sensor).toLowerCase()} `;
-      write(context, `${whose}${level} ${value} °C`, bbox.left + 8 * ratio, y - 3 * ratio, {
+      // On a phone there is no room beside the line of now: the line's look says which limit it is.
+      const named = this.box.clientWidth > NARROW || this.small ? `${whose}${level} ` : whose;
+      write(context, `${named}${value} °C`, bbox.left + 8 * ratio, y - 3 * ratio, {
         size: fontSize() * ratio, strong: hit, halo: token('--panel'),
         colour: token(hit ? `--p${priority}-text` : '--ink-3'),
       });
