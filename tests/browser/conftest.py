@@ -3,14 +3,26 @@
 import os
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    ConsoleMessage,
+    Page,
+    expect,
+    sync_playwright,
+)
 
 from service.dashboard import static_directory
+from tests.browser.plant import Plant
+
+WAIT_MS = 60_000  # on a busy machine a service takes its time
+
+expect.set_options(timeout=WAIT_MS)
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -62,3 +74,48 @@ def parts(context: BrowserContext, static_address: str) -> Page:
     page = context.new_page()
     page.goto(f"{static_address}/vendor/NOTICE.txt")
     return page
+
+
+@pytest.fixture(scope="session")
+def started_plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    """One service for all views: starting it takes longer than looking at it."""
+    plant = Plant(tmp_path_factory.mktemp("plant"))
+    try:
+        plant.start()
+        yield plant
+    finally:
+        plant.close()
+
+
+@pytest.fixture
+def plant(started_plant: Plant) -> Plant:
+    """The plant with harmless values; what a test before did to it is over."""
+    started_plant.calm()
+    return started_plant
+
+
+@pytest.fixture
+def problems() -> list[str]:
+    """What the browser complains about; empty at the end of a good test."""
+    return []
+
+
+@pytest.fixture
+def screen(context: BrowserContext, plant: Plant, problems: list[str]) -> Callable[..., Page]:
+    """Open a view of the dashboard, logged in with a role."""
+
+    def note(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            problems.append(message.text)
+
+    def open_view(view: str, role: str = "admin") -> Page:
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.on("console", note)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.goto(f"{plant.address}/#key={plant.key_of(role)}")
+        page.locator("nav.tabs a[aria-current]").wait_for()
+        page.goto(f"{plant.address}/#{view}")
+        return page
+
+    return open_view

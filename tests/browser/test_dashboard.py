@@ -34,12 +34,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture
-def problems() -> list[str]:
-    """What the browser complains about; empty at the end of a good test."""
-    return []
-
-
-@pytest.fixture
 def page(context: BrowserContext, site: Site, problems: list[str]) -> Page:
     """The operator view, logged in with the key in the address."""
     page = context.new_page()

@@ -1,8 +1,10 @@
 // A list of alarms whose rows stay in place while their texts change, so that no press is lost.
 import { showAlarm } from './alarm_dialog.js';
-import { detailText, isAside, needsAcknowledge, ranked, stateOf, symbol, whoOf } from './alarms.js';
+import {
+  detailText, isAside, needsAcknowledge, raisedMs, ranked, stateOf, symbol, whoOf,
+} from './alarms.js';
 import { bold, h, put, setText } from './dom.js';
-import { dayOrTime, joined, milliseconds, timeElement } from './format.js';
+import { dayOrTime, joined, timeElement } from './format.js';
 import { isActive, isDistrust } from './readings.js';
 
 export class AlarmList {
@@ -74,7 +76,7 @@ export class AlarmList {
     setText(row.detail, alarm.predicted && isActive(alarm) ? `predicted ${detail}` : detail);
     this.updateControls(row, alarm);
     const { text } = stateOf(alarm);
-    const sinceText = dayOrTime(milliseconds(alarm.raised_at), live.nowMs);
+    const sinceText = dayOrTime(raisedMs(alarm), live.nowMs);
     const key = [alarm.state, alarm.priority, sinceText, whoOf(alarm)].join();
     if (key === row.key) return;
     row.key = key;
@@ -85,7 +87,7 @@ export class AlarmList {
     put(row.symbol, symbol(alarm, '1.7em')).className = alarm.state === 'UNACK' ? 'blink' : '';
     setText(row.state, text);
     const who = whoOf(alarm);
-    put(row.since, timeElement(milliseconds(alarm.raised_at), sinceText), who ? ` · ${who}` : '');
+    put(row.since, timeElement(raisedMs(alarm), sinceText), who ? ` · ${who}` : '');
   }
 
   updateControls(row, alarm) {

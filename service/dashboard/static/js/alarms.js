@@ -21,7 +21,9 @@ export const isAside = (alarm) => ['SHLVD', 'DSUPR', 'OOSRV'].includes(alarm.sta
 
 const rank = (alarm) =>
   stateOf(alarm).rank * 100 + (alarm.predicted ? 10 : 0) + (isDistrust(alarm) ? 0 : alarm.priority);
-const newest = (alarm) => -milliseconds(alarm.raised_at) / 1e15;
+/** When it was raised; an alarm that was put aside before it ever came has no such time. */
+export const raisedMs = (alarm) => milliseconds(alarm.raised_at ?? alarm.since);
+const newest = (alarm) => -raisedMs(alarm) / 1e15;
 export const byUrgency = (a, b) => rank(a) + newest(a) - rank(b) - newest(b);
 
 /** Alarms to show, the worst first. */

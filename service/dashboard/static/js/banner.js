@@ -1,10 +1,10 @@
 // The worst active alarm; the bar keeps its place when there is none, so that nothing jumps.
 import { refuse } from './alarm_list.js';
 import {
-  byUrgency, detailText, isAside, isShown, needsAcknowledge, symbol, worst,
+  byUrgency, detailText, isAside, isShown, needsAcknowledge, raisedMs, symbol, worst,
 } from './alarms.js';
 import { h, put, setText } from './dom.js';
-import { dayOrTime, joined, milliseconds, timeElement } from './format.js';
+import { dayOrTime, joined, timeElement } from './format.js';
 import { icon } from './icons.js';
 import { isDistrust } from './readings.js';
 
@@ -59,14 +59,14 @@ export class Banner {
     setText(this.message,
       joined(`${asset}${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
     setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, now)}`);
-    this.updateSince(alarm, dayOrTime(milliseconds(alarm.raised_at), now.nowMs), look);
+    this.updateSince(alarm, dayOrTime(raisedMs(alarm), now.nowMs), look);
   }
 
   updateSince(alarm, text, look) {
     if (this.sinceKey === look + text) return;
     this.sinceKey = look + text;
     const state = alarm.state === 'UNACK' ? 'unacknowledged' : 'acknowledged';
-    put(this.since, `  ·  ${state} since `, timeElement(milliseconds(alarm.raised_at), text));
+    put(this.since, `  ·  ${state} since `, timeElement(raisedMs(alarm), text));
   }
 
   /** What waits beside the alarm that is shown. */

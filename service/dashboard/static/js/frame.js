@@ -22,7 +22,7 @@ export class Header {
   constructor(box, actions) {
     this.tabs = h('nav', { class: 'tabs', 'aria-label': 'Views' });
     this.asset = h('div', { class: 'asset' });
-    this.sources = h('div', { class: 'conn', 'aria-label': 'Sources' });
+    this.sources = h('div', { class: 'conn', role: 'group', 'aria-label': 'Sources' });
     this.clockText = h('span', {});
     this.zone = h('small', {});
     this.clock = h('div', { class: 'clock' }, this.clockText, this.zone);

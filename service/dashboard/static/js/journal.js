@@ -13,7 +13,7 @@ const LEFT = { SHLVD: 'unshelved', DSUPR: 'no longer suppressed', OOSRV: 'return
 export function transitionText(line) {
   const { from, to } = line;
   if (line.class === 'event') return 'event';
-  if (from && from === to) return 'comment';
+  if (line.event === 'comment' || (from && from === to)) return line.event ?? 'comment';
   if (from in LEFT && !(to in LEFT)) return LEFT[from];
   if (from === 'LATCH' && to === 'NORM') return 'reset';
   if (from === 'RTNUN' && to === 'NORM') return 'acknowledged, over';

@@ -20,6 +20,8 @@ const BRIDGE_WALL_MS = 1500;
 const PHONE = 760;
 const PHONE_PAST_MS = 1.5 * HOUR_MS;
 const BEARING_14 = 'bearing-14';
+// What is drawn while the past is still on its way.
+const NO_PAST = { columns: () => ({ times: [], columns: {} }) };
 const NODE_OF_SENSOR = { t_inner_ring_c: 4, t_outer_ring_c: 2 };
 
 const key = (look, text) => h('span', { class: 'key' }, h('i', { class: look }), text);
@@ -55,7 +57,7 @@ export class OperatorView {
     this.endings = [
       store.on(['tags', 'forecast', 'nodes', 'asset', 'link', 'alarms', 'sources'],
         () => this.update(), 250),
-      store.on(['history'], () => this.drawnMs === undefined && this.draw(), 0),
+      store.on(['history', 'loaded'], () => this.draw(), 500),
     ];
     this.timer = setInterval(() => {
       this.update();
@@ -239,9 +241,8 @@ export class OperatorView {
   draw() {
     const { store, clock } = this.page;
     const now = situation(store.state, clock);
-    const { history } = store.state;
-    if (!now || !history || document.hidden || !this.sensors.length) return;
-    this.drawnMs = now.nowMs;
+    const history = store.get('history') ?? NO_PAST;
+    if (!now || document.hidden || !this.sensors.length) return;
     const past = window.innerWidth < PHONE ? Math.min(this.span, PHONE_PAST_MS) : this.span;
     const fromMs = now.nowMs - past;
     const { times, columns } = history.columns(fromMs, now.nowMs, BRIDGE_WALL_MS * clock.rate);
@@ -252,15 +253,15 @@ export class OperatorView {
       ...span, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: this.sensors,
       crossings: now.crossings,
       past: Object.fromEntries(this.sensors.map((sensor) => [sensor,
-        { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
+        { measured: columns[sensor] ?? [], twin: columns[`${sensor}.twin`] ?? [] }])),
       current: Object.fromEntries(this.sensors.map((sensor) =>
         [sensor, readChannel(store.state, clock, sensor)])),
     });
     const lane = (values, reading, name) => ({
       ...span, values, current: reading.usable ? reading.value : null, steps: now.steps, key: name,
     });
-    this.speed.update(lane(columns.speed_rpm, now.speed, 'speed_rpm'));
-    this.load.update(lane(columns.load_n, now.load, 'load_n'));
+    this.speed.update(lane(columns.speed_rpm ?? [], now.speed, 'speed_rpm'));
+    this.load.update(lane(columns.load_n ?? [], now.load, 'load_n'));
     this.describeCharts(now);
   }
 

@@ -1,0 +1,165 @@
+"""A service whose machines are played by the test: what they measure is pushed over HTTP."""
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from service.clock import ProcessClock, rfc3339
+from service.security.keys import create_key
+from service.settings import load_settings
+from service.store import Store
+from tests.processes import Command, free_port, wait_until
+
+RATE = 60.0
+PUSH_EVERY_S = 0.25
+BEARING, GEARBOX = "press-1", "gear-1"
+_NETWORK = Path(__file__).parents[2] / "deploy/networks/gearbox.toml"
+_PUSHED = {
+    BEARING: ("t_inner_ring_c", "t_outer_ring_c", "ambient_c", "speed_rpm", "load_n"),
+    GEARBOX: ("t_bearing_c", "t_wall_c", "ambient_c", "speed_rpm", "load_n"),
+}
+_CALM = {
+    "t_inner_ring_c": 42.0,
+    "t_outer_ring_c": 33.0,
+    "t_bearing_c": 40.0,
+    "t_wall_c": 31.0,
+    "ambient_c": 22.0,
+    "speed_rpm": 900.0,
+    "load_n": 1200.0,
+}
+_CONFIGURATION = """
+[service]
+port = {port}
+[clock]
+rate = {rate}
+
+[[assets]]
+id = "press-1"
+bearing = "6311"
+network = "bearing-14"
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+limits = {{ t_inner_ring_c = {{ warning = 70, alarm = 95 }} }}
+[assets.channels]
+{bearing}
+
+[[assets]]
+id = "gear-1"
+network = "{network}"
+low_risk = {{ speed_rpm_max = 1500, load_n_max = 3000 }}
+limits = {{ t_bearing_c = {{ warning = 85, alarm = 95 }} }}
+[assets.channels]
+{gearbox}
+"""
+
+
+class Plant:
+    """Two machines, a bearing and a gearbox, that measure whatever the test says.
+
+    Attributes
+    ----------
+    values
+        Present value of every channel, by asset; a test changes them.
+    silent
+        Assets that send nothing.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = free_port()
+        channels = {
+            asset: "\n".join(f'{name} = {{ source = "push" }}' for name in names)
+            for asset, names in _PUSHED.items()
+        }
+        self.configuration = folder / "bearing-twin.toml"
+        self.configuration.write_text(
+            _CONFIGURATION.format(
+                port=self.port,
+                rate=RATE,
+                network=_NETWORK,
+                bearing=channels[BEARING],
+                gearbox=channels[GEARBOX],
+            )
+        )
+        self.values = {asset: {n: _CALM[n] for n in names} for asset, names in _PUSHED.items()}
+        self.silent: set[str] = set()
+        self._keys: dict[str, str] = {}
+        self.key = self.key_of("admin")
+        self.service: Command | None = None
+        self.client = httpx2.Client(
+            base_url=self.address, headers={"X-API-Key": self.key}, timeout=30
+        )
+        self._stop = threading.Event()
+        self._pusher = threading.Thread(target=self._push_on)
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def key_of(self, role: str) -> str:
+        """A key of a role, made once."""
+        if role not in self._keys:
+            self._keys[role] = self.create_key(role)
+        return self._keys[role]
+
+    def create_key(self, role: str) -> str:
+        settings = load_settings(self.configuration)
+        with Store.open(settings.service.database_url, settings.data_dir) as store:
+            return create_key(store, role).text
+
+    def start(self) -> None:
+        self.start_service()
+        self.clock = ProcessClock.resume(RATE, load_settings(self.configuration).data_dir)
+        self._pusher.start()
+        wait_until(
+            lambda: all(
+                self.client.get(f"/api/v1/assets/{asset}/forecast").is_success for asset in _PUSHED
+            ),
+            120,
+            "a forecast of both machines",
+        )
+
+    def start_service(self) -> None:
+        self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
+
+    def push(self, asset: str, samples: list[dict[str, Any]]) -> None:
+        answer = self.client.post(f"/api/v1/assets/{asset}/measurements", json={"samples": samples})
+        assert answer.is_success, answer.text
+
+    def get(self, path: str, **query: Any) -> Any:
+        answer = self.client.get(f"/api/v1{path}", params=query)
+        assert answer.is_success, answer.text
+        return answer.json()
+
+    def alarm(self, kind: str, asset: str = BEARING) -> Any:
+        """The open alarm of a kind, None when there is none."""
+        alarms = self.get("/alarms", asset=asset)["items"]
+        return next((alarm for alarm in alarms if alarm["kind"] == kind), None)
+
+    def calm(self) -> None:
+        """Everything measured is harmless again."""
+        for values in self.values.values():
+            values.update({name: _CALM[name] for name in values})
+        self.silent.clear()
+
+    def _push_on(self) -> None:
+        while not self._stop.wait(PUSH_EVERY_S):
+            time = rfc3339(self.clock.now_us())
+            for asset, values in self.values.items():
+                if asset in self.silent:
+                    continue
+                samples = [{"channel": n, "time": time, "value": v} for n, v in values.items()]
+                try:
+                    self.push(asset, samples)
+                except (httpx2.HTTPError, json.JSONDecodeError):
+                    continue  # the service is being started anew
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._pusher.ident is not None:
+            self._pusher.join()
+        self.client.close()
+        if self.service is not None:
+            self.service.end()

@@ -1,0 +1,132 @@
+"""What everybody may ask of the page: light, quick, readable, usable by keyboard."""
+
+import gzip
+import json
+from collections.abc import Callable
+from importlib.resources import files
+from typing import Any
+
+import pytest
+from playwright.sync_api import BrowserContext, Page, expect
+
+from service.dashboard import static_directory
+from tests.browser.plant import BEARING, GEARBOX, Plant
+from tests.processes import wait_until
+
+pytestmark = pytest.mark.browser
+
+Screen = Callable[..., Page]
+MOST_BYTES = 300_000
+VIEWS = (
+    "fleet",
+    f"operator/{BEARING}",
+    f"operator/{GEARBOX}",
+    f"whatif/{BEARING}",
+    f"envelope/{BEARING}",
+    f"engineer/{BEARING}",
+    f"history/{BEARING}",
+    "alarms",
+)
+
+
+def test_the_whole_page_is_below_300_kb(context: BrowserContext, plant: Plant) -> None:
+    """Everything that the first load fetches, data included, packed as the service packs it."""
+    page = context.new_page()
+    sizes: dict[str, int] = {}
+    page.on(
+        "requestfinished",
+        lambda request: sizes.update(
+            {request.url: sizes.get(request.url, 0) + request.sizes()["responseBodySize"]}
+        ),
+    )
+    page.goto(f"{plant.address}/#key={plant.key}")
+    page.goto(f"{plant.address}/#operator/{BEARING}")
+    expect(page.locator(".p-trend canvas").first).to_be_visible()
+    page.wait_for_timeout(1000)
+    assert len(sizes) > 30
+    total = sum(sizes.values())
+    assert total < MOST_BYTES, json.dumps(sizes, indent=1)
+    packed = sum(
+        len(gzip.compress(file.read_bytes()))
+        for file in static_directory().rglob("*.*")
+        if file.suffix in (".js", ".css", ".html", ".woff", ".svg")
+    )
+    assert packed < MOST_BYTES
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    package = pytest.importorskip("axe_playwright_python")
+    return files(package).joinpath("axe.min.js").read_text(encoding="utf-8")
+
+
+def violations(page: Page, axe: str) -> list[str]:
+    """What axe-core finds against WCAG 2.2 AA, one line each."""
+    page.evaluate(axe)
+    found: dict[str, Any] = page.evaluate(
+        """() => axe.run(document, {
+          runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'],
+        })"""
+    )
+    return [
+        f"{one['id']}: {node['target']} {node.get('failureSummary', '')}"
+        for one in found["violations"]
+        for node in one["nodes"]
+    ]
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_every_view_meets_wcag_aa(
+    context: BrowserContext, screen: Screen, plant: Plant, axe: str, theme: str
+) -> None:
+    context.add_init_script(f"localStorage.setItem('theme', '{theme}')")
+    plant.values[BEARING]["t_inner_ring_c"] = 81.0  # an alarm is on the page
+    wait_until(lambda: plant.alarm("measured limit"), 60, "an alarm")
+    page = screen("fleet")
+    found: list[str] = []
+    for view in VIEWS:
+        page.goto(f"{plant.address}/#{view}")
+        expect(page.locator("nav.tabs a[aria-current]")).to_have_text(
+            {"whatif": "What-if"}.get(name := view.split("/")[0], name.capitalize())
+        )
+        page.wait_for_timeout(700)
+        found += [f"{view}: {line}" for line in violations(page, axe)]
+    plant.silent.update((BEARING, GEARBOX))
+    page.goto(f"{plant.address}/#operator/{BEARING}")
+    expect(page.locator("#lost")).to_contain_text("No temperature data")
+    found += [f"lost: {line}" for line in violations(page, axe)]
+    assert not found, "\n".join(found)
+
+
+def test_everything_is_reached_by_keyboard(screen: Screen, plant: Plant) -> None:
+    page = screen(f"operator/{BEARING}", "operator")
+    expect(page.locator(".ans .word").first).to_be_visible()
+    page.locator("body").press("Tab")
+    reached: list[str] = []
+    for _ in range(60):
+        told = page.evaluate(
+            """() => {
+              const at = document.activeElement;
+              const look = getComputedStyle(at);
+              return at === document.body ? null : [at.textContent.trim() || at.ariaLabel,
+                look.outlineStyle, parseFloat(look.outlineWidth)];
+            }"""
+        )
+        if told is None:
+            break
+        name, style, width = told
+        reached.append(name)
+        assert style == "solid", f"no focus ring on {name!r}"
+        assert width >= 2, f"no focus ring on {name!r}"
+        page.keyboard.press("Tab")
+    for wanted in ("Skip to content", "Fleet", "What-if", "3 h", "Journal"):
+        assert wanted in reached
+
+
+def test_motion_stops_where_it_is_not_wanted(screen: Screen, plant: Plant) -> None:
+    plant.values[BEARING]["t_inner_ring_c"] = 81.0
+    page = screen(f"operator/{BEARING}")
+    page.emulate_media(reduced_motion="reduce")
+    blinking = page.locator("#banner .blink")
+    expect(blinking).to_be_visible()
+    expect(blinking).to_have_css("animation-name", "none")
