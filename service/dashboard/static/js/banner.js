@@ -76,6 +76,7 @@ export class Banner {
     const waiting = alarm ? `+ ${others} more` : `${others} to acknowledge`;
     setText(this.more, [others && waiting, aside && !alarm && `${aside} put aside`]
       .filter(Boolean).join(', '));
+    this.more.hidden = !this.more.textContent;
   }
 
   changeLook(alarm) {
