@@ -242,7 +242,8 @@ def test_rows_stay_in_place_while_their_texts_change(parts: Page) -> None:
 
 # A plane of 3 speeds and 2 loads; time to a limit that slow points never reach.
 PLANE = """
-const { planeOf, valueAt, nearestAt, contour } = await import('/js/plane.js');
+const p = await import('/js/plane.js');
+const { planeOf, valueAt, nearestAt, contour } = p;
 const plane = planeOf({ speed_rpm: [1000, 2000, 3000], load_n: [500, 1500] });
 const temperatures = [[30, 40, 50], [40, 50, 60]];
 const times = [[null, null, 3600], [null, 7200, 1800]];
@@ -283,6 +284,12 @@ def test_contours_lie_where_the_level_is(parts: Page) -> None:
     assert min(loads) == pytest.approx(500, abs=40)
     assert max(loads) == pytest.approx(1500, abs=40)
     assert run(parts, PLANE + "return contour(plane, temperatures, 99, 30);") == []
+    segments, lines = run(
+        parts,
+        PLANE
+        + "const found = contour(plane, temperatures, 44.7, 30);return [found, p.joined(found)];",
+    )
+    assert [len(line) for line in lines] == [len(segments) + 1], "one line from edge to edge"
 
 
 @pytest.mark.parametrize(

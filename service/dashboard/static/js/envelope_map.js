@@ -2,13 +2,13 @@
 import { rem, token } from './dom.js';
 import { wholeSpan } from './format.js';
 import { hatching, pixelRatio, write } from './paint.js';
-import { contour, planeOf, valueAt } from './plane.js';
+import { contour, joined, planeOf, valueAt } from './plane.js';
 import { THRESHOLDS } from './verdict.js';
 
 const TEMPERATURES = [30, 40, 50, 60, 70, 80, 90, 100, 110];
 const MINUTES = [15, 30, 60, 120, 240];
 const NEVER = 2; // beyond the horizon a time counts as twice the horizon, for the contours
-const CELLS = 160;
+const CELL = 3; // pixels: as fine as an edge is seen
 
 export class EnvelopeMap {
   /** onProbe({ speed, load }) is called when the user points somewhere. */
@@ -92,18 +92,38 @@ export class EnvelopeMap {
     if (!this.scene || !this.canvas.isConnected) return;
     this.layout();
     if (this.width < 50 || this.height < 50) return;
-    const ratio = pixelRatio();
-    this.canvas.width = Math.round(this.width * ratio);
-    this.canvas.height = Math.round(this.height * ratio);
+    this.drawMap();
+    const { width, height } = this.map;
+    [this.canvas.width, this.canvas.height] = [width, height];
     this.context = this.canvas.getContext('2d');
-    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.context.drawImage(this.map, 0, 0);
+    this.scaled(this.context);
+    this.drawPlan();
+    this.drawProbe();
+  }
+
+  scaled(context) {
+    context.setTransform(pixelRatio(), 0, 0, pixelRatio(), 0, 0);
+    return context;
+  }
+
+  /** What stays while the probe moves is drawn once, on a canvas of its own. */
+  drawMap() {
+    const { answer, maps, mode, limits } = this.scene;
+    const look = [this.width, this.height, pixelRatio(), token('--panel'), mode,
+      JSON.stringify([limits, answer.made_at, answer.model_version])].join();
+    if (look === this.mapLook && maps === this.drawnMaps) return;
+    this.mapLook = look;
+    this.drawnMaps = maps;
+    this.map = document.createElement('canvas');
+    this.map.width = Math.round(this.width * pixelRatio());
+    this.map.height = Math.round(this.height * pixelRatio());
+    this.context = this.scaled(this.map.getContext('2d'));
     this.drawGround();
-    if (this.scene.limits) this.drawRegions();
+    if (limits) this.drawRegions();
     this.drawAxes();
     this.drawContours();
     this.drawLowRisk();
-    this.drawPlan();
-    this.drawProbe();
   }
 
   drawGround() {
@@ -117,13 +137,15 @@ export class EnvelopeMap {
   /** Fill wherever `test(speed, load)` holds. */
   region(test, styles) {
     const { context, plane: { low, high } } = this;
-    const speed = (i) => low.speed + (high.speed - low.speed) * i / CELLS;
-    const load = (j) => low.load + (high.load - low.load) * j / CELLS;
+    const columns = Math.ceil((this.x(high.speed) - this.x(low.speed)) / CELL);
+    const rows = Math.ceil((this.y(low.load) - this.y(high.load)) / CELL);
+    const speed = (i) => low.speed + (high.speed - low.speed) * i / columns;
+    const load = (j) => low.load + (high.load - low.load) * j / rows;
     context.beginPath();
-    for (let j = 0; j < CELLS; j += 1) {
+    for (let j = 0; j < rows; j += 1) {
       let begun = -1;
-      for (let i = 0; i <= CELLS; i += 1) {
-        const inside = i < CELLS && test(speed(i + 0.5), load(j + 0.5));
+      for (let i = 0; i <= columns; i += 1) {
+        const inside = i < columns && test(speed(i + 0.5), load(j + 0.5));
         if (inside && begun < 0) begun = i;
         if (!inside && begun >= 0) {
           const [left, right] = [this.x(speed(begun)), this.x(speed(i))];
@@ -198,6 +220,7 @@ export class EnvelopeMap {
       if (limits) {
         this.line(maps.steady_c.q50, limits.warning, `${limits.warning} °C`, 'p2');
         this.line(maps.steady_c.q50, limits.alarm, `${limits.alarm} °C`, 'p1');
+        this.drawChances(maps.limits);
       }
       return;
     }
@@ -208,24 +231,34 @@ export class EnvelopeMap {
       this.line(times, Math.log(minutes * 60), wholeSpan(minutes * 60), 'time', place));
   }
 
+  /** How probably the warning is passed: the edges of the regions, with their figures. */
+  drawChances({ warning, alarm }) {
+    const percent = (share) => `${Math.round(share * 100)} %`;
+    const { atRisk, notSafe } = THRESHOLDS;
+    this.line(warning.steady_probability, atRisk, percent(atRisk), 'chance', -3);
+    this.line(warning.steady_probability, notSafe, percent(notSafe), 'chance', -5);
+    this.line(alarm.steady_probability, notSafe, percent(notSafe), 'chance1', -5);
+  }
+
   line(matrix, level, text, look, place = 0) {
     const { context, pad } = this;
-    const segments = contour(this.plane, matrix, level)
-      .map((ends) => ends.map(([speed, load]) => [this.x(speed), this.y(load)]));
-    const colour = { p1: token('--p1'), p2: token('--p2'), time: token('--ink') }[look]
-      ?? token('--ink-2');
+    const lines = joined(contour(this.plane, matrix, level))
+      .map((points) => points.map(([speed, load]) => [this.x(speed), this.y(load)]));
+    const colour = { p1: token('--p1-line'), p2: token('--p2-line'), time: token('--ink'),
+      chance: token('--p2-line'), chance1: token('--p1-line') }[look] ?? token('--ink-2');
     context.strokeStyle = colour;
     context.lineWidth = look === 'p1' || look === 'p2' ? 3.5 : 1.6;
     context.setLineDash(look === 'p2' ? [10, 6] : []);
     context.beginPath();
-    for (const [from, to] of segments) {
-      context.moveTo(...from);
-      context.lineTo(...to);
+    for (const [first, ...rest] of lines) {
+      context.moveTo(...first);
+      rest.forEach((point) => context.lineTo(...point));
     }
     context.stroke();
     context.setLineDash([]);
-    const open = segments.map(([from]) => from).filter(([x, y]) => x > pad.left + 40
-      && x < this.width - 60 && y > pad.top + 16 && y < this.height - pad.bottom - 16);
+    const [base, left] = [this.y(this.plane.low.load), this.x(this.plane.low.speed)];
+    const open = lines.flat().filter(([x, y]) => x > left + 24 && x < this.width - 60
+      && y > pad.top + 16 && y < base - this.text * 2);
     if (!open.length) return;
     const wanted = this.width * 0.42 + this.height * 0.42 + place * 50;
     const [x, y] = open.reduce((best, one) =>
@@ -234,7 +267,8 @@ export class EnvelopeMap {
     write(context, text, x, y + this.text * 0.45, {
       size: this.text, strong: look !== '', align: 'center', base: 'alphabetic',
       halo: token('--panel'),
-      colour: { p1: token('--p1-text'), p2: token('--p2-text') }[look] ?? token('--ink'),
+      colour: { p1: token('--p1-text'), p2: token('--p2-text'), chance: token('--p2-text'),
+        chance1: token('--p1-text') }[look] ?? token('--ink'),
     });
   }
 

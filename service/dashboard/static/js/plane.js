@@ -61,3 +61,35 @@ export function contour(plane, matrix, level, fine = 60) {
   }
   return segments;
 }
+
+const keyOf = ([speed, load]) => `${speed.toFixed(6)} ${load.toFixed(6)}`;
+
+/** Segments that share an end, joined to lines [[point, point, …], …]: a dash runs on along them. */
+export function joined(segments) {
+  const ends = new Map(); // where a segment begins or ends -> the segments there
+  segments.forEach((segment, number) => segment.forEach((point) => {
+    const key = keyOf(point);
+    ends.set(key, [...(ends.get(key) ?? []), number]);
+  }));
+  const taken = new Set();
+  /** All points beyond an end of a segment. */
+  const follow = (from) => {
+    const points = [];
+    let at = from;
+    for (;;) {
+      const next = ends.get(keyOf(at)).find((number) => !taken.has(number));
+      if (next === undefined) return points;
+      taken.add(next);
+      const [one, other] = segments[next];
+      at = keyOf(one) === keyOf(at) ? other : one;
+      points.push(at);
+    }
+  };
+  const lines = [];
+  segments.forEach(([one, other], number) => {
+    if (taken.has(number)) return;
+    taken.add(number);
+    lines.push([...follow(one).reverse(), one, other, ...follow(other)]);
+  });
+  return lines;
+}

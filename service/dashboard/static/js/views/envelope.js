@@ -73,6 +73,7 @@ export class EnvelopeView {
       setText(this.problem, '');
     } catch (error) {
       setText(this.problem, `No envelope: ${error.message}.`);
+      if (!this.answer) setText(this.note, 'It is asked for again and again.');
       return;
     }
     this.show();
@@ -157,12 +158,15 @@ export class EnvelopeView {
         const median = nearestAt(plane, map.median_s, speed, load);
         const first = nearestAt(plane, map.earliest_s, speed, load);
         const hours = wholeSpan(this.answer.horizon_s);
-        rows.push([`Over ${limits[level]} °C`, percent(at(map.steady_probability))],
+        rows.push([`Over ${limits[level]} °C when steady`, percent(at(map.steady_probability))],
           ['median time to it', median === null ? `not within ${hours}` : spanText(median)],
           ['earliest', first === null ? '–' : spanText(first)]);
       }
     }
-    const open = nearestAt(plane, this.answer.runaway.not_excluded, speed, load);
+    const { probability, not_excluded: notExcluded } = this.answer.runaway;
+    const open = nearestAt(plane, notExcluded, speed, load);
+    rows.push(['Thermal runaway', open ? `not excluded, ${percent(at(probability))}`
+      : 'excluded']);
     put(this.side.point, h('header', {},
       h('h2', {}, `At ${fixed(speed, 0)} rpm, ${fixed(load, 0)} N`)), head,
     h('dl', { class: 'kv' }, rows.map(([name, value]) => [h('dt', {}, name), h('dd', {}, value)])),
