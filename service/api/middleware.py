@@ -19,6 +19,8 @@ _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
 )
 
+_JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")
+
 #: A small body may hold a very long one: it is unpacked in pieces, each counted.
 _UNPACKED_BYTES = 64 * KIB
 
@@ -238,3 +240,31 @@ class Gunzip:
             return {"type": "http.request", "body": body, "more_body": more}
 
         await self.app(scope, receive_unpacked, send)
+
+
+class JsonBodies:
+    """Refuse a body that does not say that it is JSON.
+
+    Parameters
+    ----------
+    app
+        What lies behind.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or answer 415."""
+        if scope["type"] == "http" and scope["method"] in ("POST", "PUT", "PATCH"):
+            headers = Request(scope).headers
+            has_body = headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
+            given = headers.get("content-type", "")
+            if has_body and not _JSON.fullmatch(given.partition(";")[0].strip().lower()):
+                detail = f"Content-Type {given!r}, expected application/json"
+                response = problem_response(
+                    415, detail, scope["path"], headers={"Accept-Post": "application/json"}
+                )
+                await response(scope, receive, send)
+                return
+        await self.app(scope, receive, send)

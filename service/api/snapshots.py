@@ -5,7 +5,6 @@ are kept until the snapshot is another one; a request for them is answered as so
 let it in.
 """
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,18 +17,17 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.access import known_caller
 from service.api.context import AssetTwin
+from service.api.entity_tags import entity_tag, tagged_response
 from service.security.roles import VIEWER
 
-_ENTITY_TAG: Final = re.compile(r'(?:W/)?("[^"]*")')
 _PATH: Final = re.compile(r"/api/v1/assets/([^/]+)/snapshot")
-_CACHE_CONTROL: Final = "private, no-cache"
 
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
     snapshot: Mapping[str, Any]
     body: bytes
-    entity_tag: str
+    tag: str
 
 
 class Snapshots:
@@ -53,12 +51,8 @@ class Snapshots:
         # An asset gives the same object as long as nothing in it has changed.
         if kept is None or kept.snapshot is not snapshot:
             body = to_json(snapshot, inf_nan_mode="null")
-            entity_tag = f'"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
-            kept = self._kept[asset.id] = _Kept(snapshot, body, entity_tag)
-        headers = {"ETag": kept.entity_tag, "Cache-Control": _CACHE_CONTROL}
-        if if_none_match and _matches(kept.entity_tag, if_none_match):
-            return Response(status_code=304, headers=headers)
-        return Response(kept.body, headers=headers, media_type="application/json")
+            kept = self._kept[asset.id] = _Kept(snapshot, body, entity_tag(body))
+        return tagged_response(kept.body, kept.tag, if_none_match)
 
 
 class SnapshotShortcut:
@@ -93,7 +87,3 @@ class SnapshotShortcut:
                 await self.snapshots.response(asset, if_none_match)(scope, receive, send)
                 return
         await self.app(scope, receive, send)
-
-
-def _matches(entity_tag: str, if_none_match: str) -> bool:
-    return if_none_match.strip() == "*" or entity_tag in _ENTITY_TAG.findall(if_none_match)

@@ -2,13 +2,14 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header
+from fastapi import APIRouter, Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.bodies import AssetDocument, AssetList, Snapshot, State
 from service.api.deps import Asset, Context, json_response
+from service.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.api.snapshots import Snapshots
 from service.security.roles import VIEWER, VIEWER_OR_GATEWAY
 
@@ -21,42 +22,39 @@ async def get_snapshots(request: Request) -> Snapshots:
     return snapshots
 
 
-@router.get("", response_model=AssetList, summary="All assets", **secured(VIEWER_OR_GATEWAY))
-async def list_assets(context: Context) -> Response:
+@router.get(
+    "",
+    response_model=AssetList,
+    summary="All assets",
+    **secured(VIEWER_OR_GATEWAY, responses=CONDITIONAL),
+)
+async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Response:
     """Give configuration, health and active model of every asset."""
     items = [asset.summary() for asset in context.assets.values()]
-    return json_response({"items": items, "next": None})
+    return conditional_response({"items": items, "next": None}, if_none_match)
 
 
 @router.get(
     "/{asset_id}",
     response_model=AssetDocument,
     summary="One asset",
-    **secured(VIEWER_OR_GATEWAY, 404),
+    **secured(VIEWER_OR_GATEWAY, 404, responses=CONDITIONAL),
 )
-async def get_asset(asset: Asset) -> Response:
+async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
     """Give configuration, health and active model."""
-    return json_response(asset.summary())
+    return conditional_response(asset.summary(), if_none_match)
 
 
 @router.get(
     "/{asset_id}/snapshot",
     response_model=Snapshot,
     summary="All present values as flat tags",
-    **secured(
-        VIEWER,
-        404,
-        responses={
-            304: {"description": "Nothing has changed since the `ETag` of `If-None-Match`."}
-        },
-    ),
+    **secured(VIEWER, 404, responses=CONDITIONAL),
 )
 async def get_snapshot(
     asset: Asset,
     snapshots: Annotated[Snapshots, Depends(get_snapshots)],
-    if_none_match: Annotated[
-        str | None, Header(description="`ETag` of the snapshot that the caller has.")
-    ] = None,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Measured values, estimates, forecast maxima, times to limit and alarm counts, from memory."""
     return snapshots.response(asset, if_none_match)

@@ -16,7 +16,7 @@ from service.api.access import authenticate, problems, public, unauthorized
 from service.api.bodies import Alive, Ready
 from service.api.context import AssetTwin, ServiceContext
 from service.api.deps import Context, Keys, json_response
-from service.api.problems import Problem
+from service.api.problems import RETRY_AFTER_S, Problem
 from service.security.roles import VIEWER
 from service.store import StoreUnavailableError
 
@@ -67,7 +67,8 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
             for check in checks
         ],
     }
-    return json_response(body, 200 if ready else 503)
+    retry = {} if ready else {"Retry-After": str(RETRY_AFTER_S)}
+    return json_response(body, 200 if ready else 503, retry)
 
 
 # Many probes only ask for the head.

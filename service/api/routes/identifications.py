@@ -9,6 +9,7 @@ from starlette.responses import Response
 from service.api.access import Caller, secured
 from service.api.bodies import JobDocument, JobList, WindowList
 from service.api.context import IdentificationRequest
+from service.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
 from service.api.trail import REPLAYED
@@ -71,9 +72,13 @@ async def post_identification(
     summary="Identification jobs, newest first",
     **secured(ENGINEER, 404),
 )
-async def list_identifications(context: Context, asset: Asset) -> Response:
+async def list_identifications(
+    context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
+) -> Response:
     """All jobs of the asset, those of earlier runs of the service too."""
-    return json_response({"items": await context.jobs.jobs(asset.id), "next": None})
+    jobs = await context.jobs.jobs(asset.id)
+    page, following = page_of(jobs, limit, cursor, lambda job: job["id"])
+    return json_response({"items": page, "next": following}, headers=next_link(request, following))
 
 
 @router.get(

@@ -2,10 +2,11 @@
 
 import asyncio
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
+from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
@@ -18,7 +19,7 @@ from service.api.problems import Problem, parameter_problem
 from service.api.pushes import PushRequest, judge
 from service.api.times import Instant
 from service.security.roles import PUSH, VIEWER
-from service.store import StoreUnavailableError
+from service.store import Rollup, StoredSample, StoreUnavailableError
 from service.transfer.errors import TransferError
 from service.transfer.exporting import write_parquet
 from service.transfer.pages import (
@@ -41,6 +42,7 @@ DEFAULT_SPAN_US = 3600 * 1_000_000
 CSV = "text/csv; charset=utf-8"
 PARQUET = "application/vnd.apache.parquet"
 _CSV_PAGE_ROWS = 5000
+_JSON_PIECE_ROWS = 1000
 _CHUNK_BYTES = 1 << 18
 
 router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements"])
@@ -53,7 +55,6 @@ router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements
     **secured(
         VIEWER,
         404,
-        503,
         responses={
             200: {
                 "content": {
@@ -128,12 +129,8 @@ def get_measurements(
     if format == "csv":
         text = csv_header(place.resolution) + as_csv(page.rows)
         return Response(text, media_type=CSV, headers=headers | _file_name(asset))
-    body = {
-        "resolution": place.resolution,
-        "items": as_items(page.rows),
-        "next": following,
-    }
-    return json_response(body, headers=headers)
+    pieces = _json_pieces(place.resolution, page.rows, following)
+    return StreamingResponse(pieces, media_type="application/json", headers=headers)
 
 
 @router.post(
@@ -179,6 +176,17 @@ async def post_measurements(context: Context, asset: Asset, request: PushRequest
             "rejected": verdict.rejected,
         }
     )
+
+
+def _json_pieces(
+    resolution: str, rows: Sequence[StoredSample | Rollup], following: str | None
+) -> Iterator[bytes]:
+    """Give the answer piece by piece: of a long one memory holds no second copy as text."""
+    yield b'{"resolution":' + to_json(resolution) + b',"items":['
+    for begin in range(0, len(rows), _JSON_PIECE_ROWS):
+        items = to_json(as_items(rows[begin : begin + _JSON_PIECE_ROWS]), inf_nan_mode="null")
+        yield (b"," if begin else b"") + items[1:-1]
+    yield b'],"next":' + to_json(following) + b"}"
 
 
 def _is_wired(asset: AssetTwin, channel: object) -> bool:

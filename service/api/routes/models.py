@@ -4,11 +4,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path
 from pydantic import ConfigDict, Field
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import Caller, secured
 from service.api.bodies import ActivationList, ModelDocument, ModelList
 from service.api.context import RequestBody
+from service.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
 from service.clock import rfc3339
@@ -32,21 +34,28 @@ class ActivationRequest(RequestBody):
 
 
 @router.get("", response_model=ModelList, summary="Model versions", **secured(ENGINEER, 404))
-def list_models(context: Context, asset: Asset) -> Response:
+def list_models(
+    context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
+) -> Response:
     """All versions, newest first; informed combinations are counted, not spelled out."""
-    versions = context.store.model_versions(asset.id)
-    items = [model_json(version, combinations=False) for version in reversed(versions)]
-    return json_response({"items": items, "next": None})
+    newest_first = context.store.model_versions(asset.id)[::-1]
+    page, following = page_of(newest_first, limit, cursor, lambda model: model.version)
+    items = [model_json(version, combinations=False) for version in page]
+    return json_response({"items": items, "next": following}, headers=next_link(request, following))
 
 
 @router.get(
     "/activations",
     response_model=ActivationList,
     summary="Which version was the active one when",
-    **secured(ENGINEER, 404, 503),
+    **secured(ENGINEER, 404),
 )
-def list_activations(context: Context, asset: Asset) -> Response:
+def list_activations(
+    context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
+) -> Response:
     """The activation journal, newest first: who changed the active version, when and why."""
+    newest_first = list(enumerate(context.store.activations(asset.id)))[::-1]
+    page, following = page_of(newest_first, limit, cursor, lambda numbered: numbered[0])
     items = [
         {
             "time": rfc3339(line.at_us),
@@ -54,9 +63,9 @@ def list_activations(context: Context, asset: Asset) -> Response:
             "who": line.who,
             "comment": line.comment,
         }
-        for line in reversed(context.store.activations(asset.id))
+        for _, line in page
     ]
-    return json_response({"items": items, "next": None})
+    return json_response({"items": items, "next": following}, headers=next_link(request, following))
 
 
 @router.get(
