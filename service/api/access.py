@@ -59,11 +59,14 @@ _DESCRIPTIONS: Final = {
     500: "The service could not answer; its log says why.",
     503: "Cannot be answered now; see `Retry-After`.",
 }
-_RETRY_AFTER: Final = {
+RETRY_AFTER: Final = {
     "Retry-After": {
         "description": "Seconds to wait before the next try.",
         "schema": {"type": "integer", "minimum": 1},
     }
+}
+LOCATION: Final = {
+    "Location": {"description": "Where the new thing is.", "schema": {"type": "string"}}
 }
 
 
@@ -74,7 +77,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
         status: {
             "description": _DESCRIPTIONS[status],
             "content": {MEDIA_TYPE: {"schema": schema}},
-            **({"headers": _RETRY_AFTER} if status in (429, 503) else {}),
+            **({"headers": RETRY_AFTER} if status in (429, 503) else {}),
         }
         for status in statuses
     }

@@ -47,7 +47,7 @@ from service.security import AuditTrail, Authenticator
 API_PREFIX = "/api/v1"
 _DASHBOARD = Path(service.dashboard.__file__).parent / "static"
 # A little is sent sooner than packed; the first levels pack nearly as well as the last.
-_PACKED_FROM_BYTES = 1500
+_PACKED_FROM_BYTES = 4096
 _PACKED_LEVEL = 4
 _DESCRIPTION = """
 Digital twin of rolling bearings: measurements, estimated node temperatures, forecasts with

@@ -173,6 +173,10 @@ class JobConflictError(Exception):
         self.job = job
 
 
+class KeyUsedBeforeError(Exception):
+    """An idempotency key came again with another request; the text says what was expected."""
+
+
 class ActivationRefusedError(Exception):
     """A model version may not be activated; the text says why."""
 
@@ -292,6 +296,8 @@ class JobManager(Protocol):
             While another job runs for this asset.
         RequestRefusedError
             When the request cannot be served, for example windows without data.
+        KeyUsedBeforeError
+            When the idempotency key stands for another request.
         """
 
     async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:

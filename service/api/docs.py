@@ -1,5 +1,6 @@
 """The API description, and a page to read and try it that loads nothing from elsewhere."""
 
+import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ from starlette.staticfiles import StaticFiles
 from service.api.access import AUDIT, SECURITY_SCHEMES, problems
 from service.api.problems import ProblemDocument
 
+_EXAMPLES = Path(__file__).parent / "examples.json"
 _STATIC = Path(__file__).parent / "static"
 _PAGE: Final = """<!doctype html>
 <html lang="en">
@@ -28,6 +30,12 @@ _PAGE: Final = """<!doctype html>
 </body>
 </html>
 """
+_LINK: Final = {
+    "Link": {
+        "description": 'Address of the next page with `rel="next"`; absent on the last page.',
+        "schema": {"type": "string"},
+    }
+}
 # The framework's own shape of a validation error is never sent.
 _UNUSED_SCHEMAS = ("HTTPValidationError", "ValidationError")
 
@@ -47,8 +55,19 @@ def _add_common_answers(operation: dict[str, Any]) -> None:
     """Add what the middleware may answer instead of the route."""
     statuses = (400, 413, 415, 500) if "requestBody" in operation else (500,)
     common = {str(status): text for status, text in problems(*statuses).items()}
-    operation["responses"] = dict(sorted((common | operation["responses"]).items()))
+    answers = operation["responses"] = dict(sorted((common | operation["responses"]).items()))
+    if "101" in answers:
+        del answers["200"]  # the framework's own, which is never sent
+    if any(parameter["name"] == "cursor" for parameter in operation.get("parameters", ())):
+        answers["200"]["headers"] = _LINK
     operation.pop(AUDIT, None)
+
+
+def _add_example(operation: dict[str, Any], example: Any) -> None:
+    """Show what a real service answered to this call, with long lists cut short."""
+    for status, answer in operation["responses"].items():
+        if status.startswith("2") and example is not None:
+            answer["content"]["application/json"]["example"] = example
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
@@ -70,9 +89,11 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         )
         schemas.update(problem.pop("$defs"))
         schemas[ProblemDocument.__name__] = problem
-        for item in schema["paths"].values():
-            for operation in item.values():
+        examples = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
+        for path, item in schema["paths"].items():
+            for method, operation in item.items():
                 _add_common_answers(operation)
+                _add_example(operation, examples.get(f"{method.upper()} {path}"))
                 if roles := operation.get("x-roles"):
                     operation["description"] += f"\n\nRoles: {', '.join(roles)}."
         app.openapi_schema = schema

@@ -9,9 +9,11 @@ from typing import Final
 import structlog
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from service.api.problems import Problem, problem_response
 
+STREAM_PATH = "/api/v1/stream"
 KIB = 1024
 _DEFAULT_BODY_BYTES = 64 * KIB
 _BODY_BYTES: Final = (
@@ -137,6 +139,12 @@ class AtTheDoor:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the request through, or answer 401."""
+        if scope["type"] == "websocket" and scope["path"] != STREAM_PATH:
+            await receive()  # the connect message
+            detail = f"there is no stream at {scope['path']}, expected {STREAM_PATH}"
+            response = problem_response(404, detail, scope["path"])
+            await WebSocket(scope, receive, send).send_denial_response(response)
+            return
         if scope["type"] == "http":
             try:
                 await self.door(Request(scope))

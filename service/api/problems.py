@@ -17,6 +17,7 @@ from starlette.routing import compile_path
 from service.api.context import (
     ActivationRefusedError,
     JobConflictError,
+    KeyUsedBeforeError,
     NotIdentifiedError,
     NotReadyError,
     RequestRefusedError,
@@ -164,6 +165,9 @@ def install_handlers(app: FastAPI) -> None:
     async def on_conflict(request: Request, error: JobConflictError) -> Response:
         return _answer(request, Problem(409, str(error), job=error.job))
 
+    async def on_key_used_before(request: Request, error: KeyUsedBeforeError) -> Response:
+        return _answer(request, parameter_problem("Idempotency-Key", str(error)))
+
     async def on_refusal(request: Request, error: ActivationRefusedError) -> Response:
         return _answer(request, Problem(409, str(error)))
 
@@ -186,6 +190,7 @@ def install_handlers(app: FastAPI) -> None:
         HTTPException: on_http_exception,
         RequestValidationError: on_validation_error,
         JobConflictError: on_conflict,
+        KeyUsedBeforeError: on_key_used_before,
         ActivationRefusedError: on_refusal,
         RequestRefusedError: on_refused_request,
         NotIdentifiedError: on_not_identified,

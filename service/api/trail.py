@@ -90,5 +90,5 @@ def _shown(body: bytes) -> str:
             for name, value in asked.items()
             if value is not None
         )
-    text = str(asked)
+    text = "".join(letter if letter.isprintable() else " " for letter in str(asked))
     return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 1] + "…"

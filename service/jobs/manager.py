@@ -22,6 +22,7 @@ from adapters.drivers import Clock
 from service.api.context import (
     IdentificationRequest,
     JobConflictError,
+    KeyUsedBeforeError,
     RequestRefusedError,
 )
 from service.clock import rfc3339
@@ -34,7 +35,8 @@ from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
-from service.store import ActiveJobError, Store, StoreUnavailableError
+from service.security.keys import wall_us
+from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
 from service.store.jobs import UNFINISHED
 from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
 
@@ -142,6 +144,7 @@ class IdentificationJobs:
             "seed": request.seed,
             "budget": request.budget,
             "who": who,
+            "asked": request.model_dump(mode="json"),
         }
         try:
             job, created = await anyio.to_thread.run_sync(
@@ -152,6 +155,13 @@ class IdentificationJobs:
             if running is None:
                 raise
             raise JobConflictError(job_json(running)) from error
+        if not created and job.request.get("asked", document["asked"]) != document["asked"]:
+            raise KeyUsedBeforeError(
+                f"stands for identification {job.id}, which was asked for otherwise; "
+                "expected the same body, or a new key"
+            )
+        if created and who == AUTOMATIC:
+            await self._note("identification.start", f"asset {asset_id}, made {job.id}")
         if created:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
             self._publish(job)
@@ -372,6 +382,8 @@ class IdentificationJobs:
         ladder = self._assets[job.asset].settings.identification.ladder
         if version.status == "candidate" and ladder == "apply":
             await self.activate(job.asset, version.version, AUTOMATIC, version.reason, force=False)
+            target = f"asset {job.asset}, version {version.version}"
+            await self._note("model.activate", target, version.reason)
         ended = await self._update(
             job.id,
             status="succeeded",
@@ -388,6 +400,14 @@ class IdentificationJobs:
                 reason=version.reason,
             )
             self._publish(ended)
+
+    async def _note(self, action: str, target: str, detail: str = "") -> None:
+        """Write what the service does by itself into the audit trail."""
+        entry = AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail)
+        try:
+            await anyio.to_thread.run_sync(self._store.add_audit_entry, entry)
+        except StoreUnavailableError as error:
+            _log.warning("audit_line_lost", action=action, target=target, error=str(error))
 
     async def _end(self, job_id: str, status: JobStatus, error: str) -> None:
         while True:

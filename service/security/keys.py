@@ -19,6 +19,8 @@ _PREFIX_LENGTH = len("bt_00000000")
 _SECRET_BYTES = 32
 MICROSECONDS_PER_DAY = 86_400_000_000
 LABEL_LENGTH = 100
+#: No control characters.
+LABEL_PATTERN = r"^[^\x00-\x1f\x7f-\x9f]*$"
 
 
 class UnknownRoleError(ValueError):
@@ -103,8 +105,8 @@ def create_key(
         raise UnknownRoleError(f"role {role!r}: expected one of {', '.join(ROLES)}")
     if expires_in_days is not None and not 0 < expires_in_days <= 36_500:
         raise ValueError(f"expiry of {expires_in_days:g} days: expected more than 0, at most 36500")
-    if len(label) > LABEL_LENGTH or not label.isprintable():
-        raise ValueError(f"label: expected at most {LABEL_LENGTH} printable characters")
+    if len(label) > LABEL_LENGTH or not re.match(LABEL_PATTERN, label):
+        raise ValueError(f"label: expected at most {LABEL_LENGTH} characters on one line")
     now_us = wall_us()
     expires_us = None
     if expires_in_days is not None:

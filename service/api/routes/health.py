@@ -82,7 +82,7 @@ for _path, _probe in (("/livez", livez), ("/readyz", readyz)):
     summary="Metrics for Prometheus",
     responses={
         200: {"content": {CONTENT_TYPE_LATEST: {"schema": {"type": "string"}}}},
-        **problems(401, 403),
+        **problems(401, 403, 429, 503),
     },
     openapi_extra={
         "security": [{}, {"key": []}, {"basic": []}, {"session": []}],

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Header, Path
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.api.access import Caller, secured
+from service.api.access import LOCATION, RETRY_AFTER, Caller, secured
 from service.api.bodies import JobDocument, JobList, WindowList
 from service.api.context import IdentificationRequest
 from service.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
@@ -38,7 +38,13 @@ async def list_windows(asset: Asset) -> Response:
     status_code=202,
     response_model=JobDocument,
     summary="Start an identification",
-    **secured(ENGINEER, 404, 409, audit="identification.start"),
+    **secured(
+        ENGINEER,
+        404,
+        409,
+        audit="identification.start",
+        responses={202: {"headers": LOCATION | RETRY_AFTER}},
+    ),
 )
 async def post_identification(
     context: Context,
@@ -49,9 +55,11 @@ async def post_identification(
     idempotency_key: Annotated[
         str | None,
         Header(
+            alias="Idempotency-Key",
             min_length=1,
             max_length=200,
-            description="A second call with the same key answers with the same job.",
+            description="A second call with the same key and body answers with the same job.",
+            examples=["shift-17"],
         ),
     ] = None,
 ) -> Response:

@@ -8,15 +8,15 @@ from pydantic import ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.api.access import actor, secured
+from service.api.access import LOCATION, Caller, actor, secured
 from service.api.bodies import KeyDocument, KeyList, NewKeyDocument
 from service.api.context import RequestBody
 from service.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.api.deps import Context, Keys, json_response
-from service.api.problems import parameter_problem, pointer_problem
+from service.api.problems import Problem, parameter_problem
 from service.clock import rfc3339
 from service.security import UnknownKeyError, create_key, list_keys, revoke_key
-from service.security.keys import LABEL_LENGTH
+from service.security.keys import LABEL_LENGTH, LABEL_PATTERN
 from service.security.roles import ADMIN
 from service.store import ApiKey, Role
 
@@ -36,7 +36,9 @@ class KeyRequest(RequestBody):
     expires_in_days: float | None = Field(
         None, gt=0, le=36_500, description="Absent: it opens doors until it is revoked."
     )
-    label: str = Field("", max_length=LABEL_LENGTH, description="For people.")
+    label: str = Field(
+        "", max_length=LABEL_LENGTH, pattern=LABEL_PATTERN, description="For people."
+    )
 
 
 @router.get("", response_model=KeyList, summary="API keys", **secured(ADMIN))
@@ -55,19 +57,14 @@ def get_keys(
     status_code=201,
     response_model=NewKeyDocument,
     summary="Make an API key",
-    **secured(ADMIN, audit=None),
+    **secured(ADMIN, audit=None, responses={201: {"headers": LOCATION}}),
 )
 async def post_key(context: Context, request: Request, body: KeyRequest) -> Response:
     """Give the key this once; kept is only its hash."""
     maker = actor(request)
-    try:
-        new = await to_thread.run_sync(
-            lambda: create_key(
-                context.store, body.role, body.expires_in_days, body.label, actor=maker
-            )
-        )
-    except ValueError as error:
-        raise pointer_problem("/label", str(error)) from error
+    new = await to_thread.run_sync(
+        lambda: create_key(context.store, body.role, body.expires_in_days, body.label, actor=maker)
+    )
     headers = {"Location": f"{request.url.path}/{new.record.id}"}
     return json_response({"key": new.text} | key_json(new.record), 201, headers)
 
@@ -76,15 +73,21 @@ async def post_key(context: Context, request: Request, body: KeyRequest) -> Resp
     "/{key_id}",
     response_model=KeyDocument,
     summary="Revoke an API key",
-    **secured(ADMIN, 404, audit=None),
+    **secured(ADMIN, 404, 409, audit=None),
 )
 async def delete_key(
     context: Context,
     request: Request,
     keys: Keys,
+    who: Caller,
     key_id: Annotated[str, Path(max_length=64, description="The key's id or prefix.")],
 ) -> Response:
-    """End the key at once, with its browser sessions and, within two seconds, its streams."""
+    """End the key at once, with its browser sessions and, within two seconds, its streams.
+
+    409 for the key that the call comes with: nobody locks himself out.
+    """
+    if key_id in (who.key_id, who.prefix):
+        raise Problem(409, "a key cannot revoke itself, expected another administrator's key")
     revoker = actor(request)
     try:
         key = await to_thread.run_sync(lambda: revoke_key(context.store, key_id, actor=revoker))

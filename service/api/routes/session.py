@@ -1,7 +1,7 @@
 """Logging a browser in and out."""
 
 from fastapi import APIRouter
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -32,7 +32,9 @@ router = APIRouter(prefix="/session", tags=["session"])
 class LogIn(RequestBody):
     """The key that opens the session."""
 
-    key: str = Field(max_length=200, description="An API key.", examples=["bt_1a2b3c4d_…"])
+    model_config = ConfigDict(json_schema_extra={"examples": [{"key": "bt_1a2b3c4d_…"}]})
+
+    key: str = Field(max_length=200, description="An API key.")
 
 
 @router.post(

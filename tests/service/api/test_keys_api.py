@@ -47,6 +47,14 @@ async def test_a_revoked_key_opens_nothing_from_the_next_call_on(world: Any, by:
     assert (await browser.get("/api/v1/assets")).status_code == 401
 
 
+async def test_nobody_locks_himself_out(world: Any) -> None:
+    admin = world.client("admin")
+    mine = (await admin.get("/api/v1/session")).json()
+    for name in (mine["key_id"], mine["prefix"]):
+        assert (await admin.delete(f"{KEYS}/{name}")).status_code == 409
+    assert (await admin.get(KEYS)).status_code == 200
+
+
 async def test_revoking_what_there_is_not_says_so(world: Any) -> None:
     response = await world.client("admin").delete(f"{KEYS}/none")
     assert response.status_code == 404
