@@ -101,7 +101,7 @@ def secured(
         More answers for OpenAPI.
     audit : str or None
         What the audit trail calls a call that may change something; by default after the
-        function, None where nothing changes or the route writes its own line.
+        path's last two words, None where nothing changes or the route writes its own line.
     """
     return {
         "dependencies": [Depends(require(roles))],

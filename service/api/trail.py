@@ -69,13 +69,13 @@ class Trail:
         if made:
             target += f", made {made.rpartition('/')[2]}"
         caller = actor(Request(scope))
-        await self.trail.note(caller, action or _named_after(route.name), target, _shown(body))
+        await self.trail.note(caller, action or _named_after(route.path), target, _shown(body))
 
 
-def _named_after(function: str) -> str:
-    """``shelve_alarm`` is called ``alarm.shelve``."""
-    verb, _, noun = function.rpartition("_")
-    return f"{noun}.{verb}" if verb else noun
+def _named_after(path: str) -> str:
+    """``/alarms/{alarm_id}/shelve`` is called ``alarm.shelve``."""
+    *_, noun, verb = (part for part in path.split("/") if part and not part.startswith("{"))
+    return f"{noun.removesuffix('s')}.{verb}"
 
 
 def _shown(body: bytes) -> str:

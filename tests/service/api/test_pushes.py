@@ -152,7 +152,7 @@ async def test_a_bomb_is_refused_as_what_it_holds(world: Any) -> None:
     ("body", "encoding", "status"),
     [
         (b"plain", "gzip", 400),
-        (gzip.compress(b'{"samples": []}')[:-9], "gzip", 400),
+        (gzip.compress(b'{"samples": []}', mtime=0)[:-9], "gzip", 400),
         (b"", "gzip", 400),
         (b"plain", "br", 415),
     ],
