@@ -10,6 +10,9 @@ const CHANNEL_NAMES = {
   speed_rpm: 'Speed',
   load_n: 'Load',
   ambient_c: 'Ambient',
+  phase: 'Phase',
+  speed_setpoint_rpm: 'Speed set-point',
+  load_setpoint_n: 'Load set-point',
   t_inner_ring_c: 'Inner ring',
   t_outer_ring_c: 'Outer ring',
 };

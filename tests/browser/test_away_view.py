@@ -1,0 +1,38 @@
+"""A service that no longer answers: the whole page says so and takes no orders."""
+
+import re
+import signal
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.plant import BEARING, Plant
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_frozen_service_is_noticed_and_its_return_too(
+    screen: Callable[..., Page], plant: Plant
+) -> None:
+    """No socket breaks here: only that nothing comes any more tells the page."""
+    page = screen(f"operator/{BEARING}")
+    now = page.locator('.ans[aria-label="Is it safe now"] .word')
+    expect(now).to_have_text(re.compile("Safe|At rest"))
+    assert plant.service is not None
+    plant.service.process.send_signal(signal.SIGSTOP)
+    try:
+        expect(page.locator("#lost")).to_contain_text("The service does not answer")
+        expect(page.locator("body")).to_have_class(re.compile("away"))
+        expect(now).to_have_text("Unknown")
+        expect(page.locator(".clock")).to_have_text(re.compile("old"))
+        assert page.locator("main").evaluate("(main) => main.inert")
+        page.get_by_role("button", name="12 h").focus()
+        assert page.evaluate("document.activeElement === document.body")
+        expect(page.locator("#lost")).to_contain_text(re.compile("next try in|trying"))
+    finally:
+        plant.service.process.send_signal(signal.SIGCONT)
+    page.evaluate("document.querySelector('#lost .btn')?.click()")  # it may be back by itself
+    expect(page.locator("#lost")).to_be_empty()
+    expect(now).to_have_text(re.compile("Safe|At rest"))
+    assert not page.locator("main").evaluate("(main) => main.inert")
