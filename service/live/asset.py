@@ -338,10 +338,12 @@ class AssetRuntime:
             self._evaluate(now_us)
             wall_s = time.monotonic()
             if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
-                self._bus.publish("state", self.id, self.state())
+                # With the sensors' estimates, so that a chart needs no polling.
+                samples = presentation.samples_json(self._estimates(now_us))
+                self._bus.publish("state", self.id, {**self.state(), "samples": samples})
                 told_wall_s = wall_s
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
-                self._store_estimate(now_us)
+                self._store_samples(self._estimates(now_us))
                 stored_us = now_us
 
     def _step(self, now_us: int) -> None:
@@ -424,15 +426,7 @@ class AssetRuntime:
         while True:
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
             if self._unsent:
-                samples = [
-                    {
-                        "channel": sample.channel,
-                        "time": rfc3339(sample.time_us),
-                        "value": sample.value,
-                        "quality": int(sample.quality),
-                    }
-                    for sample in self._unsent.values()
-                ]
+                samples = presentation.samples_json(self._unsent.values())
                 self._unsent = {}
                 self._bus.publish("measurement", self.id, {"samples": samples})
 
@@ -453,21 +447,20 @@ class AssetRuntime:
             return False
         return (now_us - plan.time_us) / 1e6 <= warnings.allowed_age_s(30.0, self._clock.rate)
 
-    def _store_estimate(self, now_us: int) -> None:
+    def _estimates(self, now_us: int) -> list[Sample]:
+        """What the twin says that the sensors should read."""
         model, temperatures = self.active.model, self.estimate.observer.temperatures_c
-        self._store_samples(
-            [
-                Sample(
-                    self.id,
-                    f"{sensor}.twin",
-                    self.estimate.time_us or now_us,
-                    float(model.sensor_row(sensor) @ temperatures),
-                    Quality.GOOD,
-                    now_us,
-                )
-                for sensor in model.sensor_names
-            ]
-        )
+        return [
+            Sample(
+                self.id,
+                f"{sensor}.twin",
+                self.estimate.time_us or now_us,
+                float(model.sensor_row(sensor) @ temperatures),
+                Quality.GOOD,
+                now_us,
+            )
+            for sensor in model.sensor_names
+        ]
 
     def _value(self, channel: str, now_us: int) -> float | None:
         if channel not in self.facts or self.readings.quality(channel, now_us) < Quality.UNCERTAIN:
