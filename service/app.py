@@ -35,15 +35,7 @@ from service.live.bus import Bus
 from service.outlets import Outlet, check_outlets, open_outlets
 from service.security.tls import tls_context
 from service.settings import AssetSection, Settings
-from service.store import (
-    Alarm,
-    ModelVersion,
-    Retention,
-    Store,
-    StoreError,
-    lock_data_directory,
-    lock_database,
-)
+from service.store import Alarm, ModelVersion, Retention, Store, lock_data_directory
 from service.upkeep import keep_up
 from service.wiring import Wiring, is_loopback, wire
 
@@ -87,6 +79,9 @@ class Service:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
+        for alarm in self.alarms.active():
+            if alarm.asset not in self.assets:
+                self.alarms.withdraw(alarm.asset, ())
         job_seconds = Histogram(
             "bearing_twin_job_seconds",
             "Wall seconds of an identification job.",
@@ -379,12 +374,6 @@ async def serve(
         stack.enter_context(lock_data_directory(data_dir))
         listener = stack.enter_context(contextlib.closing(bind(host, settings.service.port)))
         store = stack.enter_context(Store.open(settings.service.database_url, data_dir))
-        loop = asyncio.get_running_loop()
-        lock = lock_database(
-            settings.service.database_url, data_dir, lambda: loop.call_soon_threadsafe(stop.set)
-        )
-        if lock is not None:
-            stack.enter_context(lock)
         if not is_loopback(host) and not _has_key(store):
             raise SettingsError(
                 f"service.host = {host!r}: reachable from other machines, so at least one API key "
@@ -398,5 +387,3 @@ async def serve(
         async with open_outlets(settings, service.assets, service.bus, store) as outlets:
             announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
             await service.run(listener, stop, outlets, tls)
-        if lock is not None and lock.lost:
-            raise StoreError(lock.lost)

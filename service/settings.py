@@ -27,6 +27,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from service.alarm_settings import AlarmsSection
 from service.configuration import Section, SettingsError, describe, read_toml
 from service.machines.bearings import BearingSection, bearing_table, with_designation
 from service.machines.networks import BEARING_14, NetworkSection, folder_of_files, network_table
@@ -152,6 +153,7 @@ class AssetSection(Section):
     channels: dict[Annotated[str, AfterValidator(_channel_name)], dict[str, Any]]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
+    alarms: AlarmsSection = AlarmsSection()
 
     @model_validator(mode="before")
     @classmethod
@@ -173,6 +175,16 @@ class AssetSection(Section):
         if bearing is not None and network not in (None, ...):
             raise ValueError("expected no bearing beside a network of your own, or no network")
         return bearing
+
+    @model_validator(mode="after")
+    def _above_ambient_is_measured(self) -> Self:
+        where = "alarms.above_ambient.limits"
+        for name in self.alarms.above_ambient.limits:
+            if not (name.startswith("t_") and name in self.channels):
+                raise ValueError(f"{where}.{name}: expected a temperature among the channels")
+        if self.alarms.above_ambient.limits and "ambient_c" not in self.channels:
+            raise ValueError(f"{where}: the channel ambient_c is missing; expected it too")
+        return self
 
     @property
     def network_name(self) -> str:

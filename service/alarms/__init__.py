@@ -2,6 +2,7 @@
 
 from service.alarms.book import (
     LONGEST_SHELVING_S,
+    SERVICE,
     AlarmBook,
     NotAllowedError,
     UnknownAlarmError,
@@ -24,6 +25,7 @@ __all__ = [
     "ACTIVE_STATES",
     "FLOOD_IN_10_MIN",
     "LONGEST_SHELVING_S",
+    "SERVICE",
     "SET_ASIDE_STATES",
     "TRANSITIONS",
     "UNACKNOWLEDGED_STATES",

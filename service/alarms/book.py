@@ -212,6 +212,12 @@ class AlarmBook:
                     return alarm
         raise UnknownAlarmError(f"no open alarm {alarm_id!r}")
 
+    def is_present(self, key: AlarmKey) -> bool:
+        """Whether a condition is there, its delays included, whatever its alarm's state."""
+        with self._lock:
+            alarm = self._open.get(key)
+        return alarm is not None and alarm.present
+
     def active(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are not over, of one asset or of all: most urgent first, then newest."""
         return self._listed(asset, self._open)

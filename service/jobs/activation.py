@@ -56,5 +56,5 @@ class Activations:
                 comment or f"activated by {who}",
                 self._clock.now_us(),
             )
-            asset.switch(active_model(asset.settings, activated))
+            asset.switch(active_model(asset.settings, activated), who, comment or "")
         return model_json(activated)

@@ -5,7 +5,7 @@ changes are summed up over all versions that share no data. Versions from before
 reported and then made active no longer count: the machine is what it is now.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,11 +152,12 @@ def with_drift(reason: str, drift: Mapping[str, Any]) -> str:
     return f"{reason}; drift: {drift['text']}" if drift.get("changed") else reason
 
 
-def tell(asset_id: str, version: ModelVersion) -> None:
-    """Write it into the service's log when a version reports a change; alarms may join in here."""
+def tell(asset_id: str, version: ModelVersion, record: Callable[[str], object]) -> None:
+    """Write it into the service's log, and into a record, when a version reports a change."""
     drift = version.document.get("drift") or {}
     if drift.get("changed"):
         _log.warning("drift_reported", asset=asset_id, version=version.version, text=drift["text"])
+        record(f"Model version {version.version}: {drift['text']}")
 
 
 def _nothing(text: str) -> dict[str, Any]:

@@ -374,7 +374,7 @@ class IdentificationJobs:
             version = await anyio.to_thread.run_sync(self._store.model_version, job.asset, number)
             if version is None:
                 raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
-            tell(job.asset, version)
+            tell(job.asset, version, self._assets[job.asset].drift_reported)
             await self._take_effect(still_wanted, version)
 
     async def _take_effect(self, job: Job, version: ModelVersion) -> None:

@@ -11,27 +11,24 @@ import structlog
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
-from service.alarms import AlarmBook, AlarmCondition
-from service.api.context import NotReadyError, ProfileStep
+from service.alarms import SERVICE, AlarmBook
+from service.api.context import ProfileStep
 from service.clock import rfc3339
-from service.live import presentation, warnings
-from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
+from service.live import presentation
 from service.live.bus import Bus
 from service.live.estimate import ActiveModel, LiveEstimate
+from service.live.forecasting import Forecasting
 from service.live.guard import Guard
 from service.live.planning import Planning
-from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
+from service.live.rules import allowed_age_s
+from service.live.watch import AlarmWatch
 from service.settings import AssetSection
 from service.wiring import ChannelFacts
-from twin_core.forecasting import Forecast, forecast
 from twin_core.forecasting.design import Level
 
 STEP_S = 5.0
 FORECAST_EVERY_S = 60.0
-FORECAST_ROW_S = 60.0
-HORIZON_S = 4 * 3600.0
-MEMBERS = 200
 ESTIMATE_EVERY_S = 60.0
 SAVE_EVERY_WALL_S = 5.0
 LAST_SAVE_WALL_S = 1.0
@@ -92,27 +89,25 @@ class AssetRuntime:
         self.settings = settings
         self.facts = channels
         ages_s = {
-            name: warnings.allowed_age_s(facts.max_age_s, clock.rate)
-            for name, facts in channels.items()
+            name: allowed_age_s(facts.max_age_s, clock.rate) for name, facts in channels.items()
         }
         self.readings = Readings(settings.id, ages_s, clock.now_us(), doubt=doubt)
         self.estimate = LiveEstimate(active)
-        self.plan: PlannedProfile | None = None
         self.running = False
         self._clock = clock
         self._bus = bus
         self._alarms = alarms
-        self._executor = executor
         self._store_samples = store_samples
         self._save_state = save_state
         self._windows = windows
-        self._forecast: dict[str, Any] | None = None
-        self._crossings: dict[str, dict[str, LimitCrossing]] = {}
+        self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
+        self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
         self._forecast_wanted = asyncio.Event()
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
-        self._forecasting = Guard("forecast", settings.id)
+        self._guarding_forecasts = Guard("forecast", settings.id)
         self._planning = Planning(settings, self.estimate, channels)
+        self._watching = Guard("watch", settings.id)
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
@@ -174,8 +169,7 @@ class AssetRuntime:
             "active_model": {
                 "version": self.active.version,
                 "model": self.active.model.name,
-                # A model whose estimate or forecast fails on this machine says nothing about it.
-                "trusted": not (self._estimating.failing or self._forecasting.failing),
+                "trusted": self._trusted,
                 "identified": identified_at_us is not None,
                 "identified_at": rfc3339(identified_at_us) if identified_at_us else None,
             },
@@ -183,16 +177,22 @@ class AssetRuntime:
             "controller": self._controller(now_us),
         }
 
+    @property
+    def _trusted(self) -> bool:
+        """A model whose estimate or forecast fails on this machine says nothing about it."""
+        return not (self._estimating.failing or self._guarding_forecasts.failing)
+
     def _controller(self, now_us: int) -> dict[str, Any] | None:
+        plan = self._forecasting.plan
         names = [
             name
             for name in ("phase", "speed_setpoint_rpm", "load_setpoint_n")
             if name in self.facts
         ]
-        if not names and self.plan is None:
+        if not names and plan is None:
             return None
-        return {name: self._value(name, now_us) for name in names} | {
-            "plan": presentation.steps_json(self._steps_ahead(now_us)) if self.plan else None
+        return {name: self.readings.usable_value(name, now_us) for name in names} | {
+            "plan": presentation.steps_json(self._forecasting.steps_ahead(now_us)) if plan else None
         }
 
     def snapshot(self) -> Mapping[str, Any]:
@@ -216,14 +216,17 @@ class AssetRuntime:
         for channel in self.facts:
             sample = self.readings.latest.get(channel)
             tags[channel] = presentation.tag(
-                self._value(channel, now_us),
+                self.readings.usable_value(channel, now_us),
                 presentation.unit_of(channel),
                 self.readings.quality(channel, now_us),
                 rfc3339(sample.time_us) if sample else self._began,
             )
         tags |= presentation.estimate_tags(self.estimate, self._began)
         tags |= presentation.forecast_tags(
-            self.settings.limits, self._forecast, self._crossings, self._began
+            self.settings.limits,
+            self._forecasting.latest,
+            self._forecasting.crossings,
+            self._began,
         )
         tags |= presentation.alarm_tags(self._alarms.active(self.id), self._alarms_changed)
         tags["model.version"] = presentation.tag(
@@ -237,7 +240,7 @@ class AssetRuntime:
 
     def forecast(self) -> Mapping[str, Any] | None:
         """Return the latest live forecast; None before the first."""
-        return self._forecast
+        return self._forecasting.latest
 
     async def what_if(
         self,
@@ -246,29 +249,11 @@ class AssetRuntime:
         nodes: Collection[str] | None,
     ) -> Mapping[str, Any]:
         """Forecast a profile from the present state."""
-        point = self.estimate.point
-        if point is None or not self.estimate.started:
-            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
-        steps = [
-            Step(
-                step.duration_s,
-                step.speed_rpm,
-                step.load_n,
-                point.ambient_c if step.ambient_c is None else step.ambient_c,
-            )
-            for step in profile
-        ]
-        model_version = self.active.version
-        result = await self._compute(steps, step_s or FORECAST_ROW_S)
-        crossings = presentation.limit_crossings(result, self.settings.limits)
-        answer = presentation.forecast_json(
-            result, self.settings.limits, crossings, list(nodes) if nodes else None
-        )
-        return answer | {"model_version": model_version, "profile": presentation.steps_json(steps)}
+        return await self._forecasting.what_if(profile, step_s, nodes)
 
     async def envelope(self) -> Mapping[str, Any]:
         """Return the safe operating envelope, of late or computed now."""
-        return await self._planning.envelope(self._steps_ahead(self._clock.now_us()))
+        return await self._planning.envelope(self._forecasting.steps_ahead(self._clock.now_us()))
 
     async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
         """Rank low-risk steps by what they would teach about a point."""
@@ -285,18 +270,22 @@ class AssetRuntime:
             self._unsent[sample.channel] = sample
         self._changed()
         for plan in plans:
-            if plan.asset == self.id:
-                if _differs(self.plan, plan):
-                    self._forecast_wanted.set()
-                self.plan = plan
+            if plan.asset == self.id and self._forecasting.take_plan(plan):
+                self._forecast_wanted.set()
 
-    def switch(self, active: ActiveModel) -> None:
-        """Go on with another model version, without a gap."""
+    def switch(self, active: ActiveModel, who: str = SERVICE, comment: str = "") -> None:
+        """Go on with another model version, without a gap; the journal says who wanted it."""
+        before = self.active.version
         self.estimate.swap(active)
+        self._watch.switched(before, who, comment)
         self._switched = rfc3339(self._clock.now_us())
         self._changed()
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
+
+    def drift_reported(self, text: str) -> None:
+        """Write into the journal that the machine has changed."""
+        self._alarms.record_event(self.id, "model drift", text)
 
     def alarms_changed(self) -> None:
         """Note that an alarm of this asset has changed."""
@@ -325,6 +314,7 @@ class AssetRuntime:
         try:
             self.estimate.restore(kept_state)
             self._changed()
+            self._watch.restore(kept_state.get("watch") or {})
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 
@@ -334,22 +324,22 @@ class AssetRuntime:
         while True:
             await self._clock.sleep(self._step_s)
             now_us = self._clock.now_us()
-            self._step(now_us)
-            self._evaluate(now_us)
+            means = self.readings.take_means()
+            self._step(now_us, means)
+            with self._watching():
+                self._watch.step(now_us, means, self.estimate.innovations, self._trusted)
             wall_s = time.monotonic()
             if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
-                # With the sensors' estimates, so that a chart needs no polling.
-                samples = presentation.samples_json(self._estimates(now_us))
-                self._bus.publish("state", self.id, {**self.state(), "samples": samples})
+                self._bus.publish("state", self.id, self.state())
                 told_wall_s = wall_s
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
-                self._store_samples(self._estimates(now_us))
+                self._store_samples(self.estimate.samples(self.id, now_us))
                 stored_us = now_us
 
-    def _step(self, now_us: int) -> None:
+    def _step(self, now_us: int, means: Mapping[str, float]) -> None:
         had_started = self.estimate.started
         with self._estimating():
-            self.estimate.step(now_us, self.readings.take_means())
+            self.estimate.step(now_us, means)
         if self._estimating.failing:
             self.estimate.stop()
         if self.estimate.started and not had_started:
@@ -362,14 +352,6 @@ class AssetRuntime:
             await asyncio.sleep(SAVE_EVERY_WALL_S)
             await self._save()
 
-    def _evaluate(self, now_us: int) -> None:
-        conditions: list[AlarmCondition] = [
-            *warnings.measured_limits(self.id, self.readings, self.settings.limits, now_us),
-            *warnings.sensor_conditions(self.id, self.readings, self.facts, now_us),
-        ]
-        for condition in conditions:
-            self._alarms.evaluate(condition)
-
     async def _forecast_live(self) -> None:
         period_wall_s = max(FORECAST_EVERY_S / self._clock.rate, FORECAST_LEAST_WALL_S)
         while True:
@@ -378,115 +360,35 @@ class AssetRuntime:
                     await self._forecast_wanted.wait()
             self._forecast_wanted.clear()
             if self.estimate.started:
-                with self._forecasting():
-                    await self._make_forecast()
+                with self._guarding_forecasts():
+                    await self._forecast_once()
             await asyncio.sleep(FORECAST_LEAST_WALL_S)
 
-    async def _make_forecast(self) -> None:
-        made_us = self.estimate.time_us or self._clock.now_us()
-        steps = self._steps_ahead(made_us)
-        if not steps:
-            return
-        version = self.active.version
-        result = await self._compute(steps, FORECAST_ROW_S)
-        limits = self.settings.limits
-        crossings = presentation.limit_crossings(result, limits)
-        body = presentation.forecast_json(result, limits, crossings)
-        body |= {
-            "made_at": rfc3339(made_us),
-            "model_version": version,
-            "profile": presentation.steps_json(steps),
-            "planned": self._has_plan(made_us),
-        }
-        self._forecast, self._crossings = body, crossings
-        self._changed()
-        self._bus.publish("forecast", self.id, body)
-        now_us = self._clock.now_us()
-        for condition in warnings.forecast_limits(
-            self.id, crossings, limits, self.readings, now_us
-        ):
-            self._alarms.evaluate(condition)
-
-    async def _compute(self, steps: Sequence[Step], row_s: float) -> Forecast:
-        observer, active = self.estimate.observer, self.active
-        arguments = (
-            active.model,
-            active.posterior,
-            observer.temperatures_c.copy(),
-            observer.covariance.copy(),
-            float(observer.revolutions),
-            operating_profile(steps, row_s),
-            observer.heat_disturbance_w,
-            observer.operating_point,
-        )
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._executor, _forecast, *arguments)
+    async def _forecast_once(self) -> None:
+        made = await self._forecasting.make()
+        if made is not None:
+            self._changed()
+            self._bus.publish("forecast", self.id, made)
+            self._watch.forecast(self._clock.now_us(), self._forecasting.crossings)
 
     async def _tell_measurements(self) -> None:
         while True:
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
             if self._unsent:
-                samples = presentation.samples_json(self._unsent.values())
+                samples = [
+                    {
+                        "channel": sample.channel,
+                        "time": rfc3339(sample.time_us),
+                        "value": sample.value,
+                        "quality": int(sample.quality),
+                    }
+                    for sample in self._unsent.values()
+                ]
                 self._unsent = {}
                 self._bus.publish("measurement", self.id, {"samples": samples})
-
-    # ------------------------------------------------------------------ small helpers
-    def _steps_ahead(self, now_us: int) -> list[Step]:
-        point = self.estimate.point
-        if point is None:
-            point = OperatingPoint(
-                *(self._value(name, now_us) or 0.0 for name in ("speed_rpm", "load_n", "ambient_c"))
-            )
-        if self.plan is not None and self._has_plan(now_us):
-            return planned(self.plan, now_us, point, HORIZON_S)
-        return held(point, HORIZON_S)
-
-    def _has_plan(self, now_us: int) -> bool:
-        plan = self.plan
-        if plan is None or not plan.steps:
-            return False
-        return (now_us - plan.time_us) / 1e6 <= warnings.allowed_age_s(30.0, self._clock.rate)
-
-    def _estimates(self, now_us: int) -> list[Sample]:
-        """What the twin says that the sensors should read."""
-        model, temperatures = self.active.model, self.estimate.observer.temperatures_c
-        return [
-            Sample(
-                self.id,
-                f"{sensor}.twin",
-                self.estimate.time_us or now_us,
-                float(model.sensor_row(sensor) @ temperatures),
-                Quality.GOOD,
-                now_us,
-            )
-            for sensor in model.sensor_names
-        ]
-
-    def _value(self, channel: str, now_us: int) -> float | None:
-        if channel not in self.facts or self.readings.quality(channel, now_us) < Quality.UNCERTAIN:
-            return None
-        return self.readings.latest[channel].value
 
     async def _save(self) -> None:
         kept = self.estimate.to_dict()
         if kept is not None:
             with self._saving():
-                await self._save_state(kept)
-
-
-def _forecast(*arguments: Any) -> Forecast:
-    *state, disturbance_w, operating_point = arguments
-    return forecast(
-        *state,
-        disturbance_w=disturbance_w,
-        operating_point=operating_point,
-        members=MEMBERS,
-        seed=0,
-    )
-
-
-def _differs(known: PlannedProfile | None, new: PlannedProfile) -> bool:
-    """Whether a plan is another one, not the known one with less time left in its first step."""
-    if known is None:
-        return True
-    return [step[1:] for step in known.steps] != [step[1:] for step in new.steps]
+                await self._save_state(kept | {"watch": self._watch.to_dict()})

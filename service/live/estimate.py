@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.samples import Quality, Sample
 from service.live.ahead import OperatingPoint
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Innovation, Observer, initial_state
 
 _STANDING_RPM = 5.0
 _AT_REST_K = 1.5
@@ -52,6 +53,8 @@ class LiveEstimate:
         self.active = active
         self.time_us: int | None = None
         self.point: OperatingPoint | None = None
+        #: What the sensors said against what was expected, at the last step.
+        self.innovations: Mapping[str, Innovation] = {}
         self._observer: Observer | None = None
         self._revolutions = 0.0
         self._ambient_measured = False
@@ -86,6 +89,7 @@ class LiveEstimate:
             Speed, load and ambient then stay what they were, temperatures are not corrected.
         """
         temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
+        self.innovations = {}
         self._ambient_measured |= "ambient_c" in means
         point = self._operating_point(means, temperatures)
         if point is None:
@@ -101,7 +105,7 @@ class LiveEstimate:
             return
         self._observer.predict(duration_s, point.speed_rpm, point.load_n, point.ambient_c)
         if temperatures:
-            self._observer.update(temperatures)
+            self.innovations = self._observer.update(temperatures)
         self.time_us, self.point = now_us, point
 
     def stop(self) -> None:
@@ -142,6 +146,21 @@ class LiveEstimate:
         )
         self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
+
+    def samples(self, asset: str, now_us: int) -> list[Sample]:
+        """The estimate of every standard sensor as samples for the store."""
+        model, temperatures = self.active.model, self.observer.temperatures_c
+        return [
+            Sample(
+                asset,
+                f"{sensor}.twin",
+                self.time_us or now_us,
+                float(model.sensor_row(sensor) @ temperatures),
+                Quality.GOOD,
+                now_us,
+            )
+            for sensor in model.sensor_names
+        ]
 
     def to_dict(self) -> dict[str, Any] | None:
         """The estimate as plain JSON types, or None before it has started."""

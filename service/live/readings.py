@@ -87,6 +87,12 @@ class Readings:
             return None
         return sample.value
 
+    def usable_value(self, channel: str, now_us: int) -> float | None:
+        """Value of the channel if there is one and its quality is at least uncertain, else None."""
+        if channel not in self.max_age_s or self.quality(channel, now_us) < Quality.UNCERTAIN:
+            return None
+        return self.latest[channel].value
+
     def quality(self, channel: str, now_us: int) -> int:
         """OPC quality byte of the channel as a reader should see it now.
 

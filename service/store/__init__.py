@@ -8,10 +8,8 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
-from service.store.database_lock import DatabaseLock, lock_database
 from service.store.errors import (
     ActiveJobError,
-    DatabaseInUseError,
     DataDirectoryInUseError,
     StoreError,
     StoreUnavailableError,
@@ -51,8 +49,6 @@ __all__ = [
     "BrowserSession",
     "DataDirectoryInUseError",
     "DataDirectoryLock",
-    "DatabaseInUseError",
-    "DatabaseLock",
     "Job",
     "JobChanges",
     "JobStatus",
@@ -69,5 +65,4 @@ __all__ = [
     "StoredSample",
     "WriteCounts",
     "lock_data_directory",
-    "lock_database",
 ]

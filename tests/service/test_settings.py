@@ -81,6 +81,59 @@ def test_a_complete_configuration_is_wired(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ("[assets.alarms]\nstandstil_rpm = 1", ["assets[0].alarms.standstil_rpm", "unknown key"]),
+        (
+            "[assets.alarms.measured_limit]\non_delay_s = -1",
+            ["assets[0].alarms.measured_limit.on_delay_s = -1", "greater than or equal to 0"],
+        ),
+        (
+            "[assets.alarms.sensor_fault]\npriority = 4",
+            ["assets[0].alarms.sensor_fault.priority = 4", "1, 2 or 3"],
+        ),
+        (
+            "[assets.alarms.rate_of_rise.limits]\nwarning = 9\nalarm = 8",
+            ["assets[0].alarms.rate_of_rise.limits", "warning 9 must be below alarm 8"],
+        ),
+        (
+            "[assets.alarms.forecast_limit]\nclear_probability = 0.5",
+            ["assets[0].alarms.forecast_limit", "clear_probability 0.5"],
+        ),
+        (
+            "[assets.alarms.twin_residual]\nfalse_alarms_per_1000_h = 0",
+            ["twin_residual.false_alarms_per_1000_h = 0", "greater than 0"],
+        ),
+        (
+            "[assets.alarms.above_ambient.limits]\nt_node_9_c = { warning = 50, alarm = 60 }",
+            ["alarms.above_ambient.limits.t_node_9_c", "among the channels"],
+        ),
+    ],
+)
+def test_a_mistake_in_the_alarms_is_named_in_one_line(
+    folder: Path, lines: str, expected: list[str]
+) -> None:
+    with pytest.raises(SettingsError) as error:
+        load(folder, CONFIGURATION + lines)
+    assert "\n" not in str(error.value)
+    for part in expected:
+        assert part in str(error.value)
+
+
+def test_alarms_have_defaults_and_take_what_is_given(folder: Path) -> None:
+    file = folder / "twin.toml"
+    file.write_text(
+        CONFIGURATION + "[assets.alarms.measured_limit]\nlatched = true\ndeadband_k = 2\n"
+        "[assets.alarms.above_ambient.limits]\nt_inner_ring_c = { warning = 50, alarm = 60 }\n"
+    )
+    alarms = load_settings(file).assets[0].alarms
+    assert (alarms.measured_limit.latched, alarms.measured_limit.deadband_k) == (True, 2.0)
+    assert alarms.measured_limit.off_delay_s == 60.0
+    assert alarms.above_ambient.limits["t_inner_ring_c"].alarm == 60.0
+    assert alarms.twin_residual.priority == 3
+
+
+@pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
         ("port = 8099", "port = 99999", ["service.port = 99999", "65535"]),

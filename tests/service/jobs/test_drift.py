@@ -162,10 +162,13 @@ def test_reason_and_log_carry_a_change(capsys: pytest.CaptureFixture[str]) -> No
     calm = {"changed": False, "text": "no change", "point": None}
     assert with_drift("fits", changed) == "fits; drift: friction moved"
     assert with_drift("fits", calm) == "fits"
-    tell("bench-1", _version(calm))
-    tell("bench-1", _version(None))
+    recorded: list[str] = []
+    tell("bench-1", _version(calm), recorded.append)
+    tell("bench-1", _version(None), recorded.append)
+    assert recorded == []
     assert "drift_reported" not in capsys.readouterr().out
-    tell("bench-1", _version(changed))
+    tell("bench-1", _version(changed), recorded.append)
+    assert recorded == ["Model version 4: friction moved"]
     said = capsys.readouterr()
     assert "drift_reported" in said.out + said.err
     assert "friction moved" in said.out + said.err

@@ -17,7 +17,6 @@ from service.api.context import (
     ActivationRefusedError,
     IdentificationRequest,
     JobConflictError,
-    KeyUsedBeforeError,
     RequestRefusedError,
     TimeWindow,
 )
@@ -29,7 +28,7 @@ from service.jobs.models import active_model, first_model
 from service.jobs.worker import JobOrder, JobResult
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
-from service.store import Job, Store
+from service.store import Job, JournalFilter, Store
 from service.store.opening import FILE_NAME
 
 ASSET = "bench-1"
@@ -78,6 +77,7 @@ class Shop:
     assets: dict[str, AssetRuntime]
     histories: dict[str, AssetHistory]
     bus: Bus
+    alarms: AlarmBook
     seconds: list[float] = field(default_factory=list)
     managers: list[IdentificationJobs] = field(default_factory=list)
 
@@ -146,7 +146,7 @@ async def shop(
                 windows=nothing,
             )
             histories[asset_id] = AssetHistory(settings, run_store, clock)
-        shop = Shop(run_store, clock, tmp_path / "jobs", assets, histories, bus)
+        shop = Shop(run_store, clock, tmp_path / "jobs", assets, histories, bus, alarms)
         yield shop
         for jobs in shop.managers:
             await jobs.stop()
@@ -307,8 +307,6 @@ async def test_one_job_at_a_time_per_asset(shop: Shop) -> None:
     assert conflict.value.job["id"] == first["id"]
     again, created = await jobs.create(ASSET, QUICK, "key", "x")
     assert (again["id"], created) == (first["id"], False)
-    with pytest.raises(KeyUsedBeforeError, match=first["id"]):
-        await jobs.create(ASSET, QUICK.model_copy(update={"seed": 1}), "key", "x")
     assert await jobs.job("bench-2", first["id"]) is None
     assert [one["id"] for one in await jobs.jobs(ASSET)] == [first["id"]]
 
@@ -518,6 +516,14 @@ async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop
     assert shop.active() == (1, 1)
     entry = shop.store.activations(ASSET)[-1]
     assert (entry.version, entry.who, entry.comment) == (1, "engineer x", "back again")
+    assert shop.alarms.flush(10)
+    assert [
+        (line.kind, line.who, line.comment)
+        for line in shop.store.alarm_journal(JournalFilter(events=True)).items
+    ] == [
+        ("model rolled back", "engineer x", "back again"),
+        ("model activated", "engineer x", "try it"),
+    ]
 
 
 async def test_an_unknown_version_is_not_activated(shop: Shop) -> None:

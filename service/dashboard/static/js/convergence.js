@@ -41,13 +41,11 @@ export class ConvergenceChart {
     }, data);
   }
 
-  /** A little more than the data and the reference need; the lines of the axis begin at its foot. */
+  /** A little more than the data and the reference need. */
   range(low, high) {
     const ends = [low, high, this.reference?.fitness].filter((value) => value > 0);
     if (!ends.length) return [1, 100];
-    const foot = Math.min(...ends) / 1.3;
-    const power = 10 ** Math.floor(Math.log10(foot));
-    return [Math.floor(foot / power) * power, Math.max(...ends) * 1.6];
+    return [Math.min(...ends) / 1.6, Math.max(...ends) * 1.9];
   }
 
   /** 1, 2 and 5 where there is room for them, else powers of ten. */
@@ -77,6 +75,8 @@ export class ConvergenceChart {
       write(context, this.reference.label, right, y - 3 * ratio,
         { ...look, halo: token('--panel') });
     }
+    write(context, 'sum of squared residuals', right, bbox.top + 4 * ratio,
+      { ...look, base: 'top', halo: token('--panel') });
     if (this.empty) {
       write(context, 'nothing to show yet', bbox.left + bbox.width / 2,
         bbox.top + bbox.height / 2, { ...look, align: 'center', base: 'middle' });

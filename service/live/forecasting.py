@@ -1,0 +1,170 @@
+"""The live forecast of one asset, and what-if forecasts from its present state."""
+
+import asyncio
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+from adapters.drivers import Clock
+from adapters.samples import PlannedProfile
+from service.api.context import NotReadyError, ProfileStep
+from service.clock import rfc3339
+from service.live import presentation
+from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
+from service.live.estimate import LiveEstimate
+from service.live.presentation import LimitCrossing
+from service.live.readings import Readings
+from service.live.rules import allowed_age_s
+from service.settings import AssetSection
+from twin_core.forecasting import Forecast, forecast
+
+FORECAST_ROW_S = 60.0
+HORIZON_S = 4 * 3600.0
+MEMBERS = 200
+_PLAN_MAX_AGE_S = 30.0
+
+
+class Forecasting:
+    """Forecasts along the controller's plan, or with the present point held.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        The asset's configuration.
+    estimate : LiveEstimate
+        Where forecasts start from.
+    readings : Readings
+        The present point before there is an estimate.
+    clock : Clock
+        Process time.
+    executor : concurrent.futures.Executor
+        Where forecasts are computed.
+
+    Attributes
+    ----------
+    plan : PlannedProfile or None
+        What the controller was last heard to plan.
+    latest : dict or None
+        The latest live forecast as JSON; None before the first.
+    crossings : dict
+        When it passes which limit, by channel and level.
+    """
+
+    def __init__(
+        self,
+        settings: AssetSection,
+        estimate: LiveEstimate,
+        readings: Readings,
+        clock: Clock,
+        executor: Executor,
+    ) -> None:
+        self._limits = settings.limits
+        self._estimate = estimate
+        self._readings = readings
+        self._clock = clock
+        self._executor = executor
+        self.plan: PlannedProfile | None = None
+        self.latest: dict[str, Any] | None = None
+        self.crossings: dict[str, dict[str, LimitCrossing]] = {}
+
+    def take_plan(self, plan: PlannedProfile) -> bool:
+        """Follow a plan from now on; returns whether it is another one than before."""
+        known, self.plan = self.plan, plan
+        return known is None or _beyond_times(known) != _beyond_times(plan)
+
+    async def make(self) -> dict[str, Any] | None:
+        """Make the live forecast anew; None when the plan is over and nothing lies ahead."""
+        made_us = self._estimate.time_us or self._clock.now_us()
+        steps = self.steps_ahead(made_us)
+        if not steps:
+            return None
+        version = self._estimate.active.version
+        result = await self._compute(steps, FORECAST_ROW_S)
+        crossings = presentation.limit_crossings(result, self._limits)
+        body = presentation.forecast_json(result, self._limits, crossings)
+        body |= {
+            "made_at": rfc3339(made_us),
+            "model_version": version,
+            "profile": presentation.steps_json(steps),
+            "planned": self._has_plan(made_us),
+        }
+        self.latest, self.crossings = body, crossings
+        return body
+
+    async def what_if(
+        self,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> Mapping[str, Any]:
+        """Forecast a profile from the present state; see `service.api.context.AssetTwin`."""
+        point = self._estimate.point
+        if point is None or not self._estimate.started:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        steps = [
+            Step(
+                step.duration_s,
+                step.speed_rpm,
+                step.load_n,
+                point.ambient_c if step.ambient_c is None else step.ambient_c,
+            )
+            for step in profile
+        ]
+        model_version = self._estimate.active.version
+        result = await self._compute(steps, step_s or FORECAST_ROW_S)
+        crossings = presentation.limit_crossings(result, self._limits)
+        answer = presentation.forecast_json(
+            result, self._limits, crossings, list(nodes) if nodes else None
+        )
+        return answer | {"model_version": model_version, "profile": presentation.steps_json(steps)}
+
+    def steps_ahead(self, now_us: int) -> list[Step]:
+        """What the machine is going to do, as far as that is known."""
+        point = self._estimate.point
+        if point is None:
+            point = OperatingPoint(
+                *(
+                    self._readings.usable_value(name, now_us) or 0.0
+                    for name in ("speed_rpm", "load_n", "ambient_c")
+                )
+            )
+        if self.plan is not None and self._has_plan(now_us):
+            return planned(self.plan, now_us, point, HORIZON_S)
+        return held(point, HORIZON_S)
+
+    def _has_plan(self, now_us: int) -> bool:
+        plan = self.plan
+        if plan is None or not plan.steps:
+            return False
+        return (now_us - plan.time_us) / 1e6 <= allowed_age_s(_PLAN_MAX_AGE_S, self._clock.rate)
+
+    async def _compute(self, steps: Sequence[Step], row_s: float) -> Forecast:
+        observer, active = self._estimate.observer, self._estimate.active
+        arguments = (
+            active.model,
+            active.posterior,
+            observer.temperatures_c.copy(),
+            observer.covariance.copy(),
+            float(observer.revolutions),
+            operating_profile(steps, row_s),
+            observer.heat_disturbance_w,
+            observer.operating_point,
+        )
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._executor, _forecast, *arguments)
+
+
+def _forecast(*arguments: Any) -> Forecast:
+    *state, disturbance_w, operating_point = arguments
+    return forecast(
+        *state,
+        disturbance_w=disturbance_w,
+        operating_point=operating_point,
+        members=MEMBERS,
+        seed=0,
+    )
+
+
+def _beyond_times(plan: PlannedProfile) -> list[tuple[float, ...]]:
+    """What a plan demands, whatever time is left in its steps."""
+    return [tuple(step[1:]) for step in plan.steps]

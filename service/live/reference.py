@@ -1,0 +1,89 @@
+"""The model alone: driven by speed, load and ambient, never corrected by the sensors.
+
+The observer learns what its model lacks and stays on the measurements; beside it this one shows
+how far the machine has moved away from its model.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.live.ahead import OperatingPoint
+from service.live.estimate import ActiveModel
+from twin_core.models import ThermalModel
+from twin_core.observer import Observer
+from twin_core.simulation import OperatingProfile, SimulationError, simulate
+
+
+class Reference:
+    """Temperatures of the nodes as the model alone has them; None before the first start."""
+
+    def __init__(self) -> None:
+        self._temperatures_c: NDArray[np.float64] | None = None
+        self._revolutions = 0.0
+
+    @property
+    def started(self) -> bool:
+        """Whether there is anything to compare with."""
+        return self._temperatures_c is not None
+
+    def start(self, observer: Observer) -> None:
+        """Go on from the observer's present temperatures."""
+        self._temperatures_c = observer.temperatures_c
+        self._revolutions = observer.revolutions
+
+    def stop(self) -> None:
+        """Give it up."""
+        self._temperatures_c = None
+
+    def step(self, active: ActiveModel, duration_s: float, point: OperatingPoint) -> None:
+        """Advance at a constant operating point; a model that runs away ends it."""
+        if self._temperatures_c is None or duration_s <= 0.0:
+            return
+        profile = OperatingProfile(
+            *(
+                np.array([value, other])
+                for value, other in (
+                    (0.0, duration_s),
+                    (point.speed_rpm, point.speed_rpm),
+                    (point.load_n, point.load_n),
+                    (point.ambient_c, point.ambient_c),
+                )
+            )
+        )
+        try:
+            path = simulate(
+                active.model, active.values, profile, self._temperatures_c, self._revolutions
+            )
+        except SimulationError:
+            self.stop()
+            return
+        self._temperatures_c = path.temperatures_c[-1]
+        self._revolutions = float(path.revolutions[-1])
+
+    def expected_c(self, model: ThermalModel, channel: str) -> float | None:
+        """What the model alone expects a sensor to read; None before the start."""
+        if self._temperatures_c is None:
+            return None
+        return float(model.sensor_row(channel) @ self._temperatures_c)
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """The state as plain JSON types; None before the start."""
+        if self._temperatures_c is None:
+            return None
+        return {
+            "temperatures_c": self._temperatures_c.tolist(),
+            "revolutions": self._revolutions,
+        }
+
+    def restore(self, model: ThermalModel, kept: Mapping[str, Any]) -> None:
+        """Take up what `to_dict` gave; a state of another kind of model is left aside."""
+        try:
+            temperatures = np.asarray(kept["temperatures_c"], dtype=np.float64)
+            revolutions = float(kept["revolutions"])
+        except (KeyError, TypeError, ValueError):
+            return
+        if temperatures.shape == (len(model.node_names),) and np.isfinite(temperatures).all():
+            self._temperatures_c, self._revolutions = temperatures, revolutions

@@ -1,0 +1,84 @@
+"""Temperatures over their limits: measured, above the ambient one, and forecast."""
+
+from collections.abc import Iterator, Mapping
+
+from service.alarms import AlarmCondition
+from service.live.presentation import LimitCrossing
+from service.live.rules.scene import LEVELS, Scene, label
+
+
+def measured_limits(scene: Scene) -> Iterator[AlarmCondition]:
+    """Measured temperature at or above its warning or alarm limit."""
+    rule = scene.rules.measured_limit
+    for channel, pair in scene.limits.items():
+        value = scene.good_value(channel)
+        for level in LEVELS:
+            limit_c = getattr(pair, level)
+            yield scene.condition(
+                rule,
+                "measured limit",
+                channel,
+                level,
+                None if value is None else value >= limit_c,
+                f"{label(channel)} over {level} {limit_c:g} °C",
+                value=value,
+                limit_value=limit_c,
+                deadband=rule.deadband_k,
+                unit="°C",
+            )
+
+
+def above_ambient(scene: Scene) -> Iterator[AlarmCondition]:
+    """Measured temperature too far above the measured ambient temperature."""
+    rule = scene.rules.above_ambient
+    ambient_c = scene.good_value("ambient_c")
+    for channel, pair in rule.limits.items():
+        value = scene.good_value(channel)
+        above_k = None if value is None or ambient_c is None else value - ambient_c
+        for level in LEVELS:
+            limit_k = getattr(pair, level)
+            yield scene.condition(
+                rule,
+                "above ambient",
+                channel,
+                level,
+                None if above_k is None else above_k >= limit_k,
+                f"{label(channel)} over {level} {limit_k:g} K above ambient",
+                value=above_k,
+                limit_value=limit_k,
+                deadband=rule.deadband_k,
+                unit="K",
+            )
+
+
+def forecast_limits(
+    scene: Scene, crossings: Mapping[str, Mapping[str, LimitCrossing]]
+) -> Iterator[AlarmCondition]:
+    """Forecast that passes a limit ahead with a probability worth an operator's attention.
+
+    Between the probability that raises and the one that clears, an alarm stays as it is.
+    """
+    rule = scene.rules.forecast_limit
+    for channel, levels in crossings.items():
+        for level, crossing in levels.items():
+            limit_c = getattr(scene.limits[channel], level)
+            active: bool | None = None
+            if crossing.probability >= rule.raise_probability:
+                active = True
+            elif crossing.probability < rule.clear_probability:
+                active = False
+            likely = crossing.median_s is not None
+            will = "will" if likely else "may"
+            yield scene.condition(
+                rule,
+                "forecast limit",
+                channel,
+                level,
+                active,
+                f"{label(channel)} {will} pass {level} {limit_c:g} °C",
+                limit_value=limit_c,
+                unit="°C",
+                predicted=True,
+                lead_time_s=crossing.median_s if likely else crossing.earliest_s,
+                probability=crossing.probability,
+            )

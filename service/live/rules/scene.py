@@ -1,0 +1,137 @@
+"""What every rule looks at, and how it says what it found."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from service.alarm_settings import AlarmsSection, LevelRule, PlainRule
+from service.alarms import AlarmCondition, AlarmKind
+from service.live.readings import Readings
+from service.settings import Limits
+from service.wiring import ChannelFacts
+
+LEVELS = ("warning", "alarm")
+_LABELS = {
+    "t_inner_ring_c": "Inner ring",
+    "t_outer_ring_c": "Outer ring",
+    "ambient_c": "Ambient",
+    "speed_rpm": "Speed",
+    "load_n": "Load",
+}
+_RUNNING_KINDS = frozenset({"rate of rise", "twin difference", "twin residual"})
+
+
+def label(channel: str) -> str:
+    """Name of a channel as an operator says it."""
+    if channel in _LABELS:
+        return _LABELS[channel]
+    return channel.removeprefix("t_").removesuffix("_c").replace("_", " ").capitalize()
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is known of an asset at one moment.
+
+    Attributes
+    ----------
+    asset : str
+        Which.
+    rules : AlarmsSection
+        Its configuration of alarms.
+    limits : mapping of str to Limits
+        Its temperature limits by channel.
+    channels : mapping of str to ChannelFacts
+        All that is read of it.
+    readings : Readings
+        The latest samples.
+    now_us : int
+        Process time.
+    is_present : callable
+        Whether the condition of another alarm of the asset is there, delays included: takes its
+        kind, channel and level.
+    stands : bool
+        Whether the machine stands.
+    distrust : str or None
+        Why the model's word counts for nothing now; None where it counts.
+    """
+
+    asset: str
+    rules: AlarmsSection
+    limits: Mapping[str, Limits]
+    channels: Mapping[str, ChannelFacts]
+    readings: Readings
+    now_us: int
+    is_present: Callable[[AlarmKind, str, str], bool]
+    stands: bool = False
+    distrust: str | None = None
+
+    def good_value(self, channel: str) -> float | None:
+        """Value of a channel if it is good and fresh."""
+        return self.readings.good_value(channel, self.now_us)
+
+    def condition(
+        self,
+        rule: LevelRule | PlainRule,
+        kind: AlarmKind,
+        channel: str,
+        level: str,
+        active: bool | None,
+        message: str,
+        **facts: Any,
+    ) -> AlarmCondition:
+        """Say how it stands with one alarm, with the delays and priority of its rule."""
+        priority = rule.priority_of(level) if isinstance(rule, LevelRule) else rule.priority
+        return AlarmCondition(
+            asset=self.asset,
+            kind=kind,
+            channel=channel,
+            level=level,
+            active=active,
+            message=message,
+            priority=priority,
+            on_delay_s=rule.on_delay_s,
+            off_delay_s=rule.off_delay_s,
+            latched=rule.latched,
+            re_alarm_s=rule.re_alarm_s,
+            suppressed_reason=self.suppressed(kind, channel, level),
+            **({"value": None} | facts),
+        )
+
+    # ------------------------------------------------------------------ suppressed by design
+    def suppressed(self, kind: AlarmKind, channel: str, level: str) -> str | None:
+        """Why an alarm would mean nothing now; the rules of suppression by design, all of them.
+
+        The alarm level of a measured limit is never suppressed: a speed sensor that wrongly says
+        zero must not silence a hot bearing.
+        """
+        if self.stands and (
+            kind in _RUNNING_KINDS
+            or (kind in ("measured limit", "above ambient") and level == "warning")
+        ):
+            return "the machine stands"
+        if kind == "forecast limit" and self.is_present("measured limit", channel, level):
+            return "the limit is passed already"
+        if kind == "stale data" and channel in self.channels:
+            source = self.channels[channel].source
+            if self.is_present("stale data", source_channel(source), ""):
+                return f"{source} gives no data at all"
+        if kind in ("sensor fault", *_RUNNING_KINDS) and self.is_present("stale data", channel, ""):
+            return f"no data for {label(channel).lower()}"
+        if kind in ("forecast limit", "twin difference", "twin residual"):
+            return self.distrust or self._blind()
+        return None
+
+    def _blind(self) -> str | None:
+        """Name what the twin would have to know of the operation and does not."""
+        for channel in ("speed_rpm", "load_n", "ambient_c"):
+            if channel in self.channels and (
+                self.is_present("stale data", channel, "")
+                or self.is_present("sensor fault", channel, "")
+            ):
+                return f"no usable {label(channel).lower()}"
+        return None
+
+
+def source_channel(source: str) -> str:
+    """Name under which a whole source stands among the channels of alarms."""
+    return f"source:{source}"

@@ -1,0 +1,278 @@
+"""Watches over one asset: brings readings, twin and rules together for the alarm book."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from service.alarms import AlarmBook, AlarmKind
+from service.live import rules
+from service.live.courses import Courses
+from service.live.estimate import LiveEstimate
+from service.live.presentation import LimitCrossing
+from service.live.readings import Readings
+from service.live.reference import Reference
+from service.live.residuals import Residuals, residual_threshold
+from service.live.rules import Scene
+from service.settings import AssetSection
+from service.wiring import ChannelFacts
+from twin_core.observer import Innovation
+
+# A machine stands when it has stood for so long.
+_STANDS_AFTER_S = 60.0
+# A point on the edge of the low-risk region wavers.
+_NEARLY = 1.02
+_NOT_TRUSTED = "the model is not trusted"
+
+
+class AlarmWatch:
+    """Evaluates all alarm conditions of one asset and writes its events.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        The asset's configuration.
+    channels : mapping of str to ChannelFacts
+        Every configured channel.
+    readings : Readings
+        What they say.
+    estimate : LiveEstimate
+        The twin.
+    book : AlarmBook
+        Takes the conditions.
+    """
+
+    def __init__(
+        self,
+        settings: AssetSection,
+        channels: Mapping[str, ChannelFacts],
+        readings: Readings,
+        estimate: LiveEstimate,
+        book: AlarmBook,
+    ) -> None:
+        self._settings = settings
+        self._channels = channels
+        self._readings = readings
+        self._estimate = estimate
+        self._book = book
+        self._temperatures = [name for name in channels if name.startswith("t_")]
+        self._courses = Courses(settings.alarms.rate_of_rise.window_s)
+        self._reference = Reference()
+        self._residuals = Residuals(
+            residual_threshold(
+                settings.alarms.twin_residual.false_alarms_per_1000_h, len(self._temperatures)
+            )
+        )
+        self._version = estimate.active.version
+        self._standing_since_us: int | None = None
+        self._stepped_us: int | None = None
+        self._comparable = False
+        self._trusted = True
+        self._withdrawn = False
+
+    def step(
+        self,
+        now_us: int,
+        means: Mapping[str, float],
+        innovations: Mapping[str, Innovation],
+        trusted: bool,
+    ) -> None:
+        """Evaluate everything but the forecast.
+
+        Parameters
+        ----------
+        now_us : int
+            Process time.
+        means : mapping of str to float
+            Means of the good samples since the last step, by channel.
+        innovations : mapping of str to Innovation
+            What the observer made of them.
+        trusted : bool
+            Whether the model can be believed.
+        """
+        self._tell_trust(trusted)
+        self._note_standstill(now_us)
+        self._courses.add(
+            now_us, {name: means[name] for name in self._temperatures if name in means}
+        )
+        self._follow_the_model(now_us, innovations)
+        scene = self._scene(now_us)
+        alarms = self._settings.alarms
+        residuals = self._residuals
+        conditions = [
+            condition
+            for rule, found in (
+                (alarms.stale_data, rules.stale_data(scene)),
+                (alarms.sensor_fault, rules.sensor_faults(scene)),
+                (alarms.measured_limit, rules.measured_limits(scene)),
+                (alarms.above_ambient, rules.above_ambient(scene)),
+                (alarms.rate_of_rise, rules.rate_of_rise(scene, self._rates(scene))),
+                (alarms.twin_difference, rules.twin_difference(scene, self._differences_k(scene))),
+                (
+                    alarms.twin_residual,
+                    rules.twin_residual(scene, residuals.charts, residuals.threshold),
+                ),
+            )
+            if rule.enabled
+            for condition in found
+        ]
+        for condition in conditions:
+            self._book.evaluate(condition)
+        if not self._withdrawn:
+            self._withdraw({condition.key for condition in conditions})
+
+    def forecast(self, now_us: int, crossings: Mapping[str, Mapping[str, LimitCrossing]]) -> None:
+        """Evaluate what a new forecast says about the limits."""
+        if self._settings.alarms.forecast_limit.enabled:
+            for condition in rules.forecast_limits(self._scene(now_us), crossings):
+                self._book.evaluate(condition)
+
+    def switched(self, before: int, who: str, comment: str) -> None:
+        """Write into the journal that the twin runs on another model version.
+
+        Parameters
+        ----------
+        before : int
+            The version until now.
+        who, comment : str
+            For the journal.
+        """
+        version = self._estimate.active.version
+        if version == before:
+            return
+        back = version < before
+        self._book.record_event(
+            self._settings.id,
+            "model rolled back" if back else "model activated",
+            f"The twin {'is back' if back else 'runs'} on model version {version} (was {before})",
+            who,
+            comment,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the rules have learnt, as plain JSON types."""
+        return {
+            "version": self._version,
+            "reference": self._reference.to_dict(),
+            "residuals": self._residuals.to_dict(),
+        }
+
+    def restore(self, kept: Mapping[str, Any]) -> None:
+        """Take up what `to_dict` gave, if it is of the same model version."""
+        if kept.get("version") != self._version:
+            return
+        reference, residuals = kept.get("reference"), kept.get("residuals")
+        if isinstance(reference, Mapping):
+            self._reference.restore(self._estimate.active.model, reference)
+        if isinstance(residuals, Mapping):
+            self._residuals.restore(residuals)
+
+    # ------------------------------------------------------------------ what the rules look at
+    def _scene(self, now_us: int) -> Scene:
+        since_us = self._standing_since_us
+        return Scene(
+            asset=self._settings.id,
+            rules=self._settings.alarms,
+            limits=self._settings.limits,
+            channels=self._channels,
+            readings=self._readings,
+            now_us=now_us,
+            is_present=self._is_present,
+            stands=since_us is not None and now_us - since_us >= _STANDS_AFTER_S * 1e6,
+            distrust=None if self._trusted else _NOT_TRUSTED,
+        )
+
+    def _is_present(self, kind: AlarmKind, channel: str, level: str) -> bool:
+        return self._book.is_present((self._settings.id, kind, channel, level))
+
+    def _note_standstill(self, now_us: int) -> None:
+        speed_rpm = self._readings.good_value("speed_rpm", now_us)
+        if speed_rpm is None:
+            return  # what was last known holds
+        if abs(speed_rpm) >= self._settings.alarms.standstill_rpm:
+            self._standing_since_us = None
+        elif self._standing_since_us is None or self._standing_since_us > now_us:
+            self._standing_since_us = now_us
+
+    def _follow_the_model(self, now_us: int, innovations: Mapping[str, Innovation]) -> None:
+        estimate, since_us = self._estimate, self._stepped_us
+        self._stepped_us = now_us
+        point = estimate.point
+        if not estimate.started or point is None:
+            self._reference.stop()
+            return
+        if estimate.active.version != self._version:
+            self._version = estimate.active.version
+            self._residuals.begin_anew()
+            self._reference.stop()
+        low_risk = self._settings.low_risk
+        safe = (
+            point.speed_rpm <= _NEARLY * low_risk.speed_rpm_max
+            and point.load_n <= _NEARLY * low_risk.load_n_max
+        )
+        duration_s = 0.0 if since_us is None else max(now_us - since_us, 0) / 1e6
+        # Outside the region of its data the model alone is no judge; it starts again inside.
+        if safe and self._reference.started:
+            self._reference.step(estimate.active, duration_s, point)
+        else:
+            self._reference.start(estimate.observer)
+        self._comparable = safe
+        if not self._identified:
+            return
+        self._residuals.expect(name for name in self._temperatures if self._is_sensor(name))
+        if self._standing_since_us is None:
+            self._residuals.add(innovations, duration_s, safe)
+
+    @property
+    def _identified(self) -> bool:
+        return self._estimate.active.identified_at_us is not None
+
+    def _is_sensor(self, channel: str) -> bool:
+        model = self._estimate.active.model
+        return channel in model.sensor_names or channel in model.node_names
+
+    def _rates(self, scene: Scene) -> dict[str, float | None]:
+        return {
+            channel: None
+            if scene.good_value(channel) is None
+            else self._courses.rate_k_per_min(channel)
+            for channel in self._temperatures
+        }
+
+    def _differences_k(self, scene: Scene) -> dict[str, float | None]:
+        """Measured minus the model alone, for every sensor that the model knows."""
+        model = self._estimate.active.model
+        differences: dict[str, float | None] = {}
+        for channel in filter(self._is_sensor, self._temperatures):
+            value = scene.good_value(channel)
+            expected_c = self._reference.expected_c(model, channel)
+            if value is None or expected_c is None or not (self._identified and self._comparable):
+                differences[channel] = None
+            else:
+                differences[channel] = value - expected_c
+        return differences
+
+    # ------------------------------------------------------------------ now and then
+    def _tell_trust(self, trusted: bool) -> None:
+        if trusted != self._trusted:
+            self._trusted = trusted
+            version = self._estimate.active.version
+            if trusted:
+                message = f"Model version {version} works again"
+                self._book.record_event(self._settings.id, "model trusted again", message)
+            else:
+                message = f"Model version {version} fails on this machine's data"
+                self._book.record_event(self._settings.id, "model not trusted", message)
+
+    def _withdraw(self, known: set[tuple[str, str, str, str]]) -> None:
+        """End what an earlier configuration left behind, once."""
+        self._withdrawn = True
+        asset = self._settings.id
+        if self._settings.alarms.forecast_limit.enabled:
+            known |= {
+                (asset, "forecast limit", channel, level)
+                for channel in self._settings.limits
+                for level in rules.LEVELS
+            }
+        # The tests of the residuals begin when there is an identified model.
+        if self._settings.alarms.twin_residual.enabled:
+            known |= {(asset, "twin residual", channel, "") for channel in self._temperatures}
+        self._book.withdraw(asset, known)
