@@ -35,7 +35,15 @@ from service.live.bus import Bus
 from service.outlets import Outlet, check_outlets, open_outlets
 from service.security.tls import tls_context
 from service.settings import AssetSection, Settings
-from service.store import Alarm, ModelVersion, Retention, Store, lock_data_directory
+from service.store import (
+    Alarm,
+    ModelVersion,
+    Retention,
+    Store,
+    StoreError,
+    lock_data_directory,
+    lock_database,
+)
 from service.upkeep import keep_up
 from service.wiring import Wiring, is_loopback, wire
 
@@ -374,6 +382,12 @@ async def serve(
         stack.enter_context(lock_data_directory(data_dir))
         listener = stack.enter_context(contextlib.closing(bind(host, settings.service.port)))
         store = stack.enter_context(Store.open(settings.service.database_url, data_dir))
+        loop = asyncio.get_running_loop()
+        lock = lock_database(
+            settings.service.database_url, data_dir, lambda: loop.call_soon_threadsafe(stop.set)
+        )
+        if lock is not None:
+            stack.enter_context(lock)
         if not is_loopback(host) and not _has_key(store):
             raise SettingsError(
                 f"service.host = {host!r}: reachable from other machines, so at least one API key "
@@ -387,3 +401,5 @@ async def serve(
         async with open_outlets(settings, service.assets, service.bus, store) as outlets:
             announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
             await service.run(listener, stop, outlets, tls)
+        if lock is not None and lock.lost:
+            raise StoreError(lock.lost)

@@ -27,7 +27,7 @@ def make_executor() -> Executor:
 def _prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
     with contextlib.suppress(OSError):
-        os.nice(5)
+        os.nice(10)
     # The simulation takes as many threads as numba is configured for, which may be less than the
     # machine has: a container's share, an environment variable.
     numba.config.NUMBA_NUM_THREADS = max(1, numba.config.NUMBA_NUM_THREADS - 1)

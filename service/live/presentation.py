@@ -1,14 +1,13 @@
 """Forecasts, states and tags as the JSON that others rely on."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adapters.samples import Quality
+from adapters.samples import Quality, Sample
 from service.alarms import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
 from service.clock import rfc3339
 from service.live.ahead import Step
@@ -69,14 +68,20 @@ def forecast_json(
 ) -> dict[str, Any]:
     """A forecast in the shape of the what-if answer, temperatures rounded to 0.01 K."""
     wanted = forecast.names if nodes is None else nodes
+    rows = [forecast.names.index(name) for name in wanted]
+    # By name, quantile and time.
+    rounded = np.round(forecast.quantiles[:, :, rows].transpose(2, 0, 1), 2)
+    values = rounded.tolist()
+    if not np.isfinite(rounded).all():
+        values = [
+            [[one if math.isfinite(one) else None for one in series] for series in of_name]
+            for of_name in values
+        ]
     return {
         "time_s": [round(float(t), 3) for t in forecast.time_s],
         "nodes": {
-            name: {
-                quantile: _rounded(forecast.quantiles[row, :, forecast.names.index(name)])
-                for row, quantile in enumerate(QUANTILE_NAMES)
-            }
-            for name in wanted
+            name: dict(zip(QUANTILE_NAMES, of_name, strict=True))
+            for name, of_name in zip(wanted, values, strict=True)
         },
         "limits": {
             channel: {"warning": pair.warning, "alarm": pair.alarm}
@@ -171,13 +176,22 @@ def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
     return {"time": rfc3339(time_us), "model_version": active.version, "nodes": nodes}
 
 
+def samples_json(samples: Iterable[Sample]) -> list[dict[str, Any]]:
+    """Samples as the stream shows them."""
+    return [
+        {
+            "channel": sample.channel,
+            "time": rfc3339(sample.time_us),
+            "value": sample.value,
+            "quality": int(sample.quality),
+        }
+        for sample in samples
+    ]
+
+
 def steps_json(steps: Sequence[Step]) -> list[dict[str, float]]:
     """The profile that a forecast follows."""
     return [asdict(step) for step in steps]
-
-
-def _rounded(values: NDArray[np.float64]) -> list[float | None]:
-    return [round(value, 2) if math.isfinite(value) else None for value in values.tolist()]
 
 
 def tag(value: float | None, unit: str, quality: int, time: str) -> dict[str, Any]:

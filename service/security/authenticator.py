@@ -4,6 +4,7 @@ A SCADA system that polls ten times a second costs the store one look-up in a wh
 is refused within `MEMORY_S`. Times are wall time.
 """
 
+import asyncio
 import secrets
 import time
 from collections import OrderedDict
@@ -95,6 +96,7 @@ class Authenticator:
         # One at a time, apart from the threads that serve long queries: a poll never waits
         # behind a report, and a session is never renewed twice at once.
         self._limiter = CapacityLimiter(1)
+        self._pending: dict[str, asyncio.Future[Principal | None]] = {}
 
     async def by_key(self, text: str) -> Principal | None:
         """Who a key belongs to; None when it opens nothing."""
@@ -151,7 +153,7 @@ class Authenticator:
         if known is not None and now_s - known.at_s < MEMORY_S:
             return known.principal
         try:
-            principal = await to_thread.run_sync(look_up, limiter=self._limiter)
+            principal = await self._look_up_once(name, look_up)
         except StoreUnavailableError:
             # Without the store nothing can have been revoked through it either: whoever was
             # known a moment ago keeps watching the machine.
@@ -167,6 +169,23 @@ class Authenticator:
         while len(self._memory) > _MOST_REMEMBERED:
             self._memory.popitem(last=False)
         return principal
+
+    async def _look_up_once(
+        self, name: str, look_up: Callable[[], Principal | None]
+    ) -> Principal | None:
+        """Look up in a thread; hundreds of streams with one key wait for one look-up together."""
+        pending = self._pending.get(name)
+        if pending is None:
+            pending = asyncio.ensure_future(to_thread.run_sync(look_up, limiter=self._limiter))
+            self._pending[name] = pending
+
+            def ended(done: "asyncio.Future[Principal | None]") -> None:
+                self._pending.pop(name, None)
+                if not done.cancelled():
+                    done.exception()  # whoever asked may be gone by now
+
+            pending.add_done_callback(ended)
+        return await asyncio.shield(pending)
 
     def _verify_key(self, text: str) -> Principal | None:
         key = verify_key(self._store, text)

@@ -8,8 +8,10 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
+from service.store.database_lock import DatabaseLock, lock_database
 from service.store.errors import (
     ActiveJobError,
+    DatabaseInUseError,
     DataDirectoryInUseError,
     StoreError,
     StoreUnavailableError,
@@ -49,6 +51,8 @@ __all__ = [
     "BrowserSession",
     "DataDirectoryInUseError",
     "DataDirectoryLock",
+    "DatabaseInUseError",
+    "DatabaseLock",
     "Job",
     "JobChanges",
     "JobStatus",
@@ -65,4 +69,5 @@ __all__ = [
     "StoredSample",
     "WriteCounts",
     "lock_data_directory",
+    "lock_database",
 ]

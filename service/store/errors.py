@@ -9,6 +9,10 @@ class DataDirectoryInUseError(StoreError):
     """Another service already works on this data directory."""
 
 
+class DatabaseInUseError(StoreError):
+    """Another service already works on this database."""
+
+
 class StoreUnavailableError(RuntimeError):
     """The store is there but does not answer now (locked, disk full, I/O error); try again."""
 

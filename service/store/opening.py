@@ -23,7 +23,7 @@ def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Databa
     StoreError
         If it cannot be used; one line that names it.
     """
-    url = _url(database_url, data_dir)
+    url = database_address(database_url, data_dir)
     try:
         data_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -35,7 +35,14 @@ def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Databa
     return open_sqlite(url)
 
 
-def _url(database_url: str, data_dir: Path) -> URL:
+def database_address(database_url: str, data_dir: Path) -> URL:
+    """Check and complete the configured URL of the database.
+
+    Raises
+    ------
+    StoreError
+        If it is none of the kinds that there are; one line without its password.
+    """
     if not database_url:
         return URL.create("sqlite", database=str(data_dir / FILE_NAME))
     try:

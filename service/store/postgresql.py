@@ -26,7 +26,16 @@ from service.store.migrations import is_current, upgrade
 #: Samples of one partition: 2^41 microseconds, 25.5 days. Old ones can be dropped whole.
 PARTITION_US = 2**41
 
-_CONNECT_S = 10
+#: How every connection is made.
+CONNECT_ARGS: dict[str, Any] = {
+    "connect_timeout": 10,
+    "application_name": "bearing-twin",
+    # A server that vanished from the network is noticed within seconds.
+    "keepalives_idle": 5,
+    "keepalives_interval": 2,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 15_000,
+}
 _PATIENCE = "bearing_twin_patience_s"
 #: Number of the advisory lock that a writing transaction holds; any that nobody else uses.
 _WRITERS_LOCK = 0x42545772
@@ -208,15 +217,7 @@ def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
 def _engine(url: URL) -> Engine:
     engine = create_engine(
         url.set(drivername="postgresql+psycopg"),
-        connect_args={
-            "connect_timeout": _CONNECT_S,
-            "application_name": "bearing-twin",
-            # A server that vanished from the network is noticed within seconds.
-            "keepalives_idle": 5,
-            "keepalives_interval": 2,
-            "keepalives_count": 3,
-            "tcp_user_timeout": 15_000,
-        },
+        connect_args=CONNECT_ARGS,
         pool_size=8,
         max_overflow=16,
         pool_timeout=PATIENCE_S,

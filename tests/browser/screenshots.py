@@ -36,7 +36,7 @@ def shoot(browser: Browser, address: str, key: str, folder: Path, views: list[st
             )
             context.add_init_script(f"localStorage.setItem('theme', '{theme}')")
             page = context.new_page()
-            page.on("pageerror", lambda error: print(f"page error: {error}"))
+            page.on("pageerror", lambda error: sys.stderr.write(f"page error: {error}\n"))
             page.goto(f"{address}/#key={key}")
             page.locator("nav.tabs a[aria-current]").wait_for()
             for view in views:

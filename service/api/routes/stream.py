@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import time
 from typing import Annotated
 
 import structlog
@@ -25,7 +26,7 @@ from service.security.roles import VIEWER
 
 HEARTBEAT_S = 15.0
 SEND_PATIENCE_S = 20.0
-REAUTHENTICATE_S = 0.9
+WATCH_EVERY_S = 0.9
 _GOING_AWAY, _POLICY, _TRY_AGAIN = 1001, 1008, 1013
 _PATH = "/stream"
 
@@ -154,10 +155,11 @@ async def _serve(
     keys: Authenticator,
 ) -> tuple[int, str]:
     """Send until the client leaves, is too slow, loses its right, or the service stops."""
+    sender = _Sender(websocket)
     tasks = {
-        asyncio.create_task(_send(websocket, context, subscription, wanted)),
+        asyncio.create_task(_send(sender, context, subscription, wanted)),
         asyncio.create_task(_listen(websocket)),
-        asyncio.create_task(_watch_right(websocket, keys)),
+        asyncio.create_task(_watch(sender, keys)),
     }
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -177,8 +179,30 @@ Ending = tuple[int | None, str]
 """Close code (None when the client is gone already) and the reason."""
 
 
+class _Sender:
+    """Sends texts and knows how long the present one has been waiting for the client.
+
+    A time-out around each of thousands of messages a second would cost more than the sending.
+    """
+
+    def __init__(self, websocket: WebSocket) -> None:
+        self.websocket = websocket
+        self._since_s: float | None = None
+
+    @property
+    def waiting_s(self) -> float:
+        """Seconds for which the client has not taken what is being sent."""
+        return 0.0 if self._since_s is None else time.monotonic() - self._since_s
+
+    async def send(self, text: str) -> None:
+        """Send a text, however long the client takes."""
+        self._since_s = time.monotonic()
+        await self.websocket.send_text(text)
+        self._since_s = None
+
+
 async def _send(
-    websocket: WebSocket, context: ServiceContext, subscription: Subscription, wanted: list[str]
+    sender: _Sender, context: ServiceContext, subscription: Subscription, wanted: list[str]
 ) -> Ending:
     bus = context.bus
     try:
@@ -193,22 +217,15 @@ async def _send(
                 body,
                 extra={"gap": subscription.gap},
             )
-            await _send_text(websocket, hello)
+            await sender.send(hello)
         while True:
             message = await subscription.get()
-            await _send_text(websocket, message.text)
+            await sender.send(message.text)
     except SubscriptionClosedError as error:
         overflow = "overflow" in str(error)
         return (_TRY_AGAIN if overflow else _GOING_AWAY), str(error)
-    except TimeoutError:
-        return _TRY_AGAIN, f"nothing was read for {SEND_PATIENCE_S:g} s"
     except WebSocketDisconnect:
         return None, "the client went away"
-
-
-async def _send_text(websocket: WebSocket, text: str) -> None:
-    async with asyncio.timeout(SEND_PATIENCE_S):
-        await websocket.send_text(text)
 
 
 async def _listen(websocket: WebSocket) -> Ending:
@@ -219,12 +236,14 @@ async def _listen(websocket: WebSocket) -> Ending:
             return None, "the client went away"
 
 
-async def _watch_right(websocket: WebSocket, keys: Authenticator) -> Ending:
-    """End the stream when its key is revoked or its session is over."""
+async def _watch(sender: _Sender, keys: Authenticator) -> Ending:
+    """End the stream when its key is revoked, its session is over, or the client reads nothing."""
     while True:
-        await asyncio.sleep(REAUTHENTICATE_S)
+        await asyncio.sleep(WATCH_EVERY_S)
+        if sender.waiting_s > SEND_PATIENCE_S:
+            return _TRY_AGAIN, f"nothing was read for {SEND_PATIENCE_S:g} s"
         try:
-            principal = await authenticate(websocket, keys)
+            principal = await authenticate(sender.websocket, keys)
         except Problem:
             continue  # the store cannot tell; whoever was let in stays
         if principal is None or principal.role not in VIEWER:

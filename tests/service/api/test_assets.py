@@ -1,6 +1,8 @@
 import json
 from typing import Any
 
+import pytest
+
 from service.api.bodies import AssetDocument, AssetList, Snapshot, State
 
 SNAPSHOT = "/api/v1/assets/bench-1/snapshot"
@@ -30,6 +32,15 @@ async def test_snapshot_answers_304_until_something_changes(world: Any) -> None:
     changed = await client.get(SNAPSHOT, headers={"If-None-Match": entity_tag})
     assert changed.status_code == 200
     assert changed.headers["etag"] != entity_tag
+
+
+@pytest.mark.parametrize("path", ["/api/v1/assets", "/api/v1/assets/bench-1"])
+async def test_configuration_answers_304_until_something_changes(world: Any, path: str) -> None:
+    client = world.client("gateway")
+    entity_tag = {"If-None-Match": (await client.get(path)).headers["etag"]}
+    assert (await client.get(path, headers=entity_tag)).status_code == 304
+    world.bench.channels["load_n"] = "drive"
+    assert (await client.get(path, headers=entity_tag)).status_code == 200
 
 
 async def test_snapshot_never_asks_the_store(world: Any) -> None:

@@ -209,3 +209,19 @@ async def test_parquet_gives_the_whole_span_in_one_file(world: Any) -> None:
     table = parquet.read_table(io.BytesIO(response.content))
     assert table["value"].to_pylist() == [60.0, None, 62.0]
     assert table.schema.metadata[b"unit:t_inner_ring_c"].decode() == "°C"
+
+
+async def test_a_long_answer_comes_packed_and_in_pieces(world: Any) -> None:
+    world.write("bench-1", "t_inner_ring_c", START_US, [60.0 + n for n in range(2500)])
+    client = world.client("viewer")
+    query = {**span(3600), "channel": "t_inner_ring_c"}
+    async with client.stream("GET", PATH, params=query) as response:
+        assert response.headers["content-encoding"] == "gzip"
+        assert "content-length" not in response.headers
+        packed = sum([len(piece) async for piece in response.aiter_raw()])
+    plain = await client.get(PATH, params=query, headers={"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert packed < len(plain.content) / 5
+    values = [item["value"] for item in plain.json()["items"]]
+    assert values == [60.0 + n for n in range(2500)]
+    assert plain.json()["next"] is None

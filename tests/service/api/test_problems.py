@@ -142,6 +142,20 @@ async def test_too_long_a_body_is_refused(world: Any, announced: bool) -> None:
     assert "262144 bytes" in problem_of(response, 413).detail
 
 
+@pytest.mark.parametrize(
+    "kind", ["application/x-www-form-urlencoded", "text/plain; charset=utf-8", ""]
+)
+async def test_a_body_that_is_no_json_is_refused(world: Any, kind: str) -> None:
+    headers = {"Content-Type": kind} if kind else {}
+    response = await world.client("operator").post(FORECASTS, content=b"{}", headers=headers)
+    assert "expected application/json" in problem_of(response, 415).detail
+    assert response.headers["accept-post"] == "application/json"
+
+
+async def test_a_body_may_be_left_out_where_it_may(world: Any) -> None:
+    problem_of(await world.client("operator").post("/api/v1/alarms/none/acknowledge"), 404)
+
+
 async def test_what_nobody_expected_is_logged_and_says_nothing(world: Any) -> None:
     world.bench.summary = lambda: 1 / 0
     with capture_logs() as logs:
@@ -182,6 +196,7 @@ async def test_listings_have_items_and_next(world: Any) -> None:
         "/api/v1/assets",
         "/api/v1/assets/bench-1/windows",
         "/api/v1/assets/bench-1/models",
+        "/api/v1/assets/bench-1/models/activations",
         "/api/v1/assets/bench-1/identifications",
         "/api/v1/assets/bench-1/measurements",
         "/api/v1/alarms",

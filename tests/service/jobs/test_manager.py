@@ -17,6 +17,7 @@ from service.api.context import (
     ActivationRefusedError,
     IdentificationRequest,
     JobConflictError,
+    KeyUsedBeforeError,
     RequestRefusedError,
     TimeWindow,
 )
@@ -307,6 +308,8 @@ async def test_one_job_at_a_time_per_asset(shop: Shop) -> None:
     assert conflict.value.job["id"] == first["id"]
     again, created = await jobs.create(ASSET, QUICK, "key", "x")
     assert (again["id"], created) == (first["id"], False)
+    with pytest.raises(KeyUsedBeforeError, match=first["id"]):
+        await jobs.create(ASSET, QUICK.model_copy(update={"seed": 1}), "key", "x")
     assert await jobs.job("bench-2", first["id"]) is None
     assert [one["id"] for one in await jobs.jobs(ASSET)] == [first["id"]]
 

@@ -274,3 +274,22 @@ async def test_a_snapshot_stays_the_same_object_until_a_tag_changes(
     second = live.runtime.snapshot()
     assert second is not first
     assert second["tags"]["t_inner_ring_c"]["value"] == 55.5
+
+
+async def test_state_messages_carry_the_estimates_of_the_sensors(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    subscription = live.subscribe()
+    await running(live, WARM)
+    async with asyncio.timeout(30):
+        while (message := await subscription.get()).type != "state":
+            live.feed(WARM)
+    data = json.loads(message.text)["data"]
+    assert {one["channel"] for one in data["samples"]} == {
+        "t_inner_ring_c.twin",
+        "t_outer_ring_c.twin",
+    }
+    for one in data["samples"]:
+        assert 20.0 < one["value"] < 80.0
+        assert (one["quality"], one["time"]) == (192, data["time"])

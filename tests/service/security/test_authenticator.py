@@ -48,6 +48,19 @@ async def test_polling_asks_the_store_once_in_a_while(store: Store, tmp_path: Pa
         assert await authenticator.by_key(key.text) is not None
 
 
+async def test_many_that_ask_at_once_share_one_look_up(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authenticator = Authenticator(store)
+    key = create_key(store, "viewer")
+    look_ups = []
+    find = store.find_api_key
+    monkeypatch.setattr(store, "find_api_key", lambda sha256: look_ups.append(1) or find(sha256))
+    found = await asyncio.gather(*(authenticator.by_key(key.text) for _ in range(100)))
+    assert None not in found
+    assert len(look_ups) == 1
+
+
 async def test_revoked_key_is_refused_within_two_seconds(store: Store) -> None:
     authenticator = Authenticator(store)
     key = create_key(store, "viewer")

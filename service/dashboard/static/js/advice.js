@@ -34,7 +34,7 @@ export class AdvicePanel {
     this.button = h('button', { class: 'btn', type: 'submit' }, 'Ask');
     this.status = h('p', { class: 's mut', role: 'status' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
-    this.result = h('div', { class: 'adv' });
+    this.result = h('div', { class: 'adv wide' });
     this.element = h('section', { class: 'panel e-adv' },
       h('header', {}, h('h2', {}, 'What to measure next'),
         h('span', { class: 's mut' }, 'to narrow the forecast at a high-risk point')),

@@ -41,11 +41,13 @@ export class ConvergenceChart {
     }, data);
   }
 
-  /** A little more than the data and the reference need. */
+  /** A little more than the data and the reference need; the lines of the axis begin at its foot. */
   range(low, high) {
     const ends = [low, high, this.reference?.fitness].filter((value) => value > 0);
     if (!ends.length) return [1, 100];
-    return [Math.min(...ends) / 1.6, Math.max(...ends) * 1.9];
+    const foot = Math.min(...ends) / 1.3;
+    const power = 10 ** Math.floor(Math.log10(foot));
+    return [Math.floor(foot / power) * power, Math.max(...ends) * 1.6];
   }
 
   /** 1, 2 and 5 where there is room for them, else powers of ten. */
@@ -75,8 +77,6 @@ export class ConvergenceChart {
       write(context, this.reference.label, right, y - 3 * ratio,
         { ...look, halo: token('--panel') });
     }
-    write(context, 'sum of squared residuals', right, bbox.top + 4 * ratio,
-      { ...look, base: 'top', halo: token('--panel') });
     if (this.empty) {
       write(context, 'nothing to show yet', bbox.left + bbox.width / 2,
         bbox.top + bbox.height / 2, { ...look, align: 'center', base: 'middle' });

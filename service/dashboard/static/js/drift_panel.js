@@ -5,7 +5,7 @@ import { icon } from './icons.js';
 import { font, fontSize, mount, pixelRatio, timeAxis, valueAxis, write } from './paint.js';
 
 const CLEAR = 'rgba(0,0,0,0)';
-const temperature = (text) => text.replaceAll(' degC', ' °C');
+const plain = (text) => text.replaceAll(' degC', ' °C').replace(/(^|[\s(])-(?=\d)/g, '$1−');
 const first = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** What can be shown: { key: { text, unit, of(item) } }; quantities first, then parameters. */
@@ -13,7 +13,7 @@ export function driftChoices(items) {
   const choices = {};
   for (const item of items) {
     for (const [name, { text, unit }] of Object.entries(item.quantities)) {
-      choices[`q ${name}`] = { text: temperature(text), unit, of: (one) => one.quantities[name] };
+      choices[`q ${name}`] = { text: plain(text), unit, of: (one) => one.quantities[name] };
     }
   }
   for (const item of items) {
@@ -74,7 +74,7 @@ export class DriftPanel {
   showText({ text, unit, of }) {
     const latest = this.shown.at(-1);
     const { value, low, high } = of(latest);
-    const said = latest.text ? first(temperature(latest.text)) : '';
+    const said = latest.text ? first(plain(latest.text)) : '';
     put(this.text,
       h('p', {}, `${first(text)}: `, h('b', {}, `${significant(value)}${unit ? ` ${unit}` : ''}`),
         ` in v${latest.version}, 95 % ${significant(low)} … ${significant(high)}`),
@@ -113,10 +113,10 @@ export class DriftPanel {
     const [versions, lows, highs] = plot.data;
     const crowded = plot.bbox.width / Math.max(1, versions.length) < 70 * ratio;
     context.save();
-    context.strokeStyle = token('--twin');
-    context.lineWidth = 2 * ratio;
     versions.forEach((version, i) => {
       if (!isNumber(lows[i]) || !isNumber(highs[i])) return;
+      context.strokeStyle = token('--twin');
+      context.lineWidth = 2 * ratio;
       const x = plot.valToPos(version, 'x', true);
       const [low, high] = [lows[i], highs[i]].map((value) => plot.valToPos(value, 'y', true));
       const wing = rem() * 0.3 * ratio;

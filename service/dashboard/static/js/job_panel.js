@@ -74,6 +74,7 @@ export class JobPanel {
     this.bar = h('div', { class: 'bar', role: 'progressbar', 'aria-label': 'Progress',
       'aria-valuemin': 0, 'aria-valuemax': 100 }, this.fill);
     this.plot = h('div', { class: 'plot cv' });
+    this.caption = h('p', { class: 'xs mut' }, 'best sum of squared residuals over evaluations');
     this.gates = h('div', { class: 'gatebox' });
     this.history = h('div', { class: 'jh' });
     const form = h('form', {
@@ -86,7 +87,7 @@ export class JobPanel {
       h('label', {}, 'seed ', this.seed), h('label', {}, 'budget ', this.budget)));
     return h('section', { class: 'panel e-job' },
       h('header', {}, this.title, h('span', { class: 'sp' }), this.attempt, this.phase), form,
-      this.problem, this.bar, this.text, this.plot, this.gates, this.history);
+      this.problem, this.bar, this.text, this.caption, this.plot, this.gates, this.history);
   }
 
   path(rest = '') {
@@ -213,6 +214,7 @@ export class JobPanel {
     const made = this.models.find((model) => model.version === job?.model_version);
     const points = this.points.get(job?.id) ?? [];
     this.plot.hidden = !points.length && !isUnfinished(job);
+    this.caption.hidden = this.plot.hidden;
     this.chart.update(points, job && {
       fitness: job.active_fitness,
       label: isUnfinished(job) ? `active v${active?.version ?? '?'}` : 'active version then',

@@ -156,7 +156,8 @@ export function windowList(model) {
 
 /** What the service says of channels, in the words of the page. */
 export const plainText = (text) =>
-  text.replace(/\bt_\w+_c\b/g, (name) => channelName(name).toLowerCase());
+  text.replace(/\bt_\w+_c\b/g, (name) => channelName(name).toLowerCase())
+    .replaceAll(' degC', ' °C').replace(/(^|[\s(])-(?=\d)/g, '$1−');
 
 /** The gates that a version had to pass. */
 export function gateList(model) {

@@ -193,7 +193,7 @@ export class WindowTimeline {
   timeMarks() {
     const marks = [];
     const step = [1, 2, 6, 12, 24, 7 * 24].map((hours) => hours * HOUR_MS)
-      .find((one) => this.span / one <= 12) ?? 30 * 24 * HOUR_MS;
+      .find((one) => this.span / one <= this.width / 80) ?? 30 * 24 * HOUR_MS;
     const zone = new Date(this.first).getTimezoneOffset() * 60000;
     let at = Math.ceil((this.first - zone) / step) * step + zone;
     for (; at < this.first + this.span; at += step) {

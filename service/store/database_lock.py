@@ -1,0 +1,161 @@
+"""One service per database, whatever its data directory."""
+
+import os
+import socket
+import threading
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import psycopg
+import structlog
+from sqlalchemy.engine import URL
+
+from service.store.errors import DatabaseInUseError, StoreError
+from service.store.opening import database_address
+from service.store.postgresql import CONNECT_ARGS
+
+#: Wall seconds between two looks at the connection that holds the lock.
+CHECK_S = 2.0
+
+#: Number of the advisory lock, with the schema's beside it; any that nobody else uses.
+_SERVICE_LOCK = 0x42545773
+_LOCK = f"pg_try_advisory_lock({_SERVICE_LOCK}, hashtext(current_schema()))"
+_HOLDER = f"""
+SELECT pid, coalesce(application_name, '') FROM pg_locks JOIN pg_stat_activity USING (pid)
+WHERE locktype = 'advisory' AND granted AND classid = {_SERVICE_LOCK}
+AND objid::bigint = hashtext(current_schema())::bigint & 4294967295
+AND database = (SELECT oid FROM pg_database WHERE datname = current_database())
+"""
+# A machine that vanished with the lock gives it up within half a minute.
+_NOTICE_LOSS = (
+    "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3"
+)
+
+_log = structlog.get_logger(__name__)
+
+
+class DatabaseLock:
+    """The right to run a service on a PostgreSQL database, until closed or the process ends.
+
+    A connection of its own holds it. When the server was restarted the lock is taken again.
+
+    Parameters
+    ----------
+    url : sqlalchemy.engine.URL
+        Of the database.
+    on_lost : callable
+        Called, from another thread, if another service took the database while the server was
+        away.
+
+    Attributes
+    ----------
+    lost : str
+        Why the right is lost, one line; empty while it is held.
+
+    Raises
+    ------
+    DatabaseInUseError
+        If another service has it.
+    StoreError
+        If there is no connection.
+    """
+
+    def __init__(self, url: URL, on_lost: Callable[[], object]) -> None:
+        self._url = url
+        self._name = f"service.database_url = {url.render_as_string(hide_password=True)!r}"
+        # The server's view of who holds the lock: unique, within its 63 characters.
+        place = f"{socket.gethostname()[:30]} process {os.getpid()}"
+        self._self = f"bearing-twin {place} {uuid.uuid4().hex[:6]}"
+        self._on_lost = on_lost
+        self._ended = threading.Event()
+        self.lost = ""
+        try:
+            self._connection = self._connect()
+        except psycopg.Error as error:
+            raise StoreError(f"{self._name}: {' '.join(str(error).split())}") from error
+        self._thread = threading.Thread(target=self._keep, name="database-lock", daemon=True)
+        self._thread.start()
+
+    def _connect(self) -> psycopg.Connection[Any]:
+        """Connect and take the lock."""
+        connection = psycopg.connect(
+            self._url.set(drivername="postgresql").render_as_string(hide_password=False),
+            autocommit=True,
+            **{**CONNECT_ARGS, "application_name": self._self},
+        )
+        try:
+            connection.execute(_NOTICE_LOSS)
+            while not _first(connection.execute(f"SELECT {_LOCK}"))[0]:
+                holder = _first(connection.execute(_HOLDER))
+                if holder is None:
+                    self._ended.wait(0.05)  # it ended this very moment
+                    continue
+                process, name = holder
+                if name != self._self:
+                    where = name.removeprefix("bearing-twin ").rpartition(" ")[0]
+                    raise DatabaseInUseError(
+                        f"{self._name}: another service is running on it"
+                        f"{f' ({where})' if where else ''}; stop that one or give this one "
+                        "another database"
+                    )
+                # Our own connection, which broke on our side only.
+                connection.execute("SELECT pg_terminate_backend(%s, 5000)", (process,))
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _keep(self) -> None:
+        while not self._ended.wait(CHECK_S):
+            try:
+                self._connection.execute("SELECT 1")
+            except psycopg.Error:
+                self._connection.close()
+                try:
+                    self._connection = self._connect()
+                except DatabaseInUseError as error:
+                    self.lost = str(error)
+                    _log.error("database_taken_over", error=self.lost)
+                    self._on_lost()
+                    return
+                except psycopg.Error:
+                    continue  # the server is away: nobody else can take the lock either
+                _log.info("database_locked_again")
+
+    def close(self) -> None:
+        """Give the database free."""
+        self._ended.set()
+        self._thread.join()
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _first(cursor: psycopg.Cursor[Any]) -> Any:
+    return cursor.fetchone()
+
+
+def lock_database(
+    database_url: str, data_dir: Path, on_lost: Callable[[], object]
+) -> DatabaseLock | None:
+    """Take a PostgreSQL database for one service; see `DatabaseLock`.
+
+    Returns
+    -------
+    DatabaseLock or None
+        None for an SQLite file.
+    """
+    url = database_address(database_url, data_dir)
+    return DatabaseLock(url, on_lost) if url.get_backend_name() == "postgresql" else None

@@ -1,0 +1,218 @@
+"""Keys, sessions, streams and logs of a running service, and a fuzz run against it.
+
+One service for the whole file: an asset whose values are pushed, no bench.
+"""
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+import websockets
+from processes import Command, free_port
+
+from service.clock import ProcessClock, rfc3339
+from service.settings import load_settings
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(240)]
+
+CONFIGURATION = """
+[service]
+port = {port}
+data_dir = "data"
+[[assets]]
+id = "bench-1"
+bearing = "6311"
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+[assets.channels]
+speed_rpm = {{ source = "push" }}
+load_n = {{ source = "push" }}
+ambient_c = {{ source = "push" }}
+t_inner_ring_c = {{ source = "push" }}
+"""
+FUZZ = Path(__file__).parents[1] / "fuzz" / "schemathesis.toml"
+FUZZ_S = 10
+# Within two seconds on a machine that does nothing else.
+PATIENCE_S = 20.0
+WRONG = "bt_0badc0de_" + "A" * 43
+
+
+@dataclass
+class Place:
+    """A service, and an administrator's client."""
+
+    config: Path
+    command: Command
+    client: httpx2.Client
+    secrets: list[str]
+
+    @property
+    def address(self) -> str:
+        return str(self.client.base_url).rstrip("/")
+
+    def cli(self, *arguments: str) -> Any:
+        """Run ``bearing-twin keys …`` beside the service."""
+        done = subprocess.run(
+            [sys.executable, "-m", "service", "keys", *arguments, "-c", str(self.config), "--json"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+        )
+        return json.loads(done.stdout)
+
+    def new_key(self, role: str) -> dict[str, Any]:
+        answer = self.client.post("/api/v1/keys", json={"role": role, "label": "test"})
+        made: dict[str, Any] = answer.json()
+        self.secrets.append(made["key"])
+        return made
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    folder, port = tmp_path_factory.mktemp("access"), free_port()
+    config = folder / "site.toml"
+    config.write_text(CONFIGURATION.format(port=port))
+    created = subprocess.run(
+        [sys.executable, "-m", "service", "keys", "create", "--role", "admin", "-c", str(config)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    key = created.stdout.strip()
+    command = Command(["serve", "-c", str(config)], folder / "serve.log")
+    with httpx2.Client(
+        base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": key}, timeout=30
+    ) as client:
+        place = Place(config, command, client, [key])
+        push(place)
+        try:
+            yield place
+        finally:
+            command.end()
+
+
+def push(place: Place) -> None:
+    settings = load_settings(place.config)
+    now = rfc3339(ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us())
+    values = {"speed_rpm": 1500.0, "load_n": 2650.0, "ambient_c": 22.0, "t_inner_ring_c": 40.0}
+    samples = [{"channel": name, "time": now, "value": value} for name, value in values.items()]
+    answer = place.client.post("/api/v1/assets/bench-1/measurements", json={"samples": samples})
+    assert answer.json()["accepted"] == len(values)
+
+
+async def read_on(stream: websockets.ClientConnection) -> None:
+    while True:
+        await stream.recv()
+
+
+async def until_the_stream_ends(place: Place, key: str, revoke: Any) -> tuple[int, str, float]:
+    """Open a stream with a key, revoke the key, and wait: close code, reason, wall seconds."""
+    address = place.address.replace("http", "ws") + "/api/v1/stream"
+    async with websockets.connect(address, subprotocols=[f"bearer.{key}"]) as stream:  # type: ignore[list-item]
+        assert json.loads(await stream.recv())["type"] == "hello"
+        await asyncio.to_thread(revoke)
+        began = time.monotonic()
+        with pytest.raises(websockets.ConnectionClosed) as closed:
+            await asyncio.wait_for(read_on(stream), PATIENCE_S)
+    end = closed.value.rcvd
+    assert end is not None
+    return end.code, end.reason, time.monotonic() - began
+
+
+@pytest.mark.parametrize("way", ["rest", "command line"])
+def test_a_revoked_key_loses_its_sessions_and_streams_too(place: Place, way: str) -> None:
+    made = place.new_key("operator")
+
+    def revoke() -> None:
+        if way == "rest":
+            assert place.client.delete(f"/api/v1/keys/{made['id']}").status_code == 200
+        else:
+            assert place.cli("revoke", made["prefix"])["revoked"] is not None
+
+    with httpx2.Client(base_url=place.address, timeout=30) as browser:
+        assert browser.post("/api/v1/session", json={"key": made["key"]}).status_code == 200
+        assert browser.get("/api/v1/assets").status_code == 200
+        code, reason, took_s = asyncio.run(until_the_stream_ends(place, made["key"], revoke))
+        assert (code, reason) == (1008, "the key is no longer valid")
+        print(f"revoked by {way}: stream closed after {took_s:.2f} s")  # noqa: T201
+        assert browser.get("/api/v1/assets").status_code == 401
+    mine = {"X-API-Key": made["key"]}
+    assert httpx2.get(f"{place.address}/api/v1/assets", headers=mine).status_code == 401
+
+
+def test_what_was_done_is_in_the_trail_with_who_and_from_where(place: Place) -> None:
+    made = place.new_key("viewer")
+    by_hand = place.cli("create", "--role", "gateway", "--label", "hall 3")
+    place.secrets.append(by_hand["key"])
+    assert by_hand["label"] == "hall 3"
+    line, other = place.client.get("/api/v1/audit?limit=2").json()["items"]
+    assert (line["action"], line["detail"]) == ("key.create", "role gateway, hall 3")
+    assert line["who"].startswith("command line, ")
+    assert other["target"] == f"key {made['prefix']}"
+    assert other["who"].startswith("admin bt_")
+    assert other["address"] == "127.0.0.1"
+
+
+def test_an_upgrade_is_refused_with_a_problem(place: Place) -> None:
+    async def refused(path: str, key: str) -> Any:
+        address = place.address.replace("http", "ws") + path
+        with pytest.raises(websockets.InvalidStatus) as refusal:
+            await websockets.connect(address, additional_headers={"X-API-Key": key})
+        response = refusal.value.response
+        assert response.headers["content-type"] == "application/problem+json"
+        return json.loads(response.body)
+
+    admin = place.client.headers["X-API-Key"]
+    assert asyncio.run(refused("/api/v1/stream", WRONG))["status"] == 403
+    assert asyncio.run(refused("/api/v1/stream?assets=none", admin))["status"] == 404
+    assert asyncio.run(refused("/api/v1/streams", admin))["status"] == 404
+
+
+def test_a_fuzz_run_finds_no_server_error_and_nothing_undocumented(place: Place) -> None:
+    """The short form of the run in docs/api.md."""
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "schemathesis.cli", "--no-color", "--config-file", str(FUZZ),
+            "run", f"{place.address}/openapi.json", "--max-time", str(FUZZ_S), "--seed", "1",
+            "--phases", "fuzzing,stateful", "--no-shrink", "--checks",
+            "not_a_server_error,status_code_conformance,content_type_conformance,"
+            "response_schema_conformance,response_headers_conformance",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+        cwd=place.config.parent,
+        env=os.environ | {"BEARING_TWIN_KEY": place.client.headers["X-API-Key"]},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+    assert "Tested: 0" not in done.stdout
+
+
+def test_no_secret_is_ever_logged(place: Place) -> None:
+    """After all the rest: keys, cookies and what was offered in vain are nowhere in the log."""
+    with httpx2.Client(base_url=place.address, timeout=30) as browser:
+        browser.post("/api/v1/session", json={"key": place.secrets[0]})
+        cookies = list(browser.cookies.values())
+        assert cookies
+        browser.post("/api/v1/session", json={"key": WRONG})
+        browser.get("/api/v1/assets", headers={"X-API-Key": WRONG})
+        browser.get("/api/v1/assets", auth=("anyone", WRONG))
+    assert place.command.terminate() == 0
+    log = place.command.log.read_text()
+    assert '"event": "audit"' in log
+    data = place.config.parent / "data"
+    for secret in (*(key.split("_", 2)[2] for key in (*place.secrets, WRONG)), *cookies):
+        assert secret not in log
+        for file in data.rglob("*"):
+            assert not file.is_file() or secret.encode() not in file.read_bytes(), file
