@@ -12,10 +12,11 @@ from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
 
 from fastapi import Depends
+from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
-from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem
+from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem, parameter_problem
 from service.security import Actor, AuditTrail, Authenticator, Principal
 from service.security.keys import key_prefix
 from service.security.roles import Roles
@@ -129,6 +130,7 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
                 f"a key of role {principal.role} may not do this, "
                 f"expected {' or '.join(sorted(roles))}",
             )
+        _refuse_repetitions(connection)
         return principal
 
     return caller_with_role
@@ -138,6 +140,17 @@ def known_caller(scope: Scope) -> Principal | None:
     """Who is calling, as the door found out; None for nobody known."""
     principal = scope.get(_PRINCIPAL)
     return principal if isinstance(principal, Principal) else None
+
+
+def _refuse_repetitions(connection: HTTPConnection) -> None:
+    """Refuse a parameter that comes twice and is no list: nobody knows which one is meant."""
+    names = [name for name, _ in connection.query_params.multi_items()]
+    if len(names) == len(set(names)):
+        return
+    route = connection.scope.get("route")
+    for field in route.dependant.query_params if isinstance(route, APIRoute) else ():
+        if names.count(field.alias) > 1 and "list[" not in str(field.field_info.annotation):
+            raise parameter_problem(field.alias, "expected once")
 
 
 async def caller(connection: HTTPConnection) -> Principal:

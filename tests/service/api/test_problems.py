@@ -102,6 +102,7 @@ async def test_several_errors_are_all_listed(world: Any) -> None:
         ("format=xml", "format"),
         ("cursor=abc", "cursor"),
         ("channel=t_missing_c", "channel"),
+        ("limit=5&channel=speed_rpm&channel=t_inner_ring_c&limit=6", "limit"),
         ("start=2026-11-21T08:00:00Z&end=2026-11-21T08:00:00Z", "start"),
     ],
 )
