@@ -55,6 +55,7 @@ def can_frames(
             "duration_s": paced_s,
             "paced_frames": paced_sent,
             "paced_frames_per_s": paced_sent / paced_s,
+            "paced_lag_s": max(0.0, paced_s - duration_s),
             "flat_out_frames": sent,
         },
     )

@@ -92,6 +92,11 @@ async def test_no_doubtful_frame_becomes_a_good_value(
         ]
         adapter.tell("line t1008" + "8083" + "00" * 6)
         await record.until(lambda: record.samples[-1].value == 4208.0)
+        # far more than a message takes, in however many pieces
+        adapter.tell("line " + "A" * 5000)
+        await record.until(lambda: record.driver.health().errors["garbage"] > errors["garbage"])
+        adapter.tell("line t1008" + "8183" + "00" * 6)
+        await record.until(lambda: record.samples[-1].value > 4208.0)
         assert record.driver.health().reconnects == 0
 
 
