@@ -14,7 +14,7 @@ from adapters.can.decoding import bind
 from adapters.configuration import ConfigurationError, suggestion
 from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.replay.config import ReplayChannel, ReplaySource
-from adapters.replay.tables import open_table
+from adapters.replay.tables import open_recording
 from adapters.samples import Batch, Quality, Sample, is_good
 
 logger = logging.getLogger(__name__)
@@ -142,7 +142,7 @@ def check(
     if source.is_can_log:
         bind(*_as_can(source, channels))
         return
-    with open_table(source.file) as (columns, _):
+    with open_recording(source.file) as (columns, _):
         for binding in channels:
             column = _config(binding).column or ""
             if columns is not None and column not in columns:
@@ -160,7 +160,7 @@ def _events(source: ReplaySource, channels: Sequence[ChannelBinding]) -> Iterato
     by_column: dict[str, list[ChannelBinding]] = {}
     for binding in channels:
         by_column.setdefault(_config(binding).column or "", []).append(binding)
-    with open_table(source.file) as (_, rows):
+    with open_recording(source.file) as (_, rows):
         yield (
             (
                 time_us,

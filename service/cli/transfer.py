@@ -2,15 +2,13 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
 from service.clock import from_rfc3339
 from service.configuration import SettingsError
@@ -56,6 +54,7 @@ def import_(
             store = stack.enter_context(
                 Store.open(settings.service.database_url, settings.data_dir)
             )
+        tell = stack.enter_context(progress_bar(f"import {file.name}"))
         report = import_file(
             file,
             asset,
@@ -64,7 +63,7 @@ def import_(
             start_us=start_us,
             own_channels=channels,
             now_us=ProcessClock().now_us(),
-            progress=stack.enter_context(_progress_bar(f"import {file.name}")),
+            progress=lambda share: tell(share, ""),
         )
     if as_json:
         document = {
@@ -162,19 +161,3 @@ def _time_us(option: str, text: str) -> int:
         return from_rfc3339(text)
     except ValueError as error:
         raise SettingsError(f"{option}: {error}") from None
-
-
-@contextmanager
-def _progress_bar(title: str) -> Iterator[Callable[[float], None]]:
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task(title, total=1.0)
-        yield lambda share: bar.update(task, completed=share)

@@ -9,10 +9,11 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.configuration import describe
+from service.files import replacing
 from service.machines.bearings import named_bearing
 from service.machines.machine import Machine
 from service.offline.rows import revolutions_at
-from service.offline.tables import FloatArray, Recording, replacing
+from service.offline.tables import FloatArray, Recording
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.windows import MinuteData
@@ -173,7 +174,7 @@ class IdentifiedModel:
 
         Raises
         ------
-        TableError
+        FileError
             If the file cannot be written.
         """
         document = {

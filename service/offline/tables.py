@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339
+from service.files import replacing
 
 FloatArray = NDArray[np.float64]
 
@@ -151,7 +152,7 @@ def write_forecast(
 
     Raises
     ------
-    TableError
+    FileError
         If the file cannot be written.
     """
     levels = ("q025", "q25", "q50", "q75", "q975")
@@ -163,26 +164,6 @@ def write_forecast(
         writer.writerow(header)
         for time, row in zip(time_s, cells, strict=True):
             writer.writerow([f"{time:.10g}", *(f"{value:.4f}" for value in row)])
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[TextIO]:
-    """Write a file beside its place and move it there when it is complete.
-
-    Raises
-    ------
-    TableError
-        If the file cannot be written.
-    """
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with part.open("w", encoding="utf-8", newline="") as file:
-            yield file
-        part.replace(path)
-    except OSError as error:
-        raise TableError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def check_writable(path: Path) -> None:

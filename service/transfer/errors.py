@@ -3,7 +3,3 @@
 
 class TransferError(ValueError):
     """A file, or a mapping, that cannot be used as a whole; the text is one line for the user."""
-
-
-class RowError(ValueError):
-    """A row, or a cell of it, that cannot be used; the others can."""

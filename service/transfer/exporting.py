@@ -2,36 +2,28 @@
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from adapters.tables import load_pyarrow
 from service.clock import rfc3339
+from service.files import replacing
 from service.live.presentation import unit_of
-from service.store import Rollup, Store, StoredSample
+from service.store import Store
 from service.transfer.errors import TransferError
-from service.transfer.importing import load_pyarrow
 from service.transfer.mapping import REQUIRED as ORDER
-from service.transfer.pages import RAW, Place, as_csv, csv_header, read_page
+from service.transfer.pages import RAW, Place, as_csv, csv_header, read_pages
 
 PAGE_ROWS = 20_000
 MINUTE_US = 60_000_000
-
-
-def pages(store: Store, asset: str, place: Place) -> Iterator[Sequence[StoredSample | Rollup]]:
-    """All rows of a query, page by page, so that memory stays small."""
-    following: Place | None = place
-    while following is not None:
-        page = read_page(store, asset, following, PAGE_ROWS)
-        yield page.rows
-        following = page.following
 
 
 def write_csv(file: BinaryIO, store: Store, asset: str, place: Place) -> int:
     """Write the rows of a query as CSV; returns how many."""
     rows = 0
     file.write(csv_header(place.resolution).encode())
-    for page in pages(store, asset, place):
+    for page in read_pages(store, asset, place, PAGE_ROWS):
         file.write(as_csv(page).encode())
         rows += len(page)
     return rows
@@ -54,7 +46,7 @@ def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
 
     Raises
     ------
-    TransferError
+    TableFileError
         If pyarrow is not installed.
     """
     pa, parquet = load_pyarrow()
@@ -72,7 +64,7 @@ def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
     schema = pa.schema(fields, metadata=facts)
     count = 0
     with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
-        for page in pages(store, asset, place):
+        for page in read_pages(store, asset, place, PAGE_ROWS):
             names = ("time_us", *schema.names[1:])
             columns = [[getattr(row, name) for row in page] for name in names]
             arrays = [
@@ -93,23 +85,15 @@ def export_file(path: Path, store: Store, asset: str, place: Place) -> int:
 
     Raises
     ------
-    TransferError
+    TransferError, FileError
         If the suffix is another or the file cannot be written.
     """
     writers = {".csv": write_csv, ".parquet": write_parquet, ".pq": write_parquet}
     writer = writers.get(path.suffix.lower())
     if writer is None:
         raise TransferError(f"{path}: expected a name that ends in .csv or .parquet")
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            rows = writer(file, store, asset, place)
-        part.replace(path)
-    except OSError as error:
-        raise TransferError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        part.unlink(missing_ok=True)
-    return rows
+    with replacing(path, binary=True) as file:
+        return writer(file, store, asset, place)
 
 
 def export_minutes(
@@ -128,7 +112,7 @@ def export_minutes(
 
     Raises
     ------
-    TransferError
+    FileError
         If the file cannot be written.
     """
     measured = [name for name in channels if _is_input(name) or _is_temperature(name)]
@@ -144,26 +128,16 @@ def export_minutes(
                 value = float(table.mean[name][at])
                 if math.isfinite(value):
                     row[name] = value
-    part = path.with_name(f"{path.name}.part")
     header = [name for name in ORDER if name in measured]
     header += sorted(set(measured) - set(header))
-    try:
-        with part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["time", *header])
-            for time_us in sorted(cells):
-                values = (cells[time_us].get(name) for name in header)
-                writer.writerow(
-                    [
-                        rfc3339(time_us),
-                        *("" if value is None else f"{value:.6g}" for value in values),
-                    ]
-                )
-        part.replace(path)
-    except OSError as error:
-        raise TransferError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["time", *header])
+        for time_us in sorted(cells):
+            values = (cells[time_us].get(name) for name in header)
+            writer.writerow(
+                [rfc3339(time_us), *("" if value is None else f"{value:.6g}" for value in values)]
+            )
     return len(cells)
 
 

@@ -1,16 +1,14 @@
 """Files into the store: CSV and Parquet, every bad row named, sending again does no harm."""
 
-import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from adapters.samples import Quality, Sample
+from adapters.tables import RowError, open_table
 from service.store import Store
-from service.transfer.errors import RowError, TransferError
+from service.transfer.errors import TransferError
 from service.transfer.mapping import Layout, layout_of, read_mapping, time_reader
 
 BATCH_SAMPLES = 20_000
@@ -94,16 +92,15 @@ def import_file(
 
     Raises
     ------
-    TransferError
+    TableFileError, TransferError
         If the file cannot be used as a whole; nothing is stored then.
     StoreUnavailableError
         If the store goes away; what was stored stays, and importing again completes it.
     """
     plan = None if mapping is None else read_mapping(mapping)
-    open_rows = _parquet if path.suffix.lower() in (".parquet", ".pq") else _csv
     delimiter = "," if plan is None else plan.delimiter
     report = ImportReport()
-    with open_rows(path, delimiter) as (columns, rows):
+    with open_table(path, delimiter) as (columns, rows):
         layout = layout_of(path.name, columns, plan, own_channels)
         if layout.seconds and start_us is None:
             raise TransferError(
@@ -203,89 +200,3 @@ def _check_range(channel: str, value: float) -> None:
     for suffix, (low, high) in _RANGES.items():
         if name.endswith(suffix) and not low <= value <= high:
             raise RowError(f"{channel} = {value:g}: expected {low:g} to {high:g}")
-
-
-_Rows = Iterable[tuple[float, int, Row | RowError]]
-
-
-@contextmanager
-def _csv(path: Path, delimiter: str) -> Iterator[tuple[list[str], _Rows]]:
-    try:
-        size = max(path.stat().st_size, 1)
-        with path.open("rb") as binary:
-
-            def lines() -> Iterator[str]:
-                for raw in binary:
-                    yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
-
-            reader = csv.reader(lines(), delimiter=delimiter)
-            header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
-            if header is None:
-                raise TransferError(f"{path.name}: line 1: empty file; expected a header line")
-            columns = [cell.strip() for cell in header]
-
-            def rows() -> _Rows:
-                for cells in reader:
-                    if not any(cell.strip() for cell in cells):
-                        continue
-                    row: Row | RowError = dict(zip(columns, cells, strict=False))
-                    if len(cells) != len(columns):
-                        row = RowError(f"{len(cells)} cells; expected {len(columns)}")
-                    yield binary.tell() / size, reader.line_num, row
-
-            yield columns, rows()
-    except OSError as error:
-        raise TransferError(f"{path}: cannot be read ({error.strerror})") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TransferError(f"{path.name}: not CSV in UTF-8 ({error})") from error
-
-
-@contextmanager
-def _parquet(path: Path, _delimiter: str) -> Iterator[tuple[list[str], _Rows]]:
-    pa, parquet = load_pyarrow()
-    try:
-        file = parquet.ParquetFile(path)
-    except OSError as error:
-        raise TransferError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except pa.ArrowInvalid as error:
-        raise TransferError(f"{path.name}: not a Parquet file ({error})") from error
-    with file:
-        total = max(file.metadata.num_rows, 1)
-
-        def rows() -> _Rows:
-            line = 1
-            for batch in file.iter_batches():
-                columns = {
-                    name: _plain(pa, column)
-                    for name, column in zip(batch.schema.names, batch.columns, strict=True)
-                }
-                for at in range(batch.num_rows):
-                    line += 1
-                    yield line / total, line, {name: cells[at] for name, cells in columns.items()}
-
-        yield list(file.schema_arrow.names), rows()
-
-
-def _plain(pa: Any, column: Any) -> list[object]:
-    if pa.types.is_timestamp(column.type):
-        if column.type.tz is None:
-            # Without a zone nobody knows what time it was: such cells are refused row by row.
-            return [str(cell) for cell in column.to_pylist()]
-        return list(column.cast(pa.timestamp("us", tz="UTC")).cast(pa.int64()).to_pylist())
-    return list(column.to_pylist())
-
-
-def load_pyarrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet module.
-
-    Raises
-    ------
-    TransferError
-        If it is not installed; says how to install it.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise TransferError("Parquet needs pyarrow: pip install 'bearing-twin[parquet]'") from None
-    return pyarrow, pyarrow.parquet

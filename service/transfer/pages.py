@@ -88,6 +88,17 @@ def read_page(store: Store, asset: str, place: Place, limit: int) -> PageOfHisto
     return PageOfHistory(rows, place.behind(rows[-1]))
 
 
+def read_pages(
+    store: Store, asset: str, place: Place, page_rows: int
+) -> Iterator[Sequence[StoredSample | Rollup]]:
+    """Read all rows of a query, page by page, so that memory stays small."""
+    following: Place | None = place
+    while following is not None:
+        page = read_page(store, asset, following, page_rows)
+        yield page.rows
+        following = page.following
+
+
 def as_items(rows: Sequence[StoredSample | Rollup]) -> list[dict[str, Any]]:
     """Rows as the JSON answer shows them."""
     return [
@@ -129,13 +140,10 @@ def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
 
 
 def csv_lines(store: Store, asset: str, place: Place, page_rows: int) -> Iterator[str]:
-    """Give the whole answer of a query as CSV, page by page, so that memory stays small."""
+    """Give the whole answer of a query as CSV, page by page."""
     yield csv_header(place.resolution)
-    following: Place | None = place
-    while following is not None:
-        page = read_page(store, asset, following, page_rows)
-        yield as_csv(page.rows)
-        following = page.following
+    for rows in read_pages(store, asset, place, page_rows):
+        yield as_csv(rows)
 
 
 def _cell(value: float | None) -> str:

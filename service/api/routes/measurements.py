@@ -10,6 +10,7 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
+from adapters.tables import TableFileError
 from service.api.access import secured
 from service.api.bodies import Measurements, Pushed
 from service.api.context import AssetTwin, ServiceContext
@@ -20,7 +21,6 @@ from service.api.pushes import PushRequest, judge
 from service.api.times import Instant
 from service.security.roles import PUSH, VIEWER
 from service.store import Rollup, StoredSample, StoreUnavailableError
-from service.transfer.errors import TransferError
 from service.transfer.exporting import write_parquet
 from service.transfer.pages import (
     Place,
@@ -225,7 +225,7 @@ def _parquet(context: ServiceContext, asset: AssetTwin, place: Place) -> Respons
     file = tempfile.TemporaryFile(suffix=".parquet")  # noqa: SIM115 - closed by `chunks`
     try:
         write_parquet(file, context.store, asset.id, place)
-    except TransferError as error:
+    except TableFileError as error:
         file.close()
         raise parameter_problem("format", f"{error}; expected json or csv") from None
     except BaseException:

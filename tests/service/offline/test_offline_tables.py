@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service.files import replacing
 from service.offline.tables import (
     TableError,
     check_writable,
     read_profile,
     read_recording,
-    replacing,
     write_forecast,
 )
 

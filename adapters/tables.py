@@ -1,0 +1,146 @@
+"""Rows of recorded tables, CSV and Parquet, whatever their columns mean."""
+
+import csv
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class TableFileError(ValueError):
+    """A file that cannot be read as a table; the text is one line for the user."""
+
+
+class RowError(ValueError):
+    """A row, or a cell of it, that cannot be used; the others can."""
+
+
+class TableRow(NamedTuple):
+    """One row of a table.
+
+    Attributes
+    ----------
+    read
+        How much of the file has been read, from 0 to 1.
+    line
+        Where the row stands.
+    cells
+        By column: text in CSV, numbers in Parquet, where a time stamp is an integer in UTC
+        microseconds, or text if it has no zone. An error where the row is broken.
+    """
+
+    read: float
+    line: int
+    cells: Mapping[str, object] | RowError
+
+
+@contextmanager
+def open_table(path: Path, delimiter: str = ",") -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+    """Open a table: Parquet by its suffix, else CSV with a header line.
+
+    Parameters
+    ----------
+    path
+        The file.
+    delimiter
+        Between two cells of CSV.
+
+    Yields
+    ------
+    columns : list of str
+        Their names.
+    rows : iterator of TableRow
+        In order; empty lines are left out.
+
+    Raises
+    ------
+    TableFileError
+        If the file cannot be read, also in the middle of it.
+    """
+    is_parquet = path.suffix.lower() in (".parquet", ".pq")
+    with _parquet(path) if is_parquet else _csv(path, delimiter) as table:
+        yield table
+
+
+@contextmanager
+def _csv(path: Path, delimiter: str) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+    try:
+        size = max(path.stat().st_size, 1)
+        with path.open("rb") as binary:
+
+            def lines() -> Iterator[str]:
+                for raw in binary:
+                    yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
+
+            reader = csv.reader(lines(), delimiter=delimiter)
+            header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
+            if header is None:
+                raise TableFileError(f"{path.name}: line 1: empty file; expected a header line")
+            columns = [cell.strip() for cell in header]
+
+            def rows() -> Iterator[TableRow]:
+                for cells in reader:
+                    if not any(cell.strip() for cell in cells):
+                        continue
+                    row: Mapping[str, object] | RowError = dict(zip(columns, cells, strict=False))
+                    if len(cells) != len(columns):
+                        row = RowError(f"{len(cells)} cells; expected {len(columns)}")
+                    yield TableRow(binary.tell() / size, reader.line_num, row)
+
+            yield columns, rows()
+    except OSError as error:
+        raise TableFileError(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TableFileError(f"{path.name}: not CSV in UTF-8 ({error})") from error
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+    pa, parquet = load_pyarrow()
+    try:
+        file = parquet.ParquetFile(path)
+    except OSError as error:
+        raise TableFileError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except pa.ArrowInvalid as error:
+        raise TableFileError(f"{path.name}: not a Parquet file ({error})") from error
+    with file:
+        total = max(file.metadata.num_rows, 1)
+
+        def rows() -> Iterator[TableRow]:
+            line = 1
+            for batch in file.iter_batches():
+                columns = {
+                    name: _plain(pa, column)
+                    for name, column in zip(batch.schema.names, batch.columns, strict=True)
+                }
+                for at in range(batch.num_rows):
+                    line += 1
+                    cells = {name: column[at] for name, column in columns.items()}
+                    yield TableRow(line / total, line, cells)
+
+        yield list(file.schema_arrow.names), rows()
+
+
+def _plain(pa: Any, column: Any) -> list[object]:
+    if pa.types.is_timestamp(column.type):
+        if column.type.tz is None:
+            # Without a zone nobody knows what time it was: such cells are refused row by row.
+            return [str(cell) for cell in column.to_pylist()]
+        return list(column.cast(pa.timestamp("us", tz="UTC")).cast(pa.int64()).to_pylist())
+    return list(column.to_pylist())
+
+
+def load_pyarrow() -> tuple[Any, Any]:
+    """Import pyarrow and its Parquet module.
+
+    Raises
+    ------
+    TableFileError
+        If it is not installed; says how to install it.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise TableFileError("Parquet needs pyarrow: pip install 'bearing-twin[parquet]'") from None
+    return pyarrow, pyarrow.parquet

@@ -1,0 +1,38 @@
+"""Files that are written."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+
+class FileError(ValueError):
+    """A file that cannot be written; the text is one line for the user."""
+
+
+@contextmanager
+def replacing(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
+    """Write a file beside its place and move it there when it is complete.
+
+    Parameters
+    ----------
+    path
+        Its place.
+    binary
+        Takes bytes instead of text, which is written in UTF-8.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    text: dict[str, Any] = {} if binary else {"encoding": "utf-8", "newline": ""}
+    try:
+        with part.open("wb" if binary else "w", **text) as file:
+            yield file
+        part.replace(path)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        part.unlink(missing_ok=True)
