@@ -201,6 +201,21 @@ class ParameterSet:
         """
         return self._to_z(np.clip(self._checked(values, "values"), self._lower, self._upper))
 
+    def slopes_by_z(self, z: ArrayLike) -> NDArray[np.float64]:
+        """Derivatives of `values_from_z` inside the bounds, shape as *z*, physical units.
+
+        Parameters
+        ----------
+        z
+            Shape (..., p).
+
+        Raises
+        ------
+        ValueError
+            If the last axis does not hold p coordinates.
+        """
+        return self._spread * np.where(self._is_log, self.values_from_z(z), 1.0)
+
     def _to_z(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         ratio = np.where(self._is_log, values / np.where(self._is_log, self._centre, 1.0), 1.0)
         z: NDArray[np.float64] = np.where(

@@ -66,6 +66,14 @@ def identify(
             help="Evaluations that the search may take: 1000, or 20000 where no refinement follows."
         ),
     ] = None,
+    loss: Annotated[
+        str,
+        typer.Option(
+            metavar="LOSS",
+            help="What a reading's error costs: linear, its square; or less than that far out, so "
+            "that outliers do not bend the fit: soft_l1, huber or cauchy.",
+        ),
+    ] = "linear",
     seed: Annotated[int, typer.Option(help="Same seed, same result.")] = 0,
     at_rest: Annotated[
         bool,
@@ -97,7 +105,7 @@ def identify(
         )
         from service.offline.tables import check_writable, read_recording
 
-        procedure = check_options(method, budget, seed)
+        procedure = check_options(method, budget, seed, loss)
         check_writable(out)
         machine = Machine(*chosen_machine)
         recording = read_recording(data, machine.temperature_names)

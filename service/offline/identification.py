@@ -1,6 +1,6 @@
 """Identification from a file of recorded data."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -15,15 +15,14 @@ from service.studies.common import StudyError, require
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
     IdentificationData,
-    IdentificationResult,
     IdentificationWindow,
     Progress,
     identify,
 )
 from twin_core.identification.identify import Method
 from twin_core.identification.paper_view import paper_view
-from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.searching import Search
+from twin_core.identification.whitening import Loss
 from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData, is_at_rest
@@ -54,7 +53,7 @@ class Identified:
     parameters
         Value, unit, 95 % interval and verdict by name.
     rms_k, rms_by_sensor_k
-        Error in the data, over all sensors and of each.
+        Error in the data, over all sensors and of each; a robust loss gives outliers less weight.
     naive_k
         Error of the naive forecasts over the same rows, each made at the beginning of a window,
         by kind and sensor; None where a sensor has no reading.
@@ -120,12 +119,15 @@ class Procedure:
         The global search in NOA's place; None for NOA.
     budget
         Evaluations of the search; None for the usual.
+    loss
+        Of the measurements; a robust one keeps outliers from bending the fit.
     """
 
     name: str
     method: Method
     search: Search | None
     budget: int | None
+    loss: Loss = "linear"
 
 
 OTHER_SEARCHES: dict[str, tuple[Search, str | None]] = {
@@ -143,14 +145,14 @@ METHOD_NAMES: tuple[str, ...] = (
 )
 
 
-def check_options(method: str, budget: int | None, seed: int) -> Procedure:
+def check_options(method: str, budget: int | None, seed: int, loss: str = "linear") -> Procedure:
     """Return how to identify, or complain.
 
     Raises
     ------
     UnusableDataError
-        For an unknown method, one whose library is not installed, too small a budget or a negative
-        seed.
+        For an unknown method or loss, a method whose library is not installed, too small a budget
+        or a negative seed.
     """
     if seed < 0:
         raise UnusableDataError(f"--seed {seed}: expected 0 or more")
@@ -158,16 +160,19 @@ def check_options(method: str, budget: int | None, seed: int) -> Procedure:
         raise UnusableDataError(f"--method {method!r}: expected one of {', '.join(METHOD_NAMES)}")
     if budget is not None and budget < _LEAST_BUDGET:
         raise UnusableDataError(f"--budget {budget}: expected at least {_LEAST_BUDGET}")
+    robust: Loss | None = next((known for known in get_args(Loss) if known == loss), None)
+    if robust is None:
+        raise UnusableDataError(f"--loss {loss!r}: expected one of {', '.join(get_args(Loss))}")
     for known in get_args(Method):
         if known == method:
-            return Procedure(method, known, None, budget)
+            return Procedure(method, known, None, budget, robust)
     search, module = OTHER_SEARCHES[method.removesuffix(REFINED)]
     try:
         require(*([] if module is None else [module]))
     except StudyError as error:
         raise UnusableDataError(f"--method {method!r}: {error}") from error
     parts: Method = "noa+refine" if method.endswith(REFINED) else "noa"
-    return Procedure(method, parts, search, budget)
+    return Procedure(method, parts, search, budget, robust)
 
 
 NOA_REFINE = Procedure("noa+refine", "noa+refine", None, None)
@@ -216,6 +221,7 @@ def identify_recording(
             method=procedure.method,
             budget=procedure.budget,
             search=procedure.search,
+            loss=procedure.loss,
             seed=seed,
             progress=progress,
         )
@@ -232,7 +238,7 @@ def identify_recording(
         ),
         method=procedure.name,
         parameters=result.posterior.parameters(model),
-        rms_k=_total_rms(IdentificationProblem(model, data), result),
+        rms_k=_total_rms(data, rms_by_sensor),
         rms_by_sensor_k=rms_by_sensor,
         naive_k=_naive_rms([window.minutes for window in data.windows]),
         evaluations=result.evaluations,
@@ -302,9 +308,17 @@ def _check_rest(recording: Recording, minutes: MinuteData) -> None:
             )
 
 
-def _total_rms(problem: IdentificationProblem, result: IdentificationResult) -> float:
-    errors = [values for window in problem.errors_c(result.unknowns) for values in window.values()]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+def _total_rms(data: IdentificationData, rms_by_sensor: Mapping[str, float]) -> float:
+    """Over all sensors, each by the number of its readings."""
+    squares, count = 0.0, 0
+    for name, rms_k in rms_by_sensor.items():
+        readings = [
+            window.minutes.temperatures_c[name][window.minutes.good] for window in data.windows
+        ]
+        known = int(sum(np.count_nonzero(np.isfinite(values)) for values in readings))
+        squares += known * rms_k**2
+        count += known
+    return float(np.sqrt(squares / count))
 
 
 def _naive_rms(windows: list[MinuteData]) -> dict[str, dict[str, float | None]]:

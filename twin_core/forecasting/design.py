@@ -22,14 +22,20 @@ from twin_core.forecasting.ensemble import (
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.whitening import whitening
 from twin_core.models import ThermalModel
-from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch
+from twin_core.simulation import (
+    OperatingProfile,
+    SimulationError,
+    heat_balance_w,
+    kernels,
+    simulate_batch,
+    simulate_sensitivities,
+)
 
 FloatArray = NDArray[np.float64]
 
 FRICTION_SHIFT = 0.05
 """By how much the friction of a machine may differ between one stage and the next though nothing
 was done to it (the grease has moved): standard deviation, relative. Assumed, not measured."""
-_DIFFERENCE_Z = 0.02
 _LEAST_STATE_K = 0.02
 _NOISE_VARIANCE_K2 = (
     DEVIATION_K**2 + SENSOR_OFFSET_K**2 + SENSOR_WHITE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0
@@ -185,44 +191,29 @@ class Design:
         return held_profile(levels, self._present.ambient_c)
 
     def _sensitivities(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray]:
-        """Readings (n, sensors), and their derivatives (d, n, sensors) by central differences."""
-        parameters, p, q = self._model.parameters, self._z.size, self._state_factor.shape[1]
-        z = np.tile(self._z, (1 + 2 * (p + q), 1))
-        start = np.tile(self._present.state_c, (1 + 2 * (p + q), 1))
-        for k in range(p):
-            z[1 + 2 * k, k] += _DIFFERENCE_Z
-            z[2 + 2 * k, k] -= _DIFFERENCE_Z
-        for k in range(q):
-            start[1 + 2 * (p + k)] += self._state_factor[:, k]
-            start[2 + 2 * (p + k)] -= self._state_factor[:, k]
-        z = np.clip(z, parameters.z_lower, parameters.z_upper)
-        paths = self._simulate(levels, z, start)
-        if not np.all(np.isfinite(paths[0])):
-            nowhere = np.full_like(paths[0], np.inf)
-            return nowhere, np.zeros((p + q, *nowhere.shape))
-        high, low = paths[1::2], paths[2::2]
-        # A neighbour that fails says nothing; nor does a parameter that cannot move.
-        width = np.full(p + q, 2.0)
-        width[:p] = z[1 : 2 * p : 2].diagonal() - z[2 : 2 * p + 1 : 2].diagonal()
-        difference = np.where(np.isfinite(high - low), high - low, 0.0)
-        return paths[0], difference / np.maximum(width, 1e-9)[:, None, None]
+        """Readings (n, sensors), and their derivatives (d, n, sensors); infinite if it runs away.
 
-    def _simulate(
-        self,
-        levels: Sequence[Level],
-        z: FloatArray,
-        start: FloatArray,
-        disturbance_w: FloatArray | None = None,
-    ) -> FloatArray:
-        temperatures = simulate_batch(
-            self._model,
-            self._model.parameters.values_from_z(z),
-            self._profile(levels),
-            start,
-            self._present.revolutions,
-            disturbance_w=disturbance_w,
-        )
-        return np.asarray(temperatures @ self._rows.T)
+        A parameter at its bound counts as one that can still move.
+        """
+        parameters = self._model.parameters
+        z = np.clip(self._z, parameters.z_lower, parameters.z_upper)
+        profile = self._profile(levels)
+        try:
+            found = simulate_sensitivities(
+                self._model,
+                parameters.values_from_z(z),
+                profile,
+                self._present.state_c,
+                self._present.revolutions,
+                initial_directions=self._state_factor,
+                outputs=self._rows,
+            )
+        except SimulationError:
+            nowhere = np.full((profile.size, len(self._rows)), np.inf)
+            return nowhere, np.zeros((z.size + self._state_factor.shape[1], *nowhere.shape))
+        by_z = found.by_value * parameters.slopes_by_z(z)
+        along = np.concatenate((by_z, found.by_initial), axis=2)
+        return found.temperatures_c, np.ascontiguousarray(np.moveaxis(along, 2, 0))
 
     def _shift_k(self, levels: Sequence[Level], path: FloatArray) -> FloatArray:
         """Change of the readings (n, sensors) by a little more friction throughout the step."""
@@ -238,11 +229,16 @@ class Design:
             self._present.ambient_c,
             self._present.revolutions,
         )
-        start = self._present.state_c[None]
-        moved = self._simulate(
-            levels, self._z[None], start, FRICTION_SHIFT * friction_w * np.asarray(share)
+        moved = simulate_batch(
+            self._model,
+            values[None],
+            self._profile(levels),
+            self._present.state_c[None],
+            self._present.revolutions,
+            disturbance_w=FRICTION_SHIFT * friction_w * np.asarray(share),
         )[0]
-        return np.where(np.isfinite(moved - path), moved - path, 0.0)
+        shift = moved @ self._rows.T - path
+        return np.where(np.isfinite(shift), shift, 0.0)
 
 
 def held_profile(levels: Sequence[Level], ambient_c: float) -> OperatingProfile:

@@ -139,8 +139,6 @@ class IdentificationProblem:
         self.lower: FloatArray = np.concatenate((model.parameters.z_lower, lag[:1], -limit))
         self.upper: FloatArray = np.concatenate((model.parameters.z_upper, lag[1:], limit))
         self._nuisance_sensitivity: FloatArray | None = None
-        self._spread = np.array([p.spread for p in model.parameters.parameters])
-        self._is_log = np.array([p.transform == "log" for p in model.parameters.parameters])
 
     # ------------------------------------------------------------------ residuals
     def residuals(self, unknowns: FloatArray) -> FloatArray:
@@ -206,7 +204,7 @@ class IdentificationProblem:
         parameters = self.model.parameters
         values = parameters.values_from_z(unknowns[:p])
         inside = (unknowns >= self.lower) & (unknowns <= self.upper)
-        by_z = np.where(inside[:p], self._spread * np.where(self._is_log, values, 1.0), 0.0)
+        by_z = np.where(inside[:p], parameters.slopes_by_z(unknowns[:p]), 0.0)
         lag_s = self.lag_s(unknowns)
         by_lag = _LAG_SPREAD_S if inside[p] else 0.0
         jacobian = np.zeros((self.measurement_count + d, d))

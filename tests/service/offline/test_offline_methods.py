@@ -122,3 +122,25 @@ def test_the_papers_model_that_does_not_fit_names_the_one_that_may(
     machine = Machine("paper", named_bearing("6311", {}), None)
     with pytest.raises(FailedFitError, match=r"rms only.*; see --model paper-reduced"):
         identify_recording(recording, machine=machine, procedure=check_options("refine", None, 0))
+
+
+def test_a_robust_loss_is_not_bent_by_a_loose_contact(data: Path, command: Command) -> None:
+    """Every tenth reading of the inner ring is 8 K too high."""
+    clean = identify(command, data, "--method", "refine")
+    lines = data.read_text(encoding="utf-8").splitlines()
+    column = lines[0].split(",").index("t_inner_ring_c")
+    for row in range(10, len(lines), 10):
+        cells = lines[row].split(",")
+        cells[column] = f"{float(cells[column]) + 8.0:.2f}"
+        lines[row] = ",".join(cells)
+    bad = data.with_name("loose.csv")
+    bad.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = identify(command, bad, "--method", "refine", "--loss", "cauchy")
+    assert found["rms_error_k"] < 0.4
+    moment = found["parameters"]["M0"]["value"]
+    assert moment == pytest.approx(clean["parameters"]["M0"]["value"], rel=0.05)
+
+
+def test_an_unknown_loss_is_refused() -> None:
+    with pytest.raises(UnusableDataError, match=r"--loss 'l1': expected one of linear, soft_l1"):
+        check_options("refine", None, 0, "l1")
