@@ -36,10 +36,11 @@ from twin_core.networks.bearing_14 import (
     bearing_14_data,
     edge_between,
     node_name,
+    with_shoulders,
 )
 from twin_core.parameters import Parameter, ParameterSet
 from twin_core.reduced_paper import reduced_network, reduced_parameters
-from twin_core.structures import free_parameters, held_at, hold_parameters
+from twin_core.structures import SHOULDERS, free_parameters, held_at, hold_parameters
 
 ModelName = Literal["default", "paper", "paper-reduced"]
 
@@ -82,6 +83,8 @@ def build_model(
     if name == "default":
         held = held_at(without)
         parameters = free_parameters(ParameterSet(DEFAULT_PARAMETERS), held)
+        if SHOULDERS not in without:
+            data = with_shoulders(data)
         network = hold_parameters(_default_network(bearing, data), held)
         name = " without ".join(("default", *without))
     elif name == "paper":
@@ -240,17 +243,19 @@ def _paper_network(bearing: Bearing, data: Bearing14) -> Network:
 # 2): p .67, p2 0, q .67, pq 0, share of the load part .17, load exponents 0 and 1.55. SKF
 # catalogue (grease, K_rs 3e-8 to 6e-8, mu .04 to .05, its starvation factor with and without a
 # limit to cold viscosities): p .20 +- .10, p2 -.24, q .28 +- .18, pq -.31, share .125, load
-# exponents .54 and 1.67. The SKF law counts three to four times as much where speed is concerned:
-# starvation and inlet shear heating, which grease at these speeds has, are only in it. The load
-# exponent b is their plain mean and a little more, for the tightening clearance (thermal preload)
-# adds to the load; the same preload gives friction back that thinner oil saves, hence q below the
-# pool. Films of resting and rotating surfaces do not add up, so the shaft's film at rest counts
-# half; its sink when rotating is half of what Nu = .133 Re^(2/3) Pr^(1/3) gives with the shaft's
-# fin efficiency (1.3 W/K for a shaft of 55 mm), because sleeves and covers hide part of it. The
+# exponents .54 and 1.67. The SKF law counts three to four times as much where speed is concerned,
+# ten times in the exponent itself: starvation and inlet shear heating, which grease at these speeds
+# has, are only in it. The load exponent b is their plain mean and a little more, for the tightening
+# clearance (thermal preload) adds to the load; its spread is that of two laws either of which may
+# hold (.27), and of the preload's part. The same preload gives friction back that thinner oil
+# saves, hence q below the pool. A bearing may be run in when it is first seen: A is zero with a
+# probability of a fifth, which no log-normal prior allows. Films of resting and rotating surfaces
+# do not add up, so the shaft's film at rest counts half. Nu = .133 Re^(2/3) Pr^(1/3) gives an end
+# of a bare shaft of 55 mm 3 W/K at its mean temperature; sleeves and covers hide most of it. The
 # others are literature ranges of the correlations and joints.
 DEFAULT_PARAMETERS = (
     Parameter("M0", "-", "friction moment relative to the reference moment", "log", 1.0, 0.4),
-    Parameter("p", "-", "viscous friction: exponent of speed", "linear", 0.30, 0.16),
+    Parameter("p", "-", "viscous friction: exponent of speed", "linear", 0.24, 0.15),
     Parameter("p2", "-", "viscous friction: curvature of the speed law", "linear", -0.18, 0.08),
     Parameter("q", "-", "viscous friction: exponent of viscosity", "linear", 0.38, 0.18),
     Parameter(
@@ -266,9 +271,11 @@ DEFAULT_PARAMETERS = (
         0.0,
         0.8,
     ),
-    Parameter("b", "-", "viscous friction: exponent of load", "linear", 0.33, 0.25),
+    Parameter("b", "-", "viscous friction: exponent of load", "linear", 0.36, 0.28),
     Parameter("c", "-", "load-dependent friction: exponent of load", "linear", 1.60, 0.08),
-    Parameter("A", "-", "running-in: excess friction of fresh grease", "log", 0.12, 0.8),
+    Parameter(
+        "A", "-", "running-in: excess friction of fresh grease", "linear", 0.10, 0.12, 0.0, 1.0
+    ),
     Parameter("Nr", "rev", "running-in: revolutions to 1/e", "log", 1.0e6, 0.7),
     Parameter(
         "Rc",
@@ -289,9 +296,7 @@ DEFAULT_PARAMETERS = (
         "eext", "-", "outer film: exponent of the temperature difference", "linear", 0.15, 0.08
     ),
     Parameter("hsh", "-", "film of the resting shaft relative to 8 W/m2K", "log", 0.5, 0.6),
-    Parameter(
-        "gs", "W/K", "sink of an end of a 55 mm shaft rotating at 6000 rpm", "log", 0.60, 0.8
-    ),
+    Parameter("gs", "W/K", "sink of an end of a 55 mm shaft rotating at 6000 rpm", "log", 1.0, 0.8),
     Parameter(
         "Rj", "-", "scale of the joints around the outer ring and the house", "log", 1.0, 0.5
     ),

@@ -6,6 +6,9 @@ from dataclasses import replace
 from twin_core.network import Coefficient, Network
 from twin_core.parameters import ParameterSet
 
+SHOULDERS = "shaft_shoulders"
+"""The shaft is a bar that seat and sleeve share; no parameter belongs to it."""
+
 STRUCTURES: Mapping[str, Mapping[str, float]] = {
     "load_part": {"s": 0.0, "c": 1.0},
     "curvature": {"p2": 0.0, "pq": 0.0},
@@ -13,10 +16,12 @@ STRUCTURES: Mapping[str, Mapping[str, float]] = {
     "rotating_shaft": {"gs": 0.0},
     "heat_split": {"fm": 0.0, "ball": 0.5, "inn": 0.5},
     "outer_film": {"eext": 0.0},
+    SHOULDERS: {},
 }
 """Values at which the parameters of a part are held when it is left out: friction that does not
 follow viscosity; curved speed law; running-in of the grease; sink of the rotating shaft; free
-shares of the heat (1 : 2 : 1 without, as in the paper); film that grows with its difference."""
+shares of the heat (1 : 2 : 1 without, as in the paper); film that grows with its difference; one
+shaft for the heat of seat and sleeve (see `twin_core.networks.bearing_14.with_shoulders`)."""
 
 
 def held_at(without: Collection[str]) -> dict[str, float]:

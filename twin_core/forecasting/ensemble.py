@@ -21,6 +21,7 @@ from twin_core.forecasting.paths import add_deviations, gather_members, net_heat
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.operating_points import STANDING_RPM
 from twin_core.parameters import ParameterSet
 from twin_core.process_noise import hidden_spread
 from twin_core.simulation import (
@@ -41,6 +42,11 @@ DEVIATION_K = 0.25
 LOAD_DEVIATION = 0.04
 """What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in
 the model: a deviation by this part of a sensor's rise over ambient, per ln(load / trained load)."""
+START_DEVIATION = 0.04
+"""No start is like another: the grease is pushed aside anew, and an inner ring that warms up ahead
+of its housing tightens the bearing. A deviation by this part of a sensor's rise over ambient from
+the first start out of standstill on."""
+START_S = 600.0
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -226,6 +232,8 @@ def forecast(
     )
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
     beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
+    started = _started(profile, operating_point)
+    part = np.hypot(LOAD_DEVIATION * beyond, START_DEVIATION * started)
     keep = np.exp(-np.diff(profile.time_s) / model.errors.slow_s)
     shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
     add_deviations(
@@ -233,7 +241,7 @@ def forecast(
         rng.standard_normal((members // 2, keep.size, len(sensors))),
         keep,
         shock,
-        np.hypot(1.0, LOAD_DEVIATION * beyond[:, None] * rise_c / DEVIATION_K),
+        np.hypot(1.0, part[:, None] * rise_c / DEVIATION_K),
         SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),)),
         np.ones(profile.size),
     )
@@ -310,14 +318,33 @@ def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> 
     It follows the load within the time that a deviation takes to build up. Zero without any
     trained load: the prior's spread is for all loads.
     """
-    beyond = np.zeros(profile.size)
     if trained_n <= 0.0:
-        return beyond
+        return np.zeros(profile.size)
     excess = np.maximum(np.log(np.maximum(profile.load_n, 1.0) / trained_n), 0.0)
-    keep = np.exp(-np.diff(profile.time_s) / slow_s)
-    for row in range(profile.size - 1):
-        beyond[row + 1] = keep[row] * beyond[row] + (1.0 - keep[row]) * excess[row]
-    return beyond
+    return _following(excess, profile.time_s, slow_s)
+
+
+def _started(
+    profile: OperatingProfile, operating_point: tuple[float, float, float] | None
+) -> FloatArray:
+    """Zero until the machine starts out of a standstill, then towards one, (n,).
+
+    A machine that was not followed is taken to do what it did in its data.
+    """
+    stands = np.abs(profile.speed_rpm) < STANDING_RPM
+    if operating_point is not None and abs(operating_point[0]) < STANDING_RPM:
+        stands[0] = True
+    since = np.logical_or.accumulate(stands) & ~stands
+    return _following(np.maximum.accumulate(since.astype(np.float64)), profile.time_s, START_S)
+
+
+def _following(values: FloatArray, time_s: FloatArray, within_s: float) -> FloatArray:
+    """Values (n,) held over each step, as a first-order lag from zero follows them, (n,)."""
+    followed = np.zeros(values.size)
+    keep = np.exp(-np.diff(time_s) / within_s)
+    for row in range(values.size - 1):
+        followed[row + 1] = keep[row] * followed[row] + (1.0 - keep[row]) * values[row]
+    return followed
 
 
 def _hidden_growth(time_s: FloatArray, rise_c: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ import pytest
 from twin_core.bearings import bearing, bearing_from_dimensions
 from twin_core.models import build_model
 from twin_core.network import EdgeKind
-from twin_core.networks.bearing_14 import NODE_NAMES, bearing_14_data
+from twin_core.networks.bearing_14 import NODE_NAMES, bearing_14_data, with_shoulders
 from twin_core.simulation import steady_state
 
 CAPACITY = {
@@ -56,7 +56,7 @@ def test_capacities_and_resistances_of_both_bearings(column: int, designation: s
 
 
 def test_sensor_rows_of_the_6311() -> None:
-    model = build_model(bearing=bearing("6311"))
+    model = build_model("paper", bearing=bearing("6311"))
     inner, outer = np.zeros(13), np.zeros(13)
     inner[[3, 4, 11]] = 0.939, 0.035, 0.026
     outer[[0, 1]] = 0.163, 0.837
@@ -64,6 +64,30 @@ def test_sensor_rows_of_the_6311() -> None:
     assert model.sensor_row("t_outer_ring_c") == pytest.approx(outer, abs=1e-3)
     assert model.sensor_row("t_node_7_c").tolist() == np.eye(13)[6].tolist()
     assert model.sensor_matrix(model.sensor_names).sum(axis=1) == pytest.approx(1.0)
+
+
+def test_seat_and_sleeve_share_the_shaft_beside_them() -> None:
+    """The triangle between ring, sleeve and shaft is the star of seat, sleeve's fit and bar."""
+    apart = bearing_14_data(bearing("6311"))
+    shared = with_shoulders(apart)
+    for shaft, sleeve, pair in ((5, 10, (5, 10)), (12, 11, (11, 12))):
+        third = apart.shaft_bars_k_w[shaft] / 3.0
+        seat = apart.constant_k_w[4, shaft] - third
+        on_shaft = apart.constant_k_w[pair] - third / 2.0
+        # ring at 1, shaft at 0, the sleeve hangs on the star alone: heat into the shaft
+        face = 1.0 / apart.constant_k_w[4, sleeve]
+        across = 1.0 / shared.constant_k_w[4, sleeve] - face
+        to_shaft = 1.0 / shared.constant_k_w[pair]
+        sleeve_c = across / (across + to_shaft)
+        heat_w = 1.0 / shared.constant_k_w[4, shaft] + to_shaft * sleeve_c
+        assert heat_w == pytest.approx(1.0 / (seat + third))
+        # the same with the sleeve held at the ring's temperature
+        both = 1.0 / (1.0 / seat + 1.0 / on_shaft) + third
+        assert 1.0 / shared.constant_k_w[4, shaft] + to_shaft == pytest.approx(1.0 / both)
+    assert sum(shared.inner_sensor.values()) == pytest.approx(1.0)
+    ring, seat_j_k = apart.capacity_j_k[3], np.pi / 4 * 0.055**2 * 0.029 * 7850 * 434
+    assert shared.capacity_j_k[3] == pytest.approx(ring + seat_j_k, rel=0.02)
+    assert shared.capacity_j_k[4:] == apart.capacity_j_k[4:]
 
 
 def test_edge_count() -> None:
