@@ -16,13 +16,12 @@ TEMPERATURE_LIMIT_C = 2000.0
 """Beyond this a simulation counts as run away. Only heat that depends on temperature can run away;
 a LINEAR source is bound by neither limit."""
 
-# Limits at and near standstill. A contact at rest conducts by constriction, 4 k sqrt(a b) per body,
-# a moving one pi k sqrt(a b^2 u / alpha) (equation 5 of the paper): equal where b u / alpha is
-# (4 / pi)^2, which is 42 rpm for a 6311 and 45 rpm for a 6016 under 2650 N and moves with the cube
-# root of the load. 50 N is about the weight of a shaft. A power of speed stays finite. The friction
-# law was regressed above 1500 rpm and 2650 N: its quadratic terms are frozen at a tenth of the
-# reference point, so that the moment stays finite.
-CONTACT_MIN_SPEED_RPM = 42.0
+# Limits at and near standstill. Below some 10 rpm the heat source no longer moves relative to
+# the contact (Peclet number about one) and the contact conducts like a resting one; 50 N is about
+# the weight of a shaft. A power of speed stays finite. The friction law was regressed above
+# 1500 rpm and 2650 N: its quadratic terms are frozen at a tenth of the reference point, so that
+# the moment stays finite.
+CONTACT_MIN_SPEED_RPM = 10.0
 CONTACT_MIN_LOAD_N = 50.0
 POWER_MIN_SPEED_RPM = 10.0
 REFERENCE_SPEED_RPM = 3000.0
