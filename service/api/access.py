@@ -6,6 +6,7 @@ route says by `secured` which roles it is for. OpenAPI shows both.
 
 import base64
 import binascii
+import ipaddress
 import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Any, Final
@@ -177,6 +178,16 @@ def address_of(connection: HTTPConnection) -> str:
     return connection.client.host if connection.client else ""
 
 
+def _site_of(address: str) -> str:
+    """What one caller has for sure: an IPv4 address, or the network of an IPv6 one."""
+    try:
+        if ipaddress.ip_address(address).version == 4:
+            return address
+        return str(ipaddress.ip_network(f"{address.partition('%')[0]}/64", strict=False))
+    except ValueError:
+        return address
+
+
 def make_door(
     authenticator: Authenticator, trail: AuditTrail
 ) -> Callable[[Request], Coroutine[Any, Any, None]]:
@@ -248,7 +259,7 @@ async def new_key(
         When the store cannot tell.
     """
     address = address_of(connection)
-    caller_name = f"{action} {address}"
+    caller_name = f"{action} {_site_of(address)}"
     wait_s = authenticator.failures.wait_s(caller_name)
     if wait_s:
         raise too_many("too many wrong keys from this address", wait_s)

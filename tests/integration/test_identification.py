@@ -110,6 +110,18 @@ def worker_of(site: Site) -> int:
     raise AssertionError("the service has no worker process")
 
 
+def is_at_rest(process_id: int) -> bool:
+    """Tell whether a process uses no processor, over a third of a second."""
+
+    def ticks() -> int:
+        fields = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
+        return int(fields[11]) + int(fields[12])
+
+    before = ticks()
+    time.sleep(0.3)
+    return ticks() == before
+
+
 # ---------------------------------------------------------------------- by itself
 def test_it_identifies_by_itself_after_two_low_risk_points(live: Site) -> None:
     by_itself = [one for one in jobs(live) if one["status"] == "succeeded"][-1]
@@ -215,11 +227,14 @@ def test_a_job_is_accepted_once_and_seen_at_its_location(quiet: Site) -> None:
 
     # Cancelled it ends at once and takes no effect, and the worker is free for the next job.
     known, active = versions(quiet), quiet.tag("model.version")
+    worker = worker_of(quiet)
     began = time.monotonic()
     deleted = quiet.client.delete(f"{JOBS}/{job_id}")
     assert time.monotonic() - began < 2.0
     assert deleted.status_code == 200
     assert deleted.json()["status"] == "cancelled"
+    wait_until(lambda: is_at_rest(worker), 20, "rest of the worker", every_s=0.0)
+    print(f"cancelled job: its worker rests after {time.monotonic() - began:.1f} s")  # noqa: T201
     next_job = start(quiet, ENDLESS)
     running(quiet, next_job)
     quiet.client.delete(f"{JOBS}/{next_job}")

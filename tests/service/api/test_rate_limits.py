@@ -29,6 +29,15 @@ async def test_an_address_may_log_in_wrongly_ten_times_a_minute(world: Any) -> N
     assert (await guesser.get("/livez")).status_code == 200
 
 
+async def test_the_addresses_of_an_ipv6_network_count_as_one(world: Any) -> None:
+    for number in range(10):
+        guesser = world.client(address=(f"2001:db8::{number}", 1))
+        assert (await guesser.post(SESSION, json={"key": "wrong"})).status_code == 401
+    same, other = (world.client(address=(f"2001:db8:0:{net}::9", 1)) for net in (0, 1))
+    assert_must_wait(await same.post(SESSION, json={"key": "wrong"}))
+    assert (await other.post(SESSION, json={"key": "wrong"})).status_code == 401
+
+
 async def test_an_address_may_try_ten_different_wrong_keys_a_minute(world: Any) -> None:
     client = world.client()
     for number in range(10):
