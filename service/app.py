@@ -14,16 +14,17 @@ from typing import Any
 import anyio.to_thread
 import structlog
 import uvicorn
-from prometheus_client import CollectorRegistry, Histogram
+from prometheus_client import CollectorRegistry, Counter, Histogram
 
 from adapters.drivers import Driver, SourceHealth
 from adapters.samples import Batch
 from service.alarms import AlarmBook, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
-from service.clock import ProcessClock
+from service.clock import ClockWatch, ProcessClock
 from service.configuration import SettingsError
 from service.ingest import Ingest, QualityChecks, Spool
+from service.ingest.metrics import watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
@@ -79,6 +80,14 @@ class Service:
         self.bus = Bus(clock)
         self.alarms = AlarmBook(store, clock, self._alarm_changed)
         self.spool = Spool.open(settings.data_dir, settings.service.spool_mib)
+        self._clock_steps = Counter(
+            "bearing_twin_clock_steps",
+            "Times that the process clock was set.",
+            registry=self.registry,
+        )
+        watch_late(
+            lambda: {asset.id: asset.readings.late for asset in self.assets.values()}, self.registry
+        )
         self.checks = QualityChecks(wiring.check_limits, self.registry)
         self.ingest = Ingest(
             store, self.spool, clock, self._take, registry=self.registry, checks=self.checks
@@ -178,8 +187,13 @@ class Service:
         return Retention(**self.settings.retention.model_dump())
 
     async def _tell_health(self) -> None:
+        watch = ClockWatch(self.clock)
         while True:
             await asyncio.sleep(HEALTH_EVERY_WALL_S)
+            step_s = watch.step_s()
+            if step_s:
+                self._clock_steps.inc()
+                _log.warning("clock_set", by_s=round(step_s, 3))
             now_us = self.clock.now_us()
             sources = [
                 {

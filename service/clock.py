@@ -7,8 +7,12 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from adapters.drivers import Clock
+
 MICROSECONDS = 1_000_000
 _ANCHOR_FILE = "clock.json"
+# Time servers correct a clock by less; process seconds at rate 1.
+_CLOCK_SET_S = 1.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -71,6 +75,28 @@ class ProcessClock:
     async def sleep(self, process_seconds: float) -> None:
         """Wait for a span of process time, in seconds."""
         await asyncio.sleep(max(process_seconds, 0.0) / self.rate)
+
+
+class ClockWatch:
+    """Notices that the process clock was set: it moved otherwise than time that passes.
+
+    Parameters
+    ----------
+    clock : Clock
+        Process time.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._seen_us, self._seen_s = clock.now_us(), time.monotonic()
+
+    def step_s(self) -> float:
+        """Process seconds by which the clock was set since the last look; 0 when it was not."""
+        now_us, now_s = self._clock.now_us(), time.monotonic()
+        passed_us = (now_s - self._seen_s) * self._clock.rate * MICROSECONDS
+        ahead_s = (now_us - self._seen_us - passed_us) / MICROSECONDS
+        self._seen_us, self._seen_s = now_us, now_s
+        return ahead_s if abs(ahead_s) > _CLOCK_SET_S * max(self._clock.rate, 1.0) else 0.0
 
 
 def rfc3339(time_us: int) -> str:

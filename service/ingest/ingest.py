@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry
 
 from adapters.drivers import Clock, Driver
 from adapters.samples import Batch, Quality, Sample
-from service.ingest.metrics import SampleLedger, SourceMetrics, watch_spool
+from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks
 from service.ingest.spool import Spool
 from service.ingest.writer import SampleWriter
@@ -66,8 +66,8 @@ class Ingest:
         self._on_batch = on_batch
         self._ledger = SampleLedger(registry)
         self._source_metrics = SourceMetrics(registry)
-        watch_spool(spool, clock, registry)
         self._writer = SampleWriter(store, spool, self._ledger)
+        watch_queues(lambda: self._writer.queued, spool, clock, registry)
         self._unmarked_gaps: dict[tuple[str, str], int] = {}
 
     @property

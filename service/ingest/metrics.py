@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from prometheus_client import CollectorRegistry, Gauge, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -14,6 +14,13 @@ from service.ingest.spool import Spool, SpoolUnavailableError
 SKIP_REASONS = ("queue_full", "refused", "spool_full", "store_unavailable")
 
 _PREFIX = "bearing_twin_samples"
+
+_SOURCE_COUNTS = {
+    "polls": "Completed polls of a source, or frames that it received.",
+    "samples": "Samples that a source handed over.",
+    "skipped": "Polls that came too late, samples that nobody took.",
+    "reconnects": "Connections of a source made anew after a loss.",
+}
 
 
 class SampleLedger:
@@ -34,6 +41,12 @@ class SampleLedger:
         self._duplicate = 0
         self._waiting = 0
         self._skipped = dict.fromkeys(SKIP_REASONS, 0)
+        self.write_seconds = Histogram(
+            "bearing_twin_store_write_seconds",
+            "Wall seconds that one transaction with samples took, from the first row to the disk.",
+            registry=registry,
+            buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10),
+        )
         registry.register(self)
 
     def accept(self, count: int) -> None:
@@ -102,8 +115,10 @@ class SampleLedger:
         ]
 
 
-def watch_spool(spool: Spool, clock: Clock, registry: CollectorRegistry) -> None:
-    """Show how much the spool holds and how long its oldest sample has waited."""
+def watch_queues(
+    queued: Callable[[], int], spool: Spool, clock: Clock, registry: CollectorRegistry
+) -> None:
+    """Show how much waits in memory and on the spool, and how long its oldest sample has waited."""
 
     def age_s() -> float:
         try:
@@ -119,6 +134,11 @@ def watch_spool(spool: Spool, clock: Clock, registry: CollectorRegistry) -> None
             return math.nan
 
     Gauge(
+        "bearing_twin_queue_samples",
+        "Samples in memory that wait for the store.",
+        registry=registry,
+    ).set_function(queued)
+    Gauge(
         "bearing_twin_spool_bytes",
         "Size of the samples on the disk that wait for the store.",
         registry=registry,
@@ -130,8 +150,32 @@ def watch_spool(spool: Spool, clock: Clock, registry: CollectorRegistry) -> None
     ).set_function(age_s)
 
 
+def watch_late(late: Callable[[], Mapping[str, int]], registry: CollectorRegistry) -> None:
+    """Show how many samples of each asset came when newer ones were known; they are stored too."""
+    registry.register(_LateSamples(late))
+
+
+class _LateSamples:
+    def __init__(self, late: Callable[[], Mapping[str, int]]) -> None:
+        self._late = late
+
+    def describe(self) -> Iterable[Metric]:
+        return [self._family()]
+
+    def collect(self) -> Iterable[Metric]:
+        counter = self._family()
+        for asset, count in self._late().items():
+            counter.add_metric([asset], count)
+        return [counter]
+
+    def _family(self) -> CounterMetricFamily:
+        return CounterMetricFamily(
+            f"{_PREFIX}_late", "Samples that came out of order, after newer ones.", labels=["asset"]
+        )
+
+
 class SourceMetrics:
-    """Poll times and state of the sources.
+    """Poll times, state and counts of the sources, as their drivers see them at each scrape.
 
     Parameters
     ----------
@@ -147,13 +191,36 @@ class SourceMetrics:
             registry=registry,
             buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
         )
-        self._source_up = Gauge(
-            "bearing_twin_source_up",
-            "1 while a source answers, 0 while it does not.",
-            ["source"],
-            registry=registry,
-        )
+        self._drivers: list[Driver] = []
+        registry.register(self)
 
     def watch(self, driver: Driver) -> None:
-        """Show whether a source is up, as its driver sees it at the time of each scrape."""
-        self._source_up.labels(driver.name).set_function(lambda: float(driver.health().up))
+        """Show this source too."""
+        self._drivers.append(driver)
+
+    def describe(self) -> Iterable[Metric]:
+        """Name the figures, so that the registry refuses them twice."""
+        return self.collect()
+
+    def collect(self) -> Iterable[Metric]:
+        """Show the figures to Prometheus."""
+        up = GaugeMetricFamily(
+            "bearing_twin_source_up",
+            "1 while a source answers, 0 while it does not.",
+            labels=["source"],
+        )
+        counters = {
+            name: CounterMetricFamily(f"bearing_twin_source_{name}", text, labels=["source"])
+            for name, text in _SOURCE_COUNTS.items()
+        }
+        errors = CounterMetricFamily(
+            "bearing_twin_source_errors", "Errors of a source by kind.", labels=["source", "kind"]
+        )
+        for driver in self._drivers:
+            health = driver.health()
+            up.add_metric([health.name], float(health.up))
+            for name, counter in counters.items():
+                counter.add_metric([health.name], getattr(health, name))
+            for kind, count in health.errors.items():
+                errors.add_metric([health.name, kind], count)
+        return [up, *counters.values(), errors]

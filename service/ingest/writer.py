@@ -73,6 +73,11 @@ class SampleWriter:
         self.spool_problem: str | None = None
         self._ledger.accept(len(spool))
 
+    @property
+    def queued(self) -> int:
+        """Samples that wait in memory."""
+        return self._queued
+
     def start(self) -> None:
         """Begin to write; what was put in before waits until then."""
         self._thread = threading.Thread(target=self._run, name="sample-writer", daemon=True)
@@ -270,7 +275,8 @@ class SampleWriter:
         return written, []
 
     def _into_store(self, samples: Collection[Sample]) -> WriteCounts:
-        counts = self._store.write_samples(samples, _PATIENCE_S)
+        with self._ledger.write_seconds.time():
+            counts = self._store.write_samples(samples, _PATIENCE_S)
         if self.problem is not None:
             _log.info("store_available", waiting=self._queued + len(self._spool))
         self.problem = self.spool_problem = None

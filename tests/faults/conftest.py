@@ -16,7 +16,7 @@ class Extent(NamedTuple):
     kills: int
 
 
-SHORT, FULL = Extent(5.0, 3), Extent(60.0, 50)
+SHORT, FULL = Extent(2.0, 3), Extent(60.0, 50)
 
 
 def pytest_configure(config: pytest.Config) -> None:

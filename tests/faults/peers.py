@@ -24,6 +24,7 @@ POISON = 4_000_000_000
 """Carried by answers that nobody may take for a value."""
 FRAME_ID, UNKNOWN_ID = 0x120, 0x121
 FRAMES_PER_S = 100
+NUMBER_AT = 4
 
 
 class State:
@@ -79,7 +80,7 @@ def modbus(port: int, state: State) -> None:
         number = POISON
         if mode == LATE:
             time.sleep(argument / 1000)
-        elif mode == NORMAL:
+        elif mode == NORMAL and address <= NUMBER_AT < address + count:
             number = state.next()
         words = registers(number)[address : address + count]
         body = struct.pack(f">BBB{count}H", unit, function, 2 * count, *words)
@@ -104,6 +105,7 @@ def modbus(port: int, state: State) -> None:
                 transaction, _, length, unit = struct.unpack(">HHHB", head)
                 request = _exactly(connection, length - 1)
                 with turn:
+                    _hang_up_with(connection)
                     connection.sendall(answer(transaction, unit, request))
 
     _accept(port, serve)
@@ -173,6 +175,19 @@ def _accept(port: int, serve: Callable[[socket.socket], None]) -> None:
     while True:
         connection, _ = server.accept()
         threading.Thread(target=guarded, args=(connection,), daemon=True).start()
+
+
+def _hang_up_with(connection: socket.socket) -> None:
+    """Answer nobody: a request of before a freeze may come from somebody who has gone since."""
+    connection.setblocking(False)
+    try:
+        gone = not connection.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        gone = False
+    finally:
+        connection.setblocking(True)
+    if gone:
+        raise ConnectionError
 
 
 def _exactly(connection: socket.socket, count: int) -> bytes:

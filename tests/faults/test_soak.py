@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from faults.hall import PUSHED, Count, Outcome, Peer, Pusher, lock_store
+from faults.hall import PUSHED, STARTED_S, Count, Outcome, Peer, Pusher, lock_store
 from processes import Site, free_port, wait_until
 
 from service.clock import ProcessClock
@@ -25,7 +25,6 @@ pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]  # as long as it is ask
 RATE = 60.0
 TWIN = "t_node_7_c.twin"
 POLLED, HEARD = "t_inner_ring_c", "speed_rpm"
-STARTED_S = 300.0
 HOLE_WALL_S = 4.0
 """So long may pass between two samples without a fault on a machine that is busy otherwise."""
 

@@ -1,177 +1,90 @@
-"""The store goes away in the middle of a run, and the service is killed: nothing is lost."""
+"""The store goes away, the service is killed, stopped, started twice, its clock is set."""
 
+import asyncio
 import random
-import sqlite3
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
-from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import httpx2
 import pytest
+from faults.conftest import Extent
+from faults.hall import STARTED_S, Count, Hall, Outcome, lock_store
 from postgresql import running_postgresql
-from processes import Site, wait_until
+from processes import wait_until
 
-from service.demo.configuration import ASSET
+from service.app import Service, bind
+from service.clock import ProcessClock
+from service.settings import load_settings
+from service.store import Store, lock_data_directory
 from service.store.opening import FILE_NAME
+from service.wiring import wire
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
 
-RATE = 10.0
-PUSHED = "t_node_1_c"
-MEASURED = "t_inner_ring_c"
-BACK_S = 10.0
-"""Wall seconds in which all is well again once the cause has gone; a busy machine has more."""
+Tell = Callable[[Outcome], None]
+KILLED_AFTER_S = (0.2, 1.5)
 
 
-class Pusher:
-    """Pushes samples one after another and counts, outside the service, what it acknowledged."""
-
-    def __init__(self, site: Site) -> None:
-        self.site = site
-        self.acknowledged: list[int] = []
-        self.refused = 0
-        self._number = 0
-        self._began = datetime.now(UTC).replace(microsecond=0)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "Pusher":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        with httpx2.Client(
-            base_url=self.site.client.base_url, headers={"X-API-Key": self.site.key}, timeout=30
-        ) as client:
-            while not self._stop.wait(0.02):
-                time_ms = self._number
-                moment = self._began + timedelta(milliseconds=time_ms)
-                body = {
-                    "samples": [
-                        {
-                            "channel": PUSHED,
-                            "time": moment.isoformat(timespec="milliseconds"),
-                            "value": 20.0 + time_ms % 50 / 10,
-                        }
-                    ]
-                }
-                try:
-                    answer = client.post(f"/api/v1/assets/{ASSET}/measurements", json=body)
-                except httpx2.TransportError:
-                    self.refused += 1  # it may have been stored: the same is sent again
-                    continue
-                if answer.status_code == httpx2.codes.OK:
-                    assert answer.json()["rejected"] == []
-                    self.acknowledged.append(round(moment.timestamp() * 1000))
-                    self._number += 1
-                else:
-                    self.refused += 1
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
+    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
+        yield hall
 
 
-def pushed_times_ms(site: Site) -> list[int]:
-    with site.open_store() as store:
-        return [one.time_us // 1000 for one in store.read_samples(ASSET, [PUSHED], 0, 2**62, 10**6)]
-
-
-def metrics(site: Site) -> dict[str, float]:
-    lines = site.client.get("/metrics").text.splitlines()
-    found: dict[str, float] = {}
-    for line in lines:
-        if line.startswith("bearing_twin_s"):
-            name, value = line.rsplit(" ", 1)
-            name = name.partition("{")[0].removeprefix("bearing_twin_")
-            found[name] = found.get(name, 0.0) + float(value)
-    return found
-
-
-def store_status(site: Site) -> str:
-    checks = site.client.get("/readyz").json()["checks"]
-    return next(str(one["status"]) for one in checks if one["name"] == "store")
-
-
-def spool_is_empty(site: Site) -> bool:
-    return metrics(site)["spool_bytes"] == 0
-
-
-@contextmanager
-def running(site: Site) -> Iterator[Pusher]:
-    try:
-        site.start_bench()
-        site.start_service()
-        wait_until(lambda: site.tag("t_node_7_c.twin"), 30, "a running twin")
-        with Pusher(site) as pusher:
-            wait_until(lambda: len(pusher.acknowledged) > 20, 20, "pushes")
-            yield pusher
-    finally:
-        site.close()
-
-
-def survive(site: Site, go_away: Callable[[], None], come_back: Callable[[], None]) -> None:
-    """Take the store away for some seconds; polling, twin and pushes go on, nothing is lost."""
-    with running(site) as pusher:
-        go_away()
-        gone = time.monotonic()
-        wait_until(lambda: store_status(site) == "degraded", 20, "the outage is noticed")
-        wait_until(lambda: metrics(site)["spool_bytes"] > 0, 20, "the spool takes samples")
-        pushed = len(pusher.acknowledged)
-        twin_time = site.tags()["t_node_7_c.twin"]["time"]
-        wait_until(lambda: len(pusher.acknowledged) > pushed + 2, 30, "pushes during the outage")
-        time.sleep(max(0.0, gone + 6 - time.monotonic()))
-        tags = site.tags()
-        assert tags["t_node_7_c.twin"]["time"] > twin_time, "the twin goes on"
-        assert tags[MEASURED]["quality"] >= 192, "polling goes on"
-        come_back()
-        back = time.monotonic()
-        wait_until(lambda: store_status(site) == "ok", 3 * BACK_S, "the store is back")
-        wait_until(lambda: spool_is_empty(site), 3 * BACK_S, "the spool is empty")
-        assert time.monotonic() - back < 3 * BACK_S
-        pushed = len(pusher.acknowledged)
-        wait_until(lambda: len(pusher.acknowledged) > pushed, 20, "pushes after the outage")
-        counts = metrics(site)
+def survive(
+    hall: Hall,
+    fault: str,
+    go_away: Callable[[], None],
+    come_back: Callable[[], None],
+    extent: Extent,
+) -> Outcome:
+    """Take the store away; polling, twin and pushes go on, nothing is lost, not even once."""
+    hall.begin()
+    go_away()
+    began = time.monotonic()
+    wait_until(lambda: hall.checks()["store"] == "degraded", 20, "readiness names the store")
+    wait_until(lambda: hall.metrics()["spool_bytes"] > 0, 20, "the spool takes samples")
+    pushed = len(hall.pusher.acknowledged)
+    wait_until(lambda: len(hall.pusher.acknowledged) > pushed + 2, 30, "pushes in the outage")
+    time.sleep(max(0.0, began + extent.outage_s - time.monotonic()))
+    checks = hall.checks()
+    assert {checks["source:pt100"], checks["source:drive"], checks["twin:bench-1"]} == {"ok"}
+    come_back()
+    back_s = hall.recover()
+    count = sum(hall.counts().values(), Count())
+    counts = hall.metrics()
     assert counts["samples_skipped_total"] == 0
-    assert counts["samples_accepted_total"] == pytest.approx(
-        counts["samples_stored_total"]
-        + counts["samples_duplicate_total"]
-        + counts["spool_samples"],
+    assert counts["samples_accepted_total"] == (
+        counts["samples_stored_total"] + counts["samples_duplicate_total"] + counts["spool_samples"]
     )
-    assert pushed_times_ms(site) == pusher.acknowledged, "each once, in order"
-    with site.open_store() as store:
-        times = [one.time_us for one in store.read_samples(ASSET, [MEASURED], 0, 2**62, 10**6)]
-    # One poll per process second, also while the store was away.
-    longest_s = max(b - a for a, b in pairwise(times)) / 1e6
-    assert longest_s < 3 * RATE, "no hole where the store was away"
+    assert (count.missing, count.duplicates, count.in_order) == (0, 0, True)
+    return Outcome(fault, count, 0, [back_s])
 
 
-def test_a_postgresql_server_is_stopped_and_started_again(tmp_path: Path) -> None:
+def test_a_postgresql_server_is_stopped_and_started_again(
+    tmp_path: Path, extent: Extent, tell: Tell
+) -> None:
     with running_postgresql() as server:
         url = server.database()
-        site = Site(
-            tmp_path, "staircase", RATE, service_keys=f'database_url = "{url}"', pushed=PUSHED
-        )
-        survive(site, server.stop, server.start)
+        with Hall(tmp_path, f'database_url = "{url}"').running() as hall:
+            tell(survive(hall, "PostgreSQL stopped", server.stop, server.start, extent))
 
 
-def test_another_program_locks_the_store(tmp_path: Path) -> None:
-    site = Site(tmp_path, "staircase", RATE, pushed=PUSHED)
-    with closing(
-        sqlite3.connect(
-            tmp_path / "data" / FILE_NAME, isolation_level=None, check_same_thread=False
-        )
-    ) as intruder:
+def test_another_program_locks_the_store(hall: Hall, extent: Extent, tell: Tell) -> None:
+    release: list[Callable[[], None]] = []
+    tell(
         survive(
-            site,
-            lambda: intruder.execute("BEGIN EXCLUSIVE") and None,
-            lambda: intruder.execute("ROLLBACK") and None,
+            hall,
+            "store locked by another program",
+            lambda: release.append(lock_store(hall.folder / "data" / FILE_NAME)),
+            lambda: release.pop()(),
+            extent,
         )
+    )
 
 
 @contextmanager
@@ -192,50 +105,132 @@ def small_disk(folder: Path, mib: int) -> Iterator[None]:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def test_the_disk_of_the_store_is_full(tmp_path: Path) -> None:
+def test_the_disk_of_the_store_is_full(tmp_path: Path, extent: Extent, tell: Tell) -> None:
     disk = tmp_path / "disk"
     filler = disk / "filler"
+
+    def fill() -> None:
+        with filler.open("wb", buffering=0) as file, suppress(OSError):
+            while True:
+                file.write(bytes(4096))
+
     with small_disk(disk, 64):
-        site = Site(
-            tmp_path,
-            "staircase",
-            RATE,
-            # The spool lies on another disk.
-            service_keys=f'database_url = "sqlite:///{disk / FILE_NAME}"',
-            pushed=PUSHED,
-        )
-
-        def fill() -> None:
-            with filler.open("wb", buffering=0) as file, suppress(OSError):
-                while True:
-                    file.write(bytes(4096))
-
-        survive(site, fill, filler.unlink)
+        # The spool lies on another disk.
+        keys = f'database_url = "sqlite:///{disk / FILE_NAME}"'
+        with Hall(tmp_path, keys).running() as hall:
+            tell(survive(hall, "disk of the store full", fill, filler.unlink, extent))
 
 
-def test_kill_9_at_random_moments_costs_nothing_that_was_acknowledged(tmp_path: Path) -> None:
-    site = Site(tmp_path, "staircase", RATE, pushed=PUSHED)
+def test_a_second_service_on_the_same_data_is_refused(hall: Hall, tell: Tell) -> None:
+    hall.begin()
+    second = subprocess.run(
+        [sys.executable, "-m", "service", "serve", "-c", str(hall.configuration)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (second.returncode, second.stderr.count("\n")) == (2, 1)
+    assert "another service is running" in second.stderr
+    back_s = hall.recover()
+    count = sum(hall.counts().values(), Count())
+    assert (count.missing, count.duplicates, count.in_order) == (0, 0, True)
+    tell(Outcome("a second service on the same data", count, 0, [back_s]))
+
+
+def test_kill_9_at_random_moments_costs_nothing_that_was_acknowledged(
+    hall: Hall, extent: Extent, tell: Tell
+) -> None:
     moment = random.Random(5)
-    with running(site) as pusher:
-        for _ in range(4):
-            wait_until(lambda: site.tags()["t_node_7_c.twin"]["quality"] >= 192, 30, "the twin")
-            time.sleep(moment.uniform(0.2, 1.5))
-            assert site.service is not None
-            site.service.kill()
-            site.start_service()
-        wait_until(lambda: site.tags()["t_node_7_c.twin"]["quality"] >= 192, 30, "the twin")
-        pushed = len(pusher.acknowledged)
-        wait_until(lambda: len(pusher.acknowledged) > pushed, 20, "pushes at the end")
-    assert pusher.refused > 0
-    times = pushed_times_ms(site)
-    assert len(times) == len(set(times))
-    assert set(pusher.acknowledged) <= set(times)
-    assert len(times) <= len(pusher.acknowledged) + pusher.refused
+    hall.begin()
+    recoveries_s = []
+    for _ in range(extent.kills):
+        time.sleep(moment.uniform(*KILLED_AFTER_S))
+        assert hall.service is not None
+        hall.service.kill()
+        began = time.monotonic()
+        hall.start_service()
+        wait_until(hall.is_well, STARTED_S, "all is well after a kill")
+        recoveries_s.append(time.monotonic() - began)
+    assert hall.pusher.refused > 0
+    counts = hall.counts()
+    total = sum(counts.values(), Count())
+    tell(Outcome(f"kill -9 of the service, {extent.kills} times", total, 0, recoveries_s))
+    assert counts["push"].missing == 0, "what was acknowledged is stored"
+    assert total.duplicates == 0
+    assert total.in_order
 
 
-def test_sigterm_under_load_stores_all_that_was_accepted(tmp_path: Path) -> None:
-    site = Site(tmp_path, "staircase", RATE, pushed=PUSHED)
-    with running(site) as pusher:
-        assert site.service is not None
-        assert site.service.terminate() == 0
-    assert set(pusher.acknowledged) <= set(pushed_times_ms(site))
+def test_sigterm_under_load_stores_all_that_was_accepted(hall: Hall, tell: Tell) -> None:
+    hall.begin()
+    assert hall.service is not None
+    time.sleep(1.0)
+    assert hall.service.terminate() == 0
+    hall.start_service()
+    began = time.monotonic()
+    wait_until(hall.is_well, STARTED_S, "all is well after a stop")
+    counts = hall.counts()
+    total = sum(counts.values(), Count())
+    tell(Outcome("SIGTERM under load", total, 0, [time.monotonic() - began]))
+    assert counts["push"].missing == 0
+    assert total.duplicates == 0
+    assert total.in_order
+
+
+# ------------------------------------------------------------------ the process clock is set
+class SteppedClock(ProcessClock):
+    """A system clock that an administrator sets."""
+
+    step_us = 0
+
+    def now_us(self) -> int:
+        return super().now_us() + self.step_us
+
+
+class ServiceInside:
+    """A service in this process, so that its clock can be injected; wires are real."""
+
+    def __init__(self, configuration: Path, clock: SteppedClock) -> None:
+        self._configuration, self._clock = configuration, clock
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._loop.run_until_complete, args=(self._run(),))
+        self._thread.start()
+
+    async def _run(self) -> None:
+        settings = load_settings(self._configuration)
+        with (
+            lock_data_directory(settings.data_dir),
+            bind("127.0.0.1", settings.service.port) as listener,
+            Store.open("", settings.data_dir) as store,
+        ):
+            service = Service(settings, wire(settings), store, self._clock)
+            await service.run(listener, self._stop)
+
+    def end(self) -> None:
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(30)
+        assert not self._thread.is_alive()
+        self._loop.close()
+
+
+def test_the_process_clock_is_set_forward_and_back(tmp_path: Path, tell: Tell) -> None:
+    clock = SteppedClock()
+    hall = Hall(tmp_path, now_s=lambda: clock.now_us() / 1e6)
+    hall.start_service = lambda: setattr(hall, "service", ServiceInside(hall.configuration, clock))
+    recoveries_s = []
+    steps = (3600, -3600, 0)
+    with hall.running():
+        hall.begin()
+        for step_s in steps:
+            clock.step_us = step_s * 1_000_000
+            time.sleep(2.5)  # the service looks at its clock once per second
+            recoveries_s.append(hall.recover())
+        counted = hall.metrics()["clock_steps_total"]
+        counts = hall.counts()
+    total = sum(counts.values(), Count())
+    # Times follow the clock, so each stretch between two settings is in order by itself.
+    total.in_order = hall.stretches_in_order()
+    tell(Outcome("process clock set +1 h, -2 h, +1 h", total, 0, recoveries_s))
+    assert counted == len(steps)
+    assert (total.missing, total.duplicates, total.in_order) == (0, 0, True)

@@ -1,0 +1,238 @@
+"""What devices and wires can do to a running service: each number that was sent is stored once."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from faults.conftest import FULL, SHORT, Extent
+from faults.hall import BASE, CAN, MODBUS, PATIENCE, Count, Hall, Outcome
+from faults.peers import EXCEPTION, FLOOD, GARBAGE, LATE, NORMAL, POISON, WRONG
+from processes import wait_until
+
+from service.demo.configuration import ASSET
+from service.live.asset import STEP_S
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
+
+CODES = {SHORT: (2, 6, 11), FULL: (1, 2, 3, 4, 5, 6, 7, 8, 10, 11)}
+FLOOD_PER_S = 2000
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
+    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
+        yield hall
+
+
+Tell = Callable[[Outcome], None]
+
+
+def survive(
+    hall: Hall,
+    fault: str,
+    source: str,
+    cause: Callable[[], None],
+    end: Callable[[], None],
+    extent: Extent,
+    *,
+    down: bool = True,
+    lost: int = 0,
+) -> Outcome:
+    """Let something happen to one source; the rest goes on, and then all of it again."""
+    skipped = hall.metrics()["samples_skipped_total"]
+    hall.begin()
+    twin_time = hall.tags()["t_node_7_c.twin"]["time"]
+    cause()
+    began = time.monotonic()
+    if down:
+        wait_until(
+            lambda: hall.checks()[f"source:{source}"] == "degraded",
+            10 * PATIENCE,
+            "readiness names the source",
+        )
+        others = {"pt100", "drive"} - {source}
+        assert {hall.checks()[f"source:{name}"] for name in others} == {"ok"}
+        assert hall.checks()["store"] == "ok"
+    time.sleep(max(0.0, began + extent.outage_s - time.monotonic()))
+    if extent.outage_s > 2 * STEP_S:
+        assert hall.tags()["t_node_7_c.twin"]["time"] > twin_time, "the twin goes on"
+    end()
+    back_s = hall.recover()
+    counts = hall.counts()
+    total = sum(counts.values(), Count())
+    assert total.duplicates == 0
+    assert total.in_order
+    assert counts["push"].missing == 0
+    of_source = counts["Modbus" if source == "pt100" else "CAN"]
+    other = counts["CAN" if source == "pt100" else "Modbus"]
+    assert other.missing == 0, "the other wire loses nothing"
+    assert of_source.missing <= lost, "at most what was on its way when the wire broke"
+    assert hall.metrics()["samples_skipped_total"] == skipped
+    return Outcome(fault, total, 0, [back_s])
+
+
+def no_poison(hall: Hall) -> None:
+    with hall.open_store() as store:
+        rows = store.read_samples(ASSET, [MODBUS, CAN], 0, 2**62, 10**7)
+    values = [one.value for one in rows if one.value is not None]
+    assert max(values) < BASE + POISON / 2000
+    assert min(values) >= BASE
+
+
+@pytest.mark.parametrize("source", ["pt100", "drive"])
+def test_a_device_is_killed(hall: Hall, source: str, extent: Extent, tell: Tell) -> None:
+    peer, name, lost = (
+        (hall.modbus, "Modbus server", 1) if source == "pt100" else (hall.can, "CAN peer", 20)
+    )
+    tell(survive(hall, f"{name} killed", source, peer.kill, peer.start, extent, lost=lost))
+
+
+@pytest.mark.parametrize("source", ["pt100", "drive"])
+def test_a_device_is_frozen(hall: Hall, source: str, extent: Extent, tell: Tell) -> None:
+    peer, name, lost = (
+        (hall.modbus, "Modbus server", 1) if source == "pt100" else (hall.can, "CAN peer", 20)
+    )
+    tell(
+        survive(
+            hall,
+            f"{name} frozen",
+            source,
+            lambda: peer.send_signal(signal.SIGSTOP),
+            lambda: peer.send_signal(signal.SIGCONT),
+            extent,
+            lost=lost,
+        )
+    )
+
+
+@contextmanager
+def ordered(hall: Hall, device: str) -> Iterator[Callable[..., Callable[[], None]]]:
+    state = hall.states[device]
+    yield lambda *order: lambda: state.order(*order)
+    state.order(NORMAL)
+
+
+def test_the_modbus_server_answers_too_late(hall: Hall, extent: Extent, tell: Tell) -> None:
+    with ordered(hall, "modbus") as order:
+        tell(
+            survive(
+                hall, "Modbus answers too late", "pt100", order(LATE, 700), order(NORMAL), extent
+            )
+        )
+    no_poison(hall)
+
+
+def test_the_modbus_server_answers_garbage(hall: Hall, extent: Extent, tell: Tell) -> None:
+    with ordered(hall, "modbus") as order:
+        tell(
+            survive(
+                hall, "Modbus answers garbage", "pt100", order(GARBAGE), order(NORMAL), extent,
+            )
+        )  # fmt: skip
+    no_poison(hall)
+
+
+def test_the_modbus_server_refuses(hall: Hall, extent: Extent, tell: Tell) -> None:
+    rows = []
+    for code in CODES[extent]:
+        each = Extent(min(extent.outage_s, 5.0) / 2, 0)
+        with ordered(hall, "modbus") as order:
+            rows.append(
+                survive(hall, "", "pt100", order(EXCEPTION, code), order(NORMAL), each, down=False)
+            )
+    codes = ", ".join(map(str, CODES[extent]))
+    tell(
+        Outcome(
+            f"Modbus exceptions {codes}",
+            sum((row.count for row in rows), Count()),
+            recoveries_s=[row.recoveries_s[0] for row in rows],
+        )
+    )
+    no_poison(hall)
+
+
+def test_the_can_bus_is_flooded(hall: Hall, extent: Extent, tell: Tell) -> None:
+    with ordered(hall, "can") as order:
+        tell(
+            survive(
+                hall,
+                f"CAN bus flooded, {2 * FLOOD_PER_S} frames/s, half of them unknown",
+                "drive",
+                order(FLOOD, FLOOD_PER_S),
+                order(NORMAL),
+                extent,
+                down=False,
+            )
+        )
+
+
+def test_can_frames_are_short_or_unknown(hall: Hall, extent: Extent, tell: Tell) -> None:
+    with ordered(hall, "can") as order:
+        tell(
+            survive(
+                hall,
+                "CAN frames of wrong length and unknown id between the good ones",
+                "drive",
+                order(WRONG),
+                order(NORMAL),
+                extent,
+                down=False,
+            )
+        )
+    errors = hall.metrics_by_label("source_errors_total")
+    assert errors['kind="wrong_length",source="drive"'] > 0
+    assert errors['kind="unknown_id",source="drive"'] > 0
+
+
+STAGES = (
+    "source_polls_total",
+    "source_samples_total",
+    "source_skipped_total",
+    "source_reconnects_total",
+    "source_errors_total",
+    "source_up",
+    "poll_seconds_count",
+    "samples_accepted_total",
+    "samples_stored_total",
+    "samples_skipped_total",
+    "samples_duplicate_total",
+    "samples_late_total",
+    "queue_samples",
+    "spool_samples",
+    "spool_bytes",
+    "spool_age_seconds",
+    "store_write_seconds_count",
+    "store_write_seconds_sum",
+    "clock_steps_total",
+)
+
+
+def test_metrics_show_every_stage(hall: Hall) -> None:
+    before = hall.metrics()
+    assert set(STAGES) <= set(before)
+    assert set(hall.metrics_by_label("source_up")) == {'source="pt100"', 'source="drive"'}
+    moving = ("source_polls_total", "source_samples_total", "poll_seconds_count",
+              "samples_stored_total", "store_write_seconds_count")  # fmt: skip
+    wait_until(
+        lambda: all(now[name] > before[name] for now in [hall.metrics()] for name in moving),
+        20,
+        "figures that move",
+    )
+    assert 0 < before["store_write_seconds_sum"] < 600
+
+
+def test_readiness_names_the_source_that_is_down_and_says_why(hall: Hall) -> None:
+    hall.modbus.kill()
+    try:
+        detail = wait_until(
+            lambda: found if (found := hall.details()["source:pt100"]) != "ok" else None,
+            20,
+            "readiness names the source",
+        )
+        assert "cannot connect to 127.0.0.1" in detail or "connection" in detail, detail
+        assert hall.details()["source:drive"] == "ok"
+    finally:
+        hall.modbus.start()
+        hall.recover()
