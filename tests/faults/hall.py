@@ -55,7 +55,8 @@ bearing = "6311"
 low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
 
 [assets.channels]
-t_inner_ring_c = {{ source = "pt100", register = 0, kind = "input", scale = 0.1 }}
+t_inner_ring_c = {{ source = "pt100", register = 0, kind = "input", scale = 0.1, \
+flat_line_s = 2.0 }}
 t_outer_ring_c = {{ source = "pt100", register = 1, kind = "input", scale = 0.1 }}
 ambient_c = {{ source = "pt100", register = 2, kind = "input", scale = 0.1 }}
 {modbus} = {{ source = "pt100", register = 4, kind = "input", type = "uint32", scale = 0.001, \

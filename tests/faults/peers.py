@@ -18,13 +18,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-NORMAL, LATE, GARBAGE, EXCEPTION = range(4)  # of the Modbus server; its argument: code or ms
+# Of the Modbus server; the argument is a code, or ms.
+NORMAL, LATE, GARBAGE, EXCEPTION, SPIKES, STUCK = range(6)
 WRONG, FLOOD = 1, 2  # of the CAN peer; its argument: frames per second of the flood
 POISON = 4_000_000_000
 """Carried by answers that nobody may take for a value."""
 FRAME_ID, UNKNOWN_ID = 0x120, 0x121
 FRAMES_PER_S = 100
 NUMBER_AT = 4
+SPIKE_K = 40
 
 
 class State:
@@ -68,9 +70,19 @@ def modbus(port: int, state: State) -> None:
     """Serve input registers: three temperatures in tenths of a degree, a number in 4 and 5."""
     noise, turn = random.Random(1), threading.Lock()
 
-    def registers(number: int) -> list[int]:
-        wobble = number % 3
-        return [600 + wobble, 550 + wobble, 220 + wobble, 0, number >> 16, number & 0xFFFF, 0, 0]
+    def registers(number: int, mode: int) -> list[int]:
+        wobble = 0 if mode == STUCK else number % 3
+        spike = SPIKE_K * 10 if mode == SPIKES and number % 5 == 0 else 0
+        return [
+            600 + wobble + spike,
+            550 + wobble,
+            220 + wobble,
+            0,
+            number >> 16,
+            number & 0xFFFF,
+            0,
+            0,
+        ]
 
     def answer(transaction: int, unit: int, request: bytes) -> bytes:
         function, address, count = struct.unpack(">BHH", request[:5])
@@ -80,9 +92,9 @@ def modbus(port: int, state: State) -> None:
         number = POISON
         if mode == LATE:
             time.sleep(argument / 1000)
-        elif mode == NORMAL and address <= NUMBER_AT < address + count:
+        elif mode in (NORMAL, SPIKES, STUCK) and address <= NUMBER_AT < address + count:
             number = state.next()
-        words = registers(number)[address : address + count]
+        words = registers(number, mode)[address : address + count]
         body = struct.pack(f">BBB{count}H", unit, function, 2 * count, *words)
         good = struct.pack(">HHH", transaction, 0, len(body)) + body
         if mode != GARBAGE:
