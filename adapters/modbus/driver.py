@@ -317,6 +317,8 @@ class ModbusDriver:
 
     async def _read_groups(self, unit: UnitMap) -> None:
         """Read all groups; one that the device calls wrong is split to find the wrong cell."""
+        if unit.join_at and time.monotonic() >= unit.join_at:
+            unit.join()
         groups: list[Group] = []
         for group in unit.groups:
             if group.retry_at and time.monotonic() < group.retry_at:
@@ -324,6 +326,8 @@ class ModbusDriver:
                 groups.append(group)
             else:
                 groups += await self._read_group(unit.unit, group)
+        if len(groups) > len(unit.groups):
+            unit.note_split()
         unit.groups = groups
 
     async def _read_group(self, unit: int, group: Group) -> tuple[Group, ...]:

@@ -3,6 +3,7 @@
 import logging
 import math
 import struct
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
@@ -27,6 +28,10 @@ MAX_REGISTERS = 125  # of one read request, by the Modbus specification
 MAX_BITS = 2000
 REGISTER_GAP = 8  # unasked-for addresses that one request may bridge
 BIT_GAP = 64
+# Wall seconds until a group that was split is tried whole again: some devices refuse only while
+# they start, others always.
+JOIN_FIRST_S = 30.0
+JOIN_LAST_S = 3600.0
 
 _GOOD = int(Quality.GOOD)  # a look into the enumeration takes longer
 _FORMATS = {
@@ -248,6 +253,21 @@ class UnitMap:
     points: list[Point]
     groups: list[Group]
     plans: list[PlanBinding]
+    join_at: float = 0.0  # wall (monotonic) time at which what was split may be read together again
+    join_wait_s: float = JOIN_FIRST_S
+
+    def note_split(self) -> None:
+        """Remember that a group was split, and when to try it whole again."""
+        self.join_at = time.monotonic() + self.join_wait_s
+        self.join_wait_s = min(2.0 * self.join_wait_s, JOIN_LAST_S)
+
+    def join(self) -> None:
+        """Read together again what was split, if the device refuses nothing now."""
+        cells = {cell: reading for group in self.groups for cell, reading in group.cells}
+        if any(reading.exception for reading in cells.values()):
+            self.join_at = time.monotonic() + self.join_wait_s
+        else:
+            self.groups, self.join_at = group(cells), 0.0
 
 
 def check(

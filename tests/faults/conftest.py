@@ -1,10 +1,10 @@
 """How long the faults last, and the table of what became of the samples."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import pytest
-from faults.hall import BACK_S, Outcome
+from faults.hall import BACK_S, Hall, Outcome
 
 _OUTCOMES = pytest.StashKey[list[Outcome]]()
 
@@ -21,6 +21,13 @@ SHORT, FULL = Extent(2.0, 3), Extent(60.0, 50)
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_OUTCOMES] = []
+
+
+@pytest.fixture(scope="session")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
+    """One hall for all tests that leave it running: a start takes longer than most faults."""
+    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
+        yield hall
 
 
 @pytest.fixture

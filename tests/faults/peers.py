@@ -8,6 +8,7 @@ value itself, so that the stored samples can be compared with what was sent, one
     python peers.py cable PORT TARGET
 """
 
+import itertools
 import mmap
 import random
 import socket
@@ -68,21 +69,14 @@ class State:
 
 def modbus(port: int, state: State) -> None:
     """Serve input registers: three temperatures in tenths of a degree, a number in 4 and 5."""
-    noise, turn = random.Random(1), threading.Lock()
+    noise, turn, asked = random.Random(1), threading.Lock(), itertools.count()
 
     def registers(number: int, mode: int) -> list[int]:
-        wobble = 0 if mode == STUCK else number % 3
-        spike = SPIKE_K * 10 if mode == SPIKES and number % 5 == 0 else 0
-        return [
-            600 + wobble + spike,
-            550 + wobble,
-            220 + wobble,
-            0,
-            number >> 16,
-            number & 0xFFFF,
-            0,
-            0,
-        ]
+        turn_of = next(asked)
+        wobble = 0 if mode == STUCK else turn_of % 3
+        spike = SPIKE_K * 10 if mode == SPIKES and turn_of % 5 == 0 else 0
+        temperatures = [600 + wobble + spike, 550 + wobble, 220 + wobble]
+        return [*temperatures, 0, number >> 16, number & 0xFFFF]
 
     def answer(transaction: int, unit: int, request: bytes) -> bytes:
         function, address, count = struct.unpack(">BHH", request[:5])

@@ -15,12 +15,6 @@ pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 RING = "t_inner_ring_c"
 
 
-@pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
-    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
-        yield hall
-
-
 def stored(hall: Hall) -> list[StoredSample]:
     with hall.open_store() as store:
         return store.read_samples(ASSET, [RING], 0, 2**62, 10**7)

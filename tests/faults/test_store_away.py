@@ -29,12 +29,6 @@ Tell = Callable[[Outcome], None]
 KILLED_AFTER_S = (0.2, 1.5)
 
 
-@pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
-    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
-        yield hall
-
-
 def survive(
     hall: Hall,
     fault: str,

@@ -20,12 +20,6 @@ CODES = {SHORT: (2, 6, 11), FULL: (1, 2, 3, 4, 5, 6, 7, 8, 10, 11)}
 FLOOD_PER_S = 2000
 
 
-@pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
-    with Hall(tmp_path_factory.mktemp("hall")).running() as hall:
-        yield hall
-
-
 Tell = Callable[[Outcome], None]
 
 

@@ -37,15 +37,22 @@ class SteppedClock(ProcessClock):
 
 
 class Line:
-    """A driver that reads one register, and what it has handed over."""
+    """A driver that reads some registers, and what it has handed over."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, registers: int = 1) -> None:
         self.clock = SteppedClock()
         source = ModbusTcpSource(
             name="s", host="127.0.0.1", port=port, poll_interval_s=0.05, timeout_s=0.3
         )
-        channel = ModbusChannel.model_validate({"source": "s", "register": 0, "kind": "holding"})
-        self.driver = ModbusDriver(source, [ChannelBinding("a", "c", channel)], [], self.clock)
+        bindings = [
+            ChannelBinding(
+                "a",
+                f"c{register}",
+                ModbusChannel.model_validate({"source": "s", "register": register}),
+            )
+            for register in range(registers)
+        ]
+        self.driver = ModbusDriver(source, bindings, [], self.clock)
         self.samples: list[Sample] = []
 
     async def run(self) -> None:
@@ -89,7 +96,7 @@ threading.Event().wait()
 def assert_sound(samples: list[Sample]) -> None:
     assert {one.value for one in samples if one.quality >= 64} == {VALUE}
     assert all(math.isnan(one.value) for one in samples if one.quality < 64)
-    assert len({one.time_us for one in samples}) == len(samples)
+    assert len({(one.channel, one.time_us) for one in samples}) == len(samples)
 
 
 async def test_a_frozen_server_gives_one_bad_sample_and_comes_back() -> None:
@@ -173,3 +180,41 @@ async def test_an_exception_never_becomes_a_value(
         await server.shutdown()
     assert_sound(line.samples)
     assert {one.quality for one in line.samples} == {int(Quality.GOOD), int(AFTER[code])}
+
+
+async def test_what_was_split_by_a_refusal_is_read_in_one_request_again() -> None:
+    refusing, requests = [True], [0]
+
+    async def action(*_: object) -> ExcCodes | None:
+        requests[0] += 1
+        return ExcCodes(2) if refusing else None
+
+    registers = [SimData(0, values=[int(VALUE)] * 4, datatype=DataType.REGISTERS)]
+    bits = [SimData(0, values=[True] * 8, datatype=DataType.BITS)]
+    device = SimDevice(1, simdata=(bits, bits, registers, registers), action=action)
+    port = free_port()
+    server = ModbusTcpServer([device], address=("127.0.0.1", port))
+    await server.serve_forever(background=True)
+    line = Line(port, registers=3)
+    (unit,) = (one.map for one in line.driver._units)
+    unit.join_wait_s = 0.5
+    task = asyncio.create_task(line.run())
+    try:
+        await line.until(Quality.CONFIG_ERROR, 3)
+        assert len(unit.groups) == 3
+        refusing.clear()
+        for group in unit.groups:
+            group.retry_at = 0.0
+        await line.until(Quality.GOOD, 3)
+        end = time.monotonic() + 20
+        while len(unit.groups) > 1:
+            assert time.monotonic() < end, "joined again"
+            await asyncio.sleep(0.05)
+        asked, polled = requests[0], line.driver.health().polls
+        await line.until(Quality.GOOD, 15)
+        assert requests[0] - asked <= line.driver.health().polls - polled + 1
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await server.shutdown()
+    assert_sound(line.samples)
