@@ -384,6 +384,10 @@ def test_with_store_and_spool_away_samples_wait_in_memory_until_the_stop(hall: H
         assert "locked" in writer.spool_problem
         assert not promised.done()
     assert promised.result(timeout=30) == (1, 0)
+    end = time.monotonic() + 30
+    while not ledger.counts()["stored"]:  # it may have gone on the spool first
+        assert time.monotonic() < end
+        time.sleep(0.01)
     with hall.locked(), hall.locked(SPOOL_FILE):
         promised = writer.put_and_tell([sample(2)])
         writer.close(timeout_s=0.5)
