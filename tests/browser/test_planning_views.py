@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import BrowserContext, ConsoleMessage, Locator, Page, expect
+from playwright.sync_api import (
+    BrowserContext,
+    ConsoleMessage,
+    Locator,
+    Page,
+    Route,
+    expect,
+)
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
 from adapters.virtual_bench.scenarios import Step
@@ -219,6 +226,28 @@ def test_envelope_is_walked_with_the_keyboard(open_view: Any, problems: list[str
     said = page.locator("#probe .kv")
     for row in ("Steady, median", "median time to it", "Thermal runaway"):
         expect(said).to_contain_text(row)
+    assert problems == []
+
+
+def test_without_trust_in_the_model_nothing_is_foretold(
+    context: BrowserContext, open_view: Any, problems: list[str]
+) -> None:
+    def distrust(route: Route) -> None:
+        answer = route.fetch()
+        found = answer.json()
+        for asset in found.get("items", [found]):
+            asset["active_model"]["trusted"] = False
+        route.fulfill(response=answer, json=found)
+
+    for end in ("", f"/{ASSET}"):
+        context.route(f"**/api/v1/assets{end}", distrust)
+    page = open_view("#whatif")
+    tiles = page.locator(".ans")
+    expect(tiles.locator(".word")).to_have_text(["No forecast"] * 3)
+    expect(tiles.first).to_contain_text("the model is not trusted")
+    page.goto(page.url.split("#")[0] + "#envelope")
+    expect(page.locator("#probe .word")).to_have_text("Not trusted")
+    expect(page.locator(".distrust")).to_be_visible()
     assert problems == []
 
 

@@ -60,9 +60,11 @@ export class EnvelopeView {
     this.modeChoice = h('span', { class: 'seg' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
     this.mapBox = h('div', { class: 'map' });
+    this.distrust = h('p', { class: 'distrust', role: 'alert', hidden: true },
+      icon('bad'), ' The model is not trusted: nothing on this map may be relied on.');
     return h('section', { class: 'panel p-map' },
       h('header', {}, this.title, h('span', { class: 'sp' }), this.sensorChoice, this.modeChoice),
-      this.problem, this.mapBox, this.note);
+      this.distrust, this.problem, this.mapBox, this.note);
   }
 
   /** The envelope as the service has it; it keeps one until the machine has changed. */
@@ -84,8 +86,14 @@ export class EnvelopeView {
     return own.warning ? { warning: own.warning.limit_c, alarm: own.alarm.limit_c } : null;
   }
 
+  /** Whether anything that the twin says may be relied on. */
+  trusted() {
+    return this.page.store.get('asset')?.active_model?.trusted !== false;
+  }
+
   show() {
     if (!this.answer) return;
+    this.distrust.hidden = this.trusted();
     const { store, clock } = this.page;
     const sensors = Object.keys(this.answer.sensors);
     if (!sensors.includes(this.sensor)) [this.sensor] = sensors;
@@ -141,7 +149,7 @@ export class EnvelopeView {
     const { speed, load } = this.probe;
     // Made anew only when it says something new, so that its buttons keep focus and clicks.
     const key = JSON.stringify([speed, load, this.sensor, this.answer.made_at,
-      this.answer.model_version]);
+      this.answer.model_version, this.trusted()]);
     if (key === this.pointKey) return;
     this.pointKey = key;
     const at = (matrix) => valueAt(plane, matrix, speed, load);
@@ -152,8 +160,10 @@ export class EnvelopeView {
     if (limits) {
       const [warning, alarm] = ['warning', 'alarm'].map((level) => maps.limits[level]);
       const { word, priority } = verdictAt(at(warning.steady_probability), at(alarm.steady_probability));
-      head = h('div', { class: `verd${priority ? ` p${priority}` : ''}` },
-        symbol(priority, '1em'), h('span', { class: 'word' }, WORDS[word]));
+      head = this.trusted() ? h('div', { class: `verd${priority ? ` p${priority}` : ''}` },
+        symbol(priority, '1em'), h('span', { class: 'word' }, WORDS[word]))
+        : h('div', { class: 'verd bt' }, icon('bad', 'hollow', '1em'),
+          h('span', { class: 'word' }, 'Not trusted'));
       for (const [level, map] of [['warning', warning], ['alarm', alarm]]) {
         const median = nearestAt(plane, map.median_s, speed, load);
         const first = nearestAt(plane, map.earliest_s, speed, load);
@@ -184,12 +194,12 @@ export class EnvelopeView {
     const row = (step, i) => {
       const chance = limits && ['warning', 'alarm'].map((level) =>
         valueAt(plane, maps.limits[level].steady_probability, step.speed, step.load));
-      const { word, priority } = limits ? verdictAt(...chance) : {};
+      const { word, priority } = limits && this.trusted() ? verdictAt(...chance) : {};
       return h('tr', {}, h('td', {}, i ? h('b', {}, String(i)) : 'now'),
         h('td', { class: 'r' }, fixed(step.speed, 0), h('span', { class: 'u' }, 'rpm')),
         h('td', { class: 'r' }, fixed(step.load, 0), h('span', { class: 'u' }, 'N')),
-        limits && h('td', { class: 'nw' }, symbol(priority, '1.3em'), ' ', WORDS[word]),
-        limits && h('td', { class: 'r b' }, percent(chance[0])));
+        word && h('td', { class: 'nw' }, symbol(priority, '1.3em'), ' ', WORDS[word]),
+        word && h('td', { class: 'r b' }, percent(chance[0])));
     };
     put(this.side.steps, h('header', {}, h('h2', {}, 'Planned steps')),
       h('table', {}, h('tbody', {}, steps.map(row))));

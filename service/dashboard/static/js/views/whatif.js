@@ -47,7 +47,7 @@ export class WhatIfView {
       load: h('div', { class: 'plot ld1' }),
     };
     this.panel = new ProfilePanel({
-      preset: (name) => this.use(this.preset(name)),
+      preset: (name) => this.page.store.get('forecast') && this.use(this.preset(name)),
       add: () => this.use([...this.steps, { ...this.steps.at(-1) }], this.steps.length),
       remove: (index) => this.use(this.steps.filter((_, i) => i !== index)),
       tryFrom: (fromEnd) => {
