@@ -56,6 +56,7 @@ export class DriftPanel {
   show() {
     const choice = this.choices?.[this.select.value];
     this.shown = choice ? this.items.filter((item) => isNumber(choice.of(item)?.value)) : [];
+    this.plot.hidden = !this.shown.length;
     if (!this.shown.length) {
       this.mounted?.destroy();
       this.mounted = null;

@@ -24,6 +24,7 @@ const GATES = {
   latest: 'predicts the latest data without having seen them',
 };
 const JOBS_LISTED = 6;
+const PATIENCE_MS = 30000; // days of minutes are looked through before a job is queued
 const WAIT_WORDS = { queued: 'waits for its turn', running: 'begins' };
 
 const isUnfinished = (job) => job?.status === 'running' || job?.status === 'queued';
@@ -160,10 +161,19 @@ export class JobPanel {
       windows: this.actions.windows(), method: this.method.value, seed: Number(this.seed.value),
       ...(budget && !disabled ? { budget: Number(budget) } : {}),
     };
-    await this.change('Not started', () => call(this.path(), {
-      method: 'POST', body,
+    const request = {
+      method: 'POST', body, timeoutMs: PATIENCE_MS,
       headers: { 'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random()) },
-    }));
+    };
+    await this.change('Not started', async () => {
+      try {
+        return await call(this.path(), request);
+      } catch (error) {
+        if (error.status !== 0) throw error;
+        // Nobody knows whether it came through: asked again with its key it is the same job.
+        return call(this.path(), request);
+      }
+    });
   }
 
   async stop() {

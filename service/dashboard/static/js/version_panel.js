@@ -154,7 +154,7 @@ export class VersionPanel {
     const away = this.page.store.get('link').status !== 'live';
     put(this.verdict, kept ? [icon(2, 'hollow'), ' '] : '', plainText(text));
     setText(this.take, `Activate v${model.version}…`);
-    this.take.hidden = false;
+    this.take.hidden = model.status === 'active';
     this.take.disabled = !offered || away;
     this.take.title = offered ? '' : text;
     this.force.hidden = !kept;

@@ -307,7 +307,7 @@ export class WhatIfView {
     }
     const { limits, readings, nowMs } = now;
     const whole = answerNextStep({ forecast: this.answer, fan, steps: [], limits, nowMs });
-    const planned = now.fan
+    const planned = now.planned && now.fan
       && overSpan(now.fan, whole.peak.sensor, whole.peak.limits, nowMs, Infinity);
     const toLimit = answerTimeToLimit({ forecast: this.answer, fan, readings, limits, nowMs });
     put(this.answers, profileTile(whole), peakTile(whole, planned), timeToLimitTile(toLimit, now));
