@@ -25,7 +25,7 @@ from adapters.virtual_bench.scenarios import Step
 from service.demo.configuration import ASSET
 from tests.processes import Site, wait_until
 
-pytestmark = [pytest.mark.browser, pytest.mark.wires]
+pytestmark = [pytest.mark.browser, pytest.mark.wires, pytest.mark.timeout(300)]
 
 WAIT_MS = 60_000  # on a busy machine a service takes its time
 EVERY_S = 20
