@@ -280,6 +280,7 @@ class SessionDocument(_Answer):
     role: str = Field(examples=["operator"])
     key_id: str
     prefix: str = Field(examples=["bt_1a2b3c4d"])
+    label: str = Field(description="What people call the key.", examples=["control room"])
     expires_at: Time | None
     session: bool = Field(description="True for a browser session, false for a key.")
 
@@ -312,7 +313,10 @@ class AuditLine(_Answer):
     """One change that somebody asked for."""
 
     time: Time = Field(description="Wall time.")
-    who: str = Field(description="Role and prefix of the key.", examples=["operator bt_1a2b3c4d"])
+    who: str = Field(
+        description="Role, prefix and label of the key.",
+        examples=["operator bt_1a2b3c4d (control room)"],
+    )
     address: str = Field(description="Where the call came from.", examples=["192.0.2.7"])
     action: str = Field(examples=["alarm.acknowledge"])
     target: str = Field(examples=["alarm 3f2b8c0e"])

@@ -43,6 +43,8 @@ class Principal:
         Wall time at which the key or the session ends, UTC microseconds; None for never.
     session
         True when the key came by a browser session.
+    label
+        What people call the key.
     """
 
     role: Role
@@ -50,11 +52,12 @@ class Principal:
     prefix: str
     expires_us: int | None
     session: bool
+    label: str = ""
 
     @property
     def who(self) -> str:
         """How journals name the caller."""
-        return f"{self.role} {self.prefix}"
+        return f"{self.role} {self.prefix}" + (f" ({self.label})" if self.label else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +194,9 @@ class Authenticator:
         key = verify_key(self._store, text)
         if key is None:
             return None
-        return Principal(key.role, key.id, key.prefix, key.expires_us, session=False)
+        return Principal(
+            key.role, key.id, key.prefix, key.expires_us, session=False, label=key.label
+        )
 
     def _verify_session(self, sha256: str) -> Principal | None:
         session = self._store.find_session(sha256)
@@ -213,4 +218,4 @@ class Authenticator:
 
 def _of_session(key: ApiKey, expires_us: int) -> Principal:
     ends_us = expires_us if key.expires_us is None else min(expires_us, key.expires_us)
-    return Principal(key.role, key.id, key.prefix, ends_us, session=True)
+    return Principal(key.role, key.id, key.prefix, ends_us, session=True, label=key.label)

@@ -93,6 +93,7 @@ def _document(principal: Principal) -> dict[str, object]:
         "role": principal.role,
         "key_id": principal.key_id,
         "prefix": principal.prefix,
+        "label": principal.label,
         "expires_at": None if expires_us is None else rfc3339(expires_us),
         "session": principal.session,
     }

@@ -20,7 +20,8 @@ async def test_a_key_is_made_shown_once_and_opens_what_its_role_may(world: Any) 
     assert response.headers["location"] == f"{KEYS}/{made.id}"
 
     mine = {"X-API-Key": made.key}
-    assert (await world.client().get("/api/v1/session", headers=mine)).json()["key_id"] == made.id
+    session = (await world.client().get("/api/v1/session", headers=mine)).json()
+    assert (session["key_id"], session["label"]) == (made.id, "control room")
     assert (await world.client().get(KEYS, headers=mine)).status_code == 403
 
     listed = await admin.get(KEYS)
