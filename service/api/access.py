@@ -48,7 +48,7 @@ SECURITY_SCHEMES: Final = {
 _ANY_SCHEME: Final[list[dict[str, list[str]]]] = [{name: []} for name in SECURITY_SCHEMES]
 
 _DESCRIPTIONS: Final = {
-    400: "The request cannot be read.",
+    400: "The request cannot be read: body, or NUL in the address.",
     401: "No key, or none that opens anything.",
     403: "The role of this key does not suffice.",
     404: "There is no such thing.",
@@ -196,6 +196,8 @@ def make_door(
     async def door(request: Request) -> None:
         if not request.scope["path"].startswith("/api/"):
             return
+        if "\x00" in request.scope["path"] or b"%00" in request.scope["query_string"]:
+            raise Problem(400, "expected an address without the character NUL")
         if request.scope["path"] == SESSION_PATH and request.method == "POST":
             if not is_same_origin(request, unknown_is=True):
                 raise _cross_site()

@@ -38,6 +38,14 @@ class RequestBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_nul(cls, value: Any) -> Any:
+        """PostgreSQL keeps no text with the character NUL, and nobody types one."""
+        if isinstance(value, str) and "\x00" in value:
+            raise ValueError("expected a text without the character NUL")
+        return value
+
 
 NodeName = Annotated[
     str,

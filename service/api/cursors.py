@@ -51,6 +51,8 @@ def decode_cursor(cursor: str, kind: type[Place]) -> Place:
     padded = cursor + "=" * (-len(cursor) % 4)
     try:
         text = base64.b64decode(padded, altchars=b"-_", validate=True)
+        if b"\\u0000" in text:  # ours never hold it, and PostgreSQL cannot be asked for it
+            raise ValueError("NUL")
         return kind.model_validate_json(text)
     except (binascii.Error, ValueError, ValidationError) as error:
         raise parameter_problem("cursor", "expected the `next` of the page before") from error

@@ -53,7 +53,9 @@ def install_docs(app: FastAPI) -> None:
 
 def _add_common_answers(operation: dict[str, Any]) -> None:
     """Add what the middleware may answer instead of the route."""
-    statuses = (400, 413, 415, 500) if "requestBody" in operation else (500,)
+    statuses: tuple[int, ...] = (400, 413, 415, 500) if "requestBody" in operation else (500,)
+    if operation["security"] and "parameters" in operation:
+        statuses = (400, *statuses)
     common = {str(status): text for status, text in problems(*statuses).items()}
     answers = operation["responses"] = dict(sorted((common | operation["responses"]).items()))
     if "101" in answers:

@@ -4,6 +4,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from service.api.bodies import Page
+from service.api.cursors import After, encode_cursor
 from service.api.problems import ProblemDocument
 
 FORECASTS = "/api/v1/assets/bench-1/forecasts"
@@ -126,6 +127,27 @@ async def test_errors_of_the_framework_are_problems_too(world: Any) -> None:
     problem_of(response, 405)
     assert response.headers["allow"] == "GET"
     problem_of(await world.client("operator").get(FORECASTS), 405)
+
+
+@pytest.mark.parametrize("body", [b"[" * 60_000, b'{"seed": ' + b"9" * 50_000 + b"}"])
+async def test_a_body_that_no_parser_takes_is_refused(world: Any, body: bytes) -> None:
+    response = await world.client("engineer").post(
+        "/api/v1/assets/bench-1/identifications",
+        content=body,
+        headers={"Content-Type": "application/json"},
+    )
+    problem_of(response, 400)
+
+
+async def test_nul_reaches_no_database(world: Any) -> None:
+    engineer, bench = world.client("engineer"), "/api/v1/assets/bench-1"
+    problem_of(await engineer.get(f"{bench}/identifications/%00"), 400)
+    problem_of(await engineer.get(f"{bench}/measurements?channel=%00"), 400)
+    activation = {"comment": "a\x00b"}
+    problem = problem_of(await engineer.post(f"{bench}/models/1/activate", json=activation), 422)
+    assert problem.errors[0].pointer == "/comment"
+    cursor = encode_cursor(After(after="\x00"))
+    problem_of(await engineer.get(f"{bench}/models?cursor={cursor}"), 422)
 
 
 @pytest.mark.parametrize("announced", [True, False])
