@@ -3,6 +3,7 @@
 import asyncio
 import json
 import statistics
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from service.benchmarks import clients
@@ -13,34 +14,54 @@ CONNECTIONS = 4
 WHAT_IF = {"profile": [{"duration_s": 4 * 3600, "speed_rpm": 5600, "load_n": 4000}]}
 
 
-def snapshot(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
+def snapshot(tell: Progress) -> Measurement:
     """Snapshots/s while an identification job and ingest run."""
-    return asyncio.run(_snapshot(tell, duration_s))
+    return asyncio.run(_at_a_site(snapshot_at, tell, 60.0))
 
 
-async def _snapshot(tell: Progress, duration_s: float) -> Measurement:
-    rounds = 5
-    seconds = duration_s / rounds / 4
+def what_if_http(tell: Progress) -> Measurement:
+    """95 % of the what-if forecasts (4 h, all nodes, 200 members) are answered within this."""
+    return asyncio.run(_at_a_site(what_if_at, tell, 30.0))
+
+
+def websocket_500(tell: Progress) -> Measurement:
+    """99 % of the stream's messages reach 500 clients within this, 50 more never read."""
+    return asyncio.run(_at_a_site(websocket_at, tell, 60.0))
+
+
+async def _at_a_site(
+    measure: Callable[[Site, Progress, float], Awaitable[Measurement]],
+    tell: Progress,
+    duration_s: float,
+) -> Measurement:
     tell(0.0, "a virtual bench and a service start")
     async with site() as here:
-        with clients.started("empty") as process:
-            assert process.stdout is not None  # noqa: S101
-            port = int(await asyncio.to_thread(process.stdout.readline))
+        return await measure(here, tell, duration_s)
 
-            async def ours() -> dict[str, Any]:
-                return await _call(
-                    seconds, port=here.port, path=here.snapshot_path, headers=here.headers
-                )
 
-            async def empty() -> dict[str, Any]:
-                return await _call(seconds, port=port, path="/")
+async def snapshot_at(
+    here: Site, tell: Progress, duration_s: float, rounds: int = 5
+) -> Measurement:
+    """Measure snapshots and an empty route in turn, without and with a job."""
+    seconds = duration_s / rounds / 4
+    with clients.started("empty") as process:
+        assert process.stdout is not None  # noqa: S101
+        port = int(await asyncio.to_thread(process.stdout.readline))
 
-            await ours(), await empty()  # the first calls are not counted
-            tell(0.2, "no job, snapshot and empty route in turn")
-            idle, idle_empty = await _in_turn(rounds, ours, empty)
-            async with here.identifying():
-                tell(0.6, "a job runs, snapshot and empty route in turn")
-                busy, busy_empty = await _in_turn(rounds, ours, empty)
+        async def ours() -> dict[str, Any]:
+            return await _call(
+                seconds, port=here.port, path=here.snapshot_path, headers=here.headers
+            )
+
+        async def empty() -> dict[str, Any]:
+            return await _call(seconds, port=port, path="/")
+
+        await ours(), await empty()  # the first calls are not counted
+        tell(0.2, "no job, snapshot and empty route in turn")
+        idle, idle_empty = await _in_turn(rounds, ours, empty)
+        async with here.identifying():
+            tell(0.6, "a job runs, snapshot and empty route in turn")
+            busy, busy_empty = await _in_turn(rounds, ours, empty)
     p99_s, idle_p99_s = _median(busy, "p99_s"), _median(idle, "p99_s")
     return Measurement(
         _median(busy, "per_s"),
@@ -76,32 +97,26 @@ def _median(found: list[dict[str, Any]], name: str) -> float:
     return statistics.median(float(one[name]) for one in found)
 
 
-def what_if_http(tell: Progress, *, duration_s: float = 30.0) -> Measurement:
-    """95 % of the what-if forecasts (4 h, all nodes, 200 members) are answered within this."""
-    return asyncio.run(_what_if(tell, duration_s))
+async def what_if_at(here: Site, tell: Progress, duration_s: float) -> Measurement:
+    """Measure what-if forecasts one after the other, without and with a job."""
 
+    async def ask(seconds: float) -> dict[str, Any]:
+        return await _call(
+            seconds,
+            port=here.port,
+            path=here.forecasts_path,
+            headers=here.headers,
+            method="POST",
+            body=json.dumps(WHAT_IF),
+            connections=1,
+        )
 
-async def _what_if(tell: Progress, duration_s: float) -> Measurement:
-    tell(0.0, "a virtual bench and a service start")
-    async with site() as here:
-
-        async def ask(seconds: float) -> dict[str, Any]:
-            return await _call(
-                seconds,
-                port=here.port,
-                path=here.forecasts_path,
-                headers=here.headers,
-                method="POST",
-                body=json.dumps(WHAT_IF),
-                connections=1,
-            )
-
-        await ask(1.0)
-        tell(0.3, "no job")
-        idle = await ask(duration_s / 3)
-        async with here.identifying():
-            tell(0.5, "a job runs")
-            busy = await ask(2 * duration_s / 3)
+    await ask(1.0)
+    tell(0.3, "no job")
+    idle = await ask(duration_s / 3)
+    async with here.identifying():
+        tell(0.5, "a job runs")
+        busy = await ask(2 * duration_s / 3)
     return Measurement(
         busy["p95_s"],
         "s",
@@ -118,28 +133,20 @@ async def _what_if(tell: Progress, duration_s: float) -> Measurement:
     )
 
 
-def websocket_500(
-    tell: Progress, *, duration_s: float = 60.0, listeners: int = 500, stalled: int = 50
+async def websocket_at(
+    here: Site, tell: Progress, duration_s: float, listeners: int = 500, stalled: int = 50
 ) -> Measurement:
-    """99 % of the stream's messages reach 500 clients within this, 50 more never read."""
-    return asyncio.run(_websocket(tell, duration_s, listeners, stalled))
-
-
-async def _websocket(
-    tell: Progress, duration_s: float, listeners: int, stalled: int
-) -> Measurement:
-    tell(0.0, "a virtual bench and a service start")
-    async with site() as here:
-        few = await _listen(here, duration_s / 6, 1, 0)
-        tell(0.3, f"{listeners} clients")
-        before_mib, cpu_s = here.memory_mib(), here.cpu_s()
-        peak_mib = before_mib
-        listening = asyncio.create_task(_listen(here, duration_s, listeners, stalled))
-        while not listening.done():
-            await asyncio.wait({listening}, timeout=0.5)
-            peak_mib = max(peak_mib, here.memory_mib())
-        found = listening.result()
-        cpu_s = here.cpu_s() - cpu_s
+    """Measure how late messages come, and how the service's memory grows meanwhile."""
+    few = await _listen(here, duration_s / 6, 1, 0)
+    tell(0.3, f"{listeners} clients")
+    before_mib, cpu_s = here.memory_mib(), here.cpu_s()
+    peak_mib = before_mib
+    listening = asyncio.create_task(_listen(here, duration_s, listeners, stalled))
+    while not listening.done():
+        await asyncio.wait({listening}, timeout=0.5)
+        peak_mib = max(peak_mib, here.memory_mib())
+    found = listening.result()
+    cpu_s = here.cpu_s() - cpu_s
     if found["lost"]:
         raise BenchmarkError(f"{found['lost']} clients that read were cut off")
     return Measurement(

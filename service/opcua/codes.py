@@ -25,20 +25,20 @@ _STATUS_CODES: Final[Mapping[int, int]] = {
     Quality.GOOD: _GOOD,
     Quality.LOCAL_OVERRIDE: 0x0096_0000,  # GoodLocalOverride
 }
-_WITHOUT_LIMIT_BITS = 0xFC
+_LIMIT_BITS = 0x03
+_INFO_OF_A_VALUE = 0x0400
 
 UNECE_CODES: Final[Mapping[str, str]] = {"°C": "CEL", "rpm": "RPM", "N": "NEW", "s": "SEC"}
 """UNECE Recommendation 20 code of each unit, as OPC UA clients look it up."""
 
 
 def status_code(quality: int) -> int:
-    """OPC UA status code of an OPC DA quality byte; its limit bits are left out."""
-    known = _STATUS_CODES.get(quality & _WITHOUT_LIMIT_BITS)
-    if known is not None:
-        return known
-    if is_good(quality):
-        return _GOOD
-    return _BAD if is_bad(quality) else _UNCERTAIN
+    """OPC UA status code of an OPC DA quality byte, limit bits (low, high, constant) included."""
+    limits = quality & _LIMIT_BITS
+    code = _STATUS_CODES.get(quality - limits)
+    if code is None:
+        code = _GOOD if is_good(quality) else _BAD if is_bad(quality) else _UNCERTAIN
+    return code | _INFO_OF_A_VALUE | limits << 8 if limits else code
 
 
 def unit_id(unit: str) -> int:

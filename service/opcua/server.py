@@ -11,7 +11,7 @@ import logging
 import socket
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -156,6 +156,7 @@ def _data_value(shown: Mapping[str, Any]) -> ua.DataValue:
         variant,
         StatusCode=ua.StatusCode(status_code(shown["quality"])),
         SourceTimestamp=datetime.fromisoformat(shown["time"]),
+        ServerTimestamp=datetime.now(UTC),
     )
 
 

@@ -20,7 +20,7 @@ from service.opcua.server import serve_tags
 from service.settings import OpcUaSection, Settings
 
 Answer = TypeVar("Answer")
-BEGAN = "2026-11-21T08:00:00.000Z"
+BEGAN = "2026-01-21T08:00:00.000Z"
 
 
 class Asset:
@@ -211,6 +211,8 @@ def test_every_quality_has_a_status_code_of_its_severity() -> None:
         Quality.WAITING_FOR_INITIAL_DATA: "BadWaitingForInitialData",
     }.items():
         assert ua.StatusCode(status_code(quality)).name == name
+    # The code of the sensor, with the bits that say "constant".
+    assert status_code(Quality.FROZEN) == ua.StatusCodes.UncertainSensorNotAccurate | 0x0700
     assert unit_id("") == -1
 
 
