@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-_PONG = bytes([0x8A, 0x80]) + bytes(4)
+_MASK = bytes(4)
 _OPEN_AT_ONCE = 50
 _PATIENCE_S = 30.0
 
@@ -169,7 +169,7 @@ class _Listener(asyncio.Protocol):
                 return
         for opcode, payload in self._frames():
             if opcode == 0x9 and self._transport is not None:
-                self._transport.write(_PONG)
+                self._transport.write(bytes([0x8A, 0x80 | len(payload)]) + _MASK + payload)
             elif opcode == 0x1 and self.counting:
                 self._count(payload, now_s)
 
