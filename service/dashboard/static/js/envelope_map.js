@@ -231,13 +231,12 @@ export class EnvelopeMap {
       this.line(times, Math.log(minutes * 60), wholeSpan(minutes * 60), 'time', place));
   }
 
-  /** How probably the warning is passed: the edges of the regions, with their figures. */
+  /** From where on a warning and an alarm are likely enough to change the word for a point. */
   drawChances({ warning, alarm }) {
     const percent = (share) => `${Math.round(share * 100)} %`;
-    const { atRisk, notSafe } = THRESHOLDS;
+    const { atRisk, alarm: near } = THRESHOLDS;
     this.line(warning.steady_probability, atRisk, percent(atRisk), 'chance', -3);
-    this.line(warning.steady_probability, notSafe, percent(notSafe), 'chance', -5);
-    this.line(alarm.steady_probability, notSafe, percent(notSafe), 'chance1', -5);
+    this.line(alarm.steady_probability, near, `alarm ${percent(near)}`, 'chance1', -5);
   }
 
   line(matrix, level, text, look, place = 0) {

@@ -244,13 +244,12 @@ export class JobPanel {
   }
 
   describe(job) {
-    const counted = job.evaluations
-      ? `${job.evaluations} evaluations, best ${significant(job.best_fitness)}`
-      : 'no evaluation yet';
+    const counted = `${job.evaluations} evaluations, best ${significant(job.best_fitness)}`;
+    const when = job.evaluations ? `after ${counted}` : 'before the first evaluation';
     if (job.status === 'failed') {
-      return [icon(2, 'hollow'), ` Failed after ${counted}: ${job.error ?? 'no reason given'}.`];
+      return [icon(2, 'hollow'), ` Failed ${when}: ${job.error ?? 'no reason given'}.`];
     }
-    if (job.status === 'cancelled') return `Cancelled after ${counted}.`;
+    if (job.status === 'cancelled') return `Cancelled ${when}.`;
     if (job.status === 'succeeded') return `${counted}.`;
     if (!job.evaluations) return `It ${WAIT_WORDS[job.status]}.`;
     const left = job.seconds_left;
