@@ -42,4 +42,4 @@ class Courses:
         minutes = np.array([(time_us - points[0][0]) / 60e6 for time_us, _ in points])
         values = np.array([value for _, value in points])
         minutes -= minutes.mean()
-        return float(minutes @ values / (minutes @ minutes))
+        return round(float(minutes @ values / (minutes @ minutes)), 3)

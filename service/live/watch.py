@@ -247,7 +247,7 @@ class AlarmWatch:
             if value is None or expected_c is None or not (self._identified and self._comparable):
                 differences[channel] = None
             else:
-                differences[channel] = value - expected_c
+                differences[channel] = round(value - expected_c, 3)
         return differences
 
     # ------------------------------------------------------------------ now and then

@@ -42,6 +42,7 @@ STUDIES = {
     "variable-load": Study("service.studies.variable_load", takes=BENCH_OPTIONS),
     "advice": Study("service.studies.advice", takes=BENCH_OPTIONS),
     "drift": Study("service.studies.drift", takes=BENCH_OPTIONS),
+    "alarms": Study("service.studies.alarms", takes=BENCH_OPTIONS),
     "field-data": Study("service.studies.field_data", takes=("data",), needs=("data",)),
     "surrogates": Study("service.studies.surrogates", takes=BENCH_OPTIONS),
 }

@@ -34,7 +34,7 @@ def above_ambient(scene: Scene) -> Iterator[AlarmCondition]:
     ambient_c = scene.good_value("ambient_c")
     for channel, pair in rule.limits.items():
         value = scene.good_value(channel)
-        above_k = None if value is None or ambient_c is None else value - ambient_c
+        above_k = None if value is None or ambient_c is None else round(value - ambient_c, 3)
         for level in LEVELS:
             limit_k = getattr(pair, level)
             yield scene.condition(

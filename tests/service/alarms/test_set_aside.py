@@ -1,8 +1,14 @@
 """Shelving, suppression by design, out of service, latches and re-alarms."""
 
+import os
+import signal
+import subprocess
+import sys
 import uuid
 from dataclasses import replace
+from pathlib import Path
 
+import alarm_bench
 import pytest
 from alarm_bench import COLD, HOT, SECOND_US, UNKNOWN, Bench
 from hypothesis import given, settings
@@ -71,6 +77,45 @@ def test_shelving_ends_after_a_restart_and_keeps_what_came_meanwhile(bench: Benc
     bench.clock.advance(590)
     assert bench.book.active() == []
     assert bench.journal()[-1].to_state == "NORM"
+
+
+def test_what_was_said_outlives_a_killed_process(bench: Bench) -> None:
+    """Shelved, acknowledged and out of service, by a process that has no time to close."""
+    code = (
+        "import os, signal, sys, pathlib\n"
+        "from dataclasses import replace\n"
+        "from alarm_bench import HOT, Bench\n"
+        "bench = Bench(pathlib.Path(sys.argv[1]))\n"
+        "for channel in 'abc': bench.after(1, replace(HOT, channel=channel))\n"
+        "ids = {one.channel: one.id for one in bench.book.active()}\n"
+        "bench.book.acknowledge(ids['a'], 'eva', 'seen')\n"
+        "bench.book.shelve(ids['b'], 600, 'eva')\n"
+        "bench.book.take_out_of_service(ids['c'], 'ina', 'on order')\n"
+        "assert bench.book.flush(10)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    other = bench.data_dir / "other"
+    tests = Path(alarm_bench.__file__).parent
+    path = os.pathsep.join([str(tests), str(tests.parent)])
+    killed = subprocess.run(
+        [sys.executable, "-c", code, str(other)],
+        env=os.environ | {"PYTHONPATH": path},
+        timeout=60,
+        check=False,
+    )
+    assert killed.returncode == -signal.SIGKILL
+    after = Bench(other)
+    try:
+        assert {alarm.channel: alarm.state for alarm in after.book.active()} == {
+            "a": "ACKED",
+            "b": "SHLVD",
+            "c": "OOSRV",
+        }
+        assert [line.who for line in after.journal()[3:]] == ["eva", "eva", "ina"]
+        after.clock.advance(603)
+        assert next(one for one in after.book.active() if one.channel == "b").state == "UNACK"
+    finally:
+        after.close()
 
 
 def test_a_clock_that_is_set_back_does_not_prolong_shelving(bench: Bench) -> None:

@@ -17,7 +17,7 @@ from service.settings import AssetSection
 from service.store import Store
 from service.wiring import ChannelFacts
 
-STEP_S = 5.0
+STEP_S, LONG_STEP_S = 5.0, 30.0
 WARM = {
     "speed_rpm": 2400.0,
     "load_n": 2650.0,
@@ -42,9 +42,15 @@ class Machine:
         self.estimate = LiveEstimate(active)
         self.watch = AlarmWatch(section, channels, self.readings, self.estimate, self.book)
 
-    def run(self, values: Mapping[str, float], seconds: float, trusted: bool = True) -> None:
-        for _ in range(round(seconds / STEP_S)):
-            self.clock.advance(STEP_S)
+    def run(
+        self,
+        values: Mapping[str, float],
+        seconds: float,
+        trusted: bool = True,
+        step_s: float = STEP_S,
+    ) -> None:
+        for _ in range(round(seconds / step_s)):
+            self.clock.advance(step_s)
             now_us = self.clock.now_us()
             self.readings.add(
                 Sample("bench-1", name, now_us, value, Quality.GOOD, now_us)
@@ -133,7 +139,7 @@ def test_a_machine_hotter_than_its_model_is_told_inside_the_low_risk_region(
 ) -> None:
     """The machine warms as its model first, then its cooling fails: the observer follows it."""
     model = make_machine()
-    model.run(WARM, 3 * 3600)
+    model.run(WARM, 3 * 3600, step_s=LONG_STEP_S)
     expected = {
         name: float(model.estimate.active.model.sensor_row(name) @ temperatures)
         for temperatures in [model.watch._reference._temperatures_c]
@@ -143,13 +149,13 @@ def test_a_machine_hotter_than_its_model_is_told_inside_the_low_risk_region(
     hotter = settled | {name: value + 6.0 for name, value in expected.items()}
     # Outside, where the model was never identified, nobody is told.
     outside = make_machine(low_risk={"speed_rpm_max": 1000, "load_n_max": 3000})
-    outside.run(settled, 900)
-    outside.run(hotter, 2400)
+    outside.run(settled, 900, step_s=LONG_STEP_S)
+    outside.run(hotter, 2400, step_s=LONG_STEP_S)
     assert outside.states() == {}
     machine = make_machine()
-    machine.run(settled, 900)
+    machine.run(settled, 900, step_s=LONG_STEP_S)
     assert machine.states() == {}
-    machine.run(hotter, 2400)
+    machine.run(hotter, 2400, step_s=LONG_STEP_S)
     states = machine.states()
     assert states["twin difference", "t_outer_ring_c warning"] == "UNACK"
     assert ("twin difference", "t_outer_ring_c alarm") not in states
@@ -159,14 +165,14 @@ def test_before_an_identification_the_model_accuses_nobody(
     make_machine: Callable[..., Machine],
 ) -> None:
     machine = make_machine(identified=False)
-    machine.run(WARM, 1800)
-    machine.run(WARM | {"t_inner_ring_c": 60.0, "t_outer_ring_c": 50.0}, 3600)
+    machine.run(WARM, 1800, step_s=LONG_STEP_S)
+    machine.run(WARM | {"t_inner_ring_c": 60.0, "t_outer_ring_c": 50.0}, 3600, step_s=LONG_STEP_S)
     assert not {kind for kind, _ in machine.states()} & {"twin difference", "twin residual"}
 
 
 def test_what_was_learnt_goes_on_after_a_restart(make_machine: Callable[..., Machine]) -> None:
     machine = make_machine()
-    machine.run(WARM, 7200)
+    machine.run(WARM, 7200, step_s=LONG_STEP_S)
     kept_estimate, kept = machine.estimate.to_dict(), machine.watch.to_dict()
     assert kept["reference"] is not None
     assert kept["residuals"]["t_inner_ring_c"]["usual"]
