@@ -52,7 +52,7 @@ def create(
 
 @keys.command("list")
 def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
-    """List all keys by their prefixes, with role, expiry and revocation."""
+    """List all keys by their prefixes, with role, label and the days of their life (UTC)."""
     from rich.console import Console
     from rich.table import Table
 
@@ -63,11 +63,15 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps({"keys": [_facts(record) for record in records]}))
         return
-    columns = ("id", "prefix", "role", "label", "created", "expires", "revoked")
-    table = Table(*columns)
+    # The prefix names a key as well as its id does, and fits beside the rest.
+    columns = ("prefix", "role", "label", "created", "expires", "revoked")
+    table = Table(box=None, pad_edge=False)
+    for name in columns:
+        table.add_column(name, no_wrap=name != "label", overflow="fold")
     for record in records:
         facts = _facts(record)
-        table.add_row(*(str(facts[name] or "") for name in columns))
+        days = {name: (facts[name] or "")[:10] for name in columns[3:]}
+        table.add_row(*(str((facts | days)[name] or "") for name in columns))
     Console().print(table)
 
 

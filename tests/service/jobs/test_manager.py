@@ -229,6 +229,9 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert after_restart["convergence"][-1] == whole["convergence"][-1]
     # Who sees the end of the job sees its version at work.
     assert shop.store.activations(ASSET)[-1].who == "automatic"
+    (line,) = shop.store.audit().items
+    assert (line.who, line.action) == ("automatic", "model.activate")
+    assert line.target == f"asset {ASSET}, version 2"
 
 
 async def test_a_second_version_is_compared_with_the_first(shop: Shop) -> None:
