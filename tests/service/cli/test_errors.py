@@ -164,3 +164,12 @@ def test_a_role_that_there_is_not(refused: Callable[..., str]) -> None:
 
 def test_a_key_that_there_is_not(refused: Callable[..., str]) -> None:
     assert "bt_none" in refused("keys", "revoke", "bt_none")
+
+
+def test_an_opcua_endpoint_in_use_is_named(
+    configure: Callable[..., Path], refused: Callable[..., str], taken: int
+) -> None:
+    endpoint = f"opc.tcp://127.0.0.1:{taken}/bearing-twin"
+    config = configure(f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n')
+    line = refused("serve", "-c", str(config))
+    assert f"opcua.endpoint = '{endpoint}': cannot listen there (Address already in use)" in line

@@ -1,5 +1,6 @@
 """The service of unusual configurations, and its end."""
 
+import asyncio
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -9,7 +10,8 @@ from typing import Any
 
 import httpx2
 import pytest
-from processes import Command, wait_until
+from asyncua import Client as OpcUaClient
+from processes import Command, free_port, wait_until
 
 from service.clock import ProcessClock, rfc3339
 from service.security.keys import create_key
@@ -89,7 +91,9 @@ def test_a_service_without_sources_and_assets_is_ready(
 def test_pushed_values_alone_keep_a_twin(
     configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
 ) -> None:
-    config = configure(ASSET + FAST)
+    endpoint = f"opc.tcp://127.0.0.1:{free_port()}/bearing-twin"
+    opcua = f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n'
+    config = configure(ASSET + FAST + opcua)
     service = start("serve", "-c", str(config))
     client = connect(config)
     assert client.get("/readyz")["status"] == "degraded"
@@ -103,8 +107,21 @@ def test_pushed_values_alone_keep_a_twin(
     forecast = client.get("/api/v1/assets/motor-1/forecast")
     assert forecast["planned"] is False
     assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
+    shown = asyncio.run(opcua_tags(endpoint, "motor-1"))
+    assert list(shown) == list(client.get("/api/v1/assets/motor-1/snapshot")["tags"])
+    assert shown["model.version"] == 1
+    assert 22.0 < shown["t_node_7_c.twin"] < 60.0
     assert service.terminate() == 0
     assert '"level": "error"' not in service.log.read_text()
+
+
+async def opcua_tags(endpoint: str, asset: str) -> dict[str, Any]:
+    """Names and values of an asset's variables, as an OPC UA client finds them."""
+    async with OpcUaClient(endpoint) as client:
+        nodes = await client.get_node(f"ns=2;s={asset}").get_children()
+        names = [(await node.read_browse_name()).Name for node in nodes]
+        found = [await node.read_data_value(raise_on_bad_status=False) for node in nodes]
+        return {name: one.Value.Value for name, one in zip(names, found, strict=True)}
 
 
 def test_an_asset_without_temperatures_does_not_end_the_service(
