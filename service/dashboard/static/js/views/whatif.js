@@ -125,14 +125,15 @@ export class WhatIfView {
     return steps.length > 1 && this.fromEnd ? steps.slice(1, MOST_STEPS) : steps.slice(0, MOST_STEPS);
   }
 
-  /** What another view or a link asks for; null when there is nothing. */
+  /** What another view, a link or the last visit asks for; null when there is nothing. */
   wished() {
     const { wish } = this.page;
     this.page.wish = null;
     if (wish) return [{ ...wish, minutes: 120 }];
-    const linked = fromLink(query());
-    if (linked) this.fromEnd = linked.fromEnd;
-    return linked?.steps ?? null;
+    const { tried, live } = this.page;
+    const found = fromLink(query()) ?? (tried?.assetId === live.assetId ? tried : null);
+    if (found) this.fromEnd = found.fromEnd;
+    return found && found.steps.map((step) => ({ ...step }));
   }
 
   /** The plan from now on, the present step first. */
@@ -348,8 +349,10 @@ export class WhatIfView {
     return `${location.hash.split('?')[0] || '#whatif'}?${linkOf(this.steps, this.fromEnd)}`;
   }
 
-  /** A page that is loaded again tries the same. */
+  /** A page that is loaded again tries the same, and so does this view when it is opened again. */
   keepInAddress() {
+    const { steps, fromEnd, page } = this;
+    page.tried = { assetId: page.live.assetId, steps, fromEnd };
     history.replaceState(null, '', this.address());
   }
 
