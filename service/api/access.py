@@ -233,6 +233,8 @@ async def authenticate(
         if key is None:
             cookie = connection.cookies.get(cookie_name(connection))
             return await authenticator.by_session(cookie) if cookie else None
+        if key_prefix(key) is None:  # no guess, and nothing to look up
+            return None
         if authenticator.knows(key):  # also a wrong one: a client that goes on costs nothing
             return await authenticator.by_key(key)
         return await new_key(connection, authenticator, key, trail, "key.refuse")

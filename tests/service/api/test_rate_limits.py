@@ -45,6 +45,10 @@ async def test_an_address_may_try_ten_different_wrong_keys_a_minute(world: Any) 
         for _ in range(3):  # a client that goes on with one wrong key is told so again
             assert (await client.get("/api/v1/assets", headers=key)).status_code == 401
     assert_must_wait(await client.get("/api/v1/assets", headers={"X-API-Key": WRONG}))
+    # What has not even the form of a key costs nothing and is told as ever.
+    for number in range(20):
+        nonsense = {"X-API-Key": f"secret-{number}"}
+        assert (await client.get("/api/v1/assets", headers=nonsense)).status_code == 401
     basic = world.client(auth=("", WRONG[:-1] + "B"))
     assert_must_wait(await basic.get("/api/v1/assets"))
     again = {"X-API-Key": WRONG[:-2] + "00"}
