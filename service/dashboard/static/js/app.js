@@ -187,6 +187,7 @@ async function start(reason = '') {
 }
 
 setInterval(tick, TICK_MS);
+setInterval(updateFrame, 1000); // times to limits run down even when nothing is told
 window.addEventListener('hashchange', () => {
   if (feed) follow();
 });

@@ -4,7 +4,7 @@ import { assetPath, call, callOptional, callPages } from './api.js';
 import { isNumber, milliseconds } from './format.js';
 import { History } from './history.js';
 import { GOOD } from './readings.js';
-import { chartSensors } from './sensors.js';
+import { channelNames, chartSensors } from './sensors.js';
 import { emptyAsset, Store } from './store.js';
 
 const HOUR_MS = 3600e3;
@@ -123,7 +123,26 @@ export class AssetFeed {
     if (now === null || !history) return;
     await history.refresh(now);
     await history.load(now - (this.depth === 'whole' ? this.span : FLEET_SPAN_MS), now);
-    if (!this.stopped) this.store.set('history', history);
+    if (this.stopped) return;
+    this.store.set('history', history);
+    await this.findLastValues();
+  }
+
+  /** A channel that was silent when the page was opened: what it said last is in the store. */
+  async findLastValues() {
+    for (const channel of this.history.channels) {
+      const tag = this.store.get('tags')[channel];
+      const minute = tag && tag.goodValue === null ? this.history.lastMs(channel) : null;
+      if (minute === null) continue;
+      const { items } = await call(assetPath(this.assetId, '/measurements'), { query: {
+        channel, start: new Date(minute).toISOString(), end: new Date(minute + 60000).toISOString(),
+      } });
+      const last = items.findLast((item) => item.quality >= GOOD && isNumber(item.value));
+      const now = this.store.get('tags')[channel];
+      if (!last || now.goodValue !== null) continue;
+      const found = { ...now, goodValue: last.value, goodTime: milliseconds(last.time) };
+      this.store.set('tags', { ...this.store.get('tags'), [channel]: found });
+    }
   }
 
   /** Fetch the latest means again and again, more often when process time runs fast. */
@@ -185,7 +204,9 @@ export class AssetFeed {
 /** Measured and estimated channels of the charts. */
 function pastChannels(asset) {
   const sensors = chartSensors(asset);
-  return ['speed_rpm', 'load_n', ...sensors, ...sensors.map((sensor) => `${sensor}.twin`)];
+  const others = ['speed_rpm', 'load_n', 'ambient_c'].filter((name) =>
+    channelNames(asset).includes(name));
+  return [...others, ...sensors, ...sensors.map((sensor) => `${sensor}.twin`)];
 }
 
 /** A tag keeps its last good value and time beside the latest word on it. */

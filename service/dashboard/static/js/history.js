@@ -89,6 +89,15 @@ export class History {
     return { times, columns };
   }
 
+  /** Start of the last minute in which a channel has a mean, null when there is none. */
+  lastMs(channel) {
+    let last = -Infinity;
+    for (const [minute, row] of this.minutes) {
+      if (isNumber(row[channel])) last = Math.max(last, minute);
+    }
+    return Number.isFinite(last) ? last : null;
+  }
+
   /** Time of the first minute with data, null when there is none. */
   firstMs() {
     let first = Infinity;

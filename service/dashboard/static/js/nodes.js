@@ -38,7 +38,7 @@ export class NodeTiles {
     const both = measured && Number.isFinite(estimate);
     setText(twin, both ? `twin ${fixed(estimate)}` : measured ? 'measured' : 'estimated');
     value.className = measured ? (measured.usable ? 'me' : 'st') : 'es';
-    element.className = [measured?.usable === false && 'lost', alert && `a${alert.priority}`,
+    element.className = [measured?.usable === false && 'gone', alert && `a${alert.priority}`,
       alert?.predicted && 'ahead'].filter(Boolean).join(' ');
     heat.style.background = heatOf(shown);
   }
