@@ -431,6 +431,13 @@ def test_files_keep_to_the_rules_of_the_page() -> None:
         assert longest <= 120, f"{file} has a line of {longest} characters"
 
 
+def test_what_the_page_asks_for_is_there() -> None:
+    index = (static_directory() / "index.html").read_text()
+    wanted = re.findall(r'(?:href|src)="([^"#]+)"', index)
+    assert len(wanted) > 30
+    assert [name for name in wanted if not (static_directory() / name).is_file()] == []
+
+
 def test_vendored_parts_come_with_their_licences() -> None:
     static = static_directory()
     assert "MIT License" in (static / "vendor/uPlot-LICENSE.txt").read_text()

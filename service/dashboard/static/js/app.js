@@ -10,23 +10,32 @@ import { Live } from './live.js';
 import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
 import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
-import { AlarmsView } from './views/alarms.js';
-import { EngineerView } from './views/engineer.js';
-import { EnvelopeView } from './views/envelope.js';
-import { FleetView } from './views/fleet.js';
-import { HistoryView } from './views/history.js';
-import { OperatorView } from './views/operator.js';
-import { WhatIfView } from './views/whatif.js';
 
+// Views are fetched when they are first shown, so that the first of them is there at once.
 const VIEWS = {
-  fleet: { title: 'Fleet', view: FleetView, from: 'viewer' },
-  operator: { title: 'Operator', view: OperatorView, from: 'viewer' },
-  whatif: { title: 'What-if', view: WhatIfView, from: 'operator' },
-  envelope: { title: 'Envelope', view: EnvelopeView, from: 'viewer' },
-  engineer: { title: 'Engineer', view: EngineerView, from: 'engineer' },
-  history: { title: 'History', view: HistoryView, from: 'viewer' },
-  alarms: { title: 'Alarms', view: AlarmsView, from: 'viewer' },
+  fleet: {
+    title: 'Fleet', from: 'viewer', load: async () => (await import('./views/fleet.js')).FleetView,
+  },
+  operator: {
+    title: 'Operator', from: 'viewer', load: async () => (await import('./views/operator.js')).OperatorView,
+  },
+  whatif: {
+    title: 'What-if', from: 'operator', load: async () => (await import('./views/whatif.js')).WhatIfView,
+  },
+  envelope: {
+    title: 'Envelope', from: 'viewer', load: async () => (await import('./views/envelope.js')).EnvelopeView,
+  },
+  engineer: {
+    title: 'Engineer', from: 'engineer', load: async () => (await import('./views/engineer.js')).EngineerView,
+  },
+  history: {
+    title: 'History', from: 'viewer', load: async () => (await import('./views/history.js')).HistoryView,
+  },
+  alarms: {
+    title: 'Alarms', from: 'viewer', load: async () => (await import('./views/alarms.js')).AlarmsView,
+  },
 };
+const FETCH_OTHERS_MS = 3000;
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
@@ -37,6 +46,7 @@ const main = find('#main');
 let session = null;
 let assets = [];
 let view = null;
+let latest = 0; // number of the view that was asked for last
 let feed = null; // of the asset that is looked at
 
 const several = () => assets.length > 1;
@@ -81,7 +91,7 @@ function setTheme(theme) {
   if (view) showView(); // canvases take their colours when they are made
 }
 
-function showView() {
+async function showView() {
   const name = viewName();
   view?.destroy();
   view = null;
@@ -95,8 +105,24 @@ function showView() {
     reason: refusal(from),
   })));
   header.showAssets(assets, feed.assetId);
-  view = new VIEWS[name].view(main, page);
+  const shown = feed;
+  latest += 1;
+  const mine = latest;
+  let View;
+  try {
+    View = await VIEWS[name].load();
+  } catch {
+    put(main, h('p', { class: 'panel waiting' }, 'This view cannot be fetched from the service.'));
+    return;
+  }
+  if (mine !== latest || shown !== feed) return;
+  view = new View(main, page);
   updateFrame();
+}
+
+/** Have every view at hand before the service may be away. */
+function fetchOthers() {
+  for (const { load, from } of Object.values(VIEWS)) if (may(from)) load().catch(() => {});
 }
 
 /** Show what the address asks for. */
@@ -184,6 +210,7 @@ async function start(reason = '') {
   live.start(assets);
   live.feeds.forEach((one) => one.store.on(['alarms', 'forecast', 'tags', 'link'], updateFrame, 250));
   follow();
+  setTimeout(fetchOthers, FETCH_OTHERS_MS);
 }
 
 setInterval(tick, TICK_MS);
@@ -192,6 +219,8 @@ window.addEventListener('hashchange', () => {
   if (feed) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
-await Promise.all([document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612')]);
-await whileAway(logInFromAddress);
+await Promise.all([
+  document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612'),
+  whileAway(logInFromAddress),
+]);
 await start();
