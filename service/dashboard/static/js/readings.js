@@ -46,6 +46,7 @@ function whyUnusable(state, clock, name, tag, ageS) {
 
 /** OPC DA quality in words. */
 function qualityText(quality) {
+  if (quality === 83) return 'the value stands still';
   const words = {
     4: 'configuration error', 8: 'not connected', 12: 'device failure', 16: 'sensor failure',
     20: 'last known value', 24: 'no communication', 28: 'out of service',
