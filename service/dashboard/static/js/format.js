@@ -25,6 +25,7 @@ export function channelName(channel) {
 
 /** The name of a temperature of one's own network: t_gearbox_oil_c is Gearbox oil. */
 function ownName(channel) {
+  if (channel.startsWith('source:')) return `Source ${channel.slice(7)}`;
   const words = /^t_(.+)_c$/.exec(channel)?.[1].replaceAll('_', ' ');
   return words ? words[0].toUpperCase() + words.slice(1) : channel;
 }
