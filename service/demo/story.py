@@ -171,7 +171,11 @@ class Story:
 
     async def _tell_alarms(self) -> None:
         for alarm in (await self._get("/api/v1/alarms"))["items"]:
-            if alarm["id"] in self._told_alarms:
+            if alarm["id"] in self._told_alarms or alarm["state"] not in (
+                "UNACK",
+                "ACKED",
+                "RTNUN",
+            ):
                 continue
             self._told_alarms.add(alarm["id"])
             foresight = ""
