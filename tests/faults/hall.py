@@ -24,7 +24,7 @@ BASE = 3000.0  # value = BASE + number / 1000
 BACK_S = 10.0
 """Wall seconds in which all is well again once the cause has gone."""
 STARTED_S = 180.0
-PATIENCE = 4.0
+PATIENCE = 12.0
 """A machine that other programs keep busy is given so many times that, and the table tells."""
 
 _CONFIGURATION = """\

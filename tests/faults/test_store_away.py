@@ -40,10 +40,10 @@ def survive(
     hall.begin()
     go_away()
     began = time.monotonic()
-    wait_until(lambda: hall.checks()["store"] == "degraded", 20, "readiness names the store")
-    wait_until(lambda: hall.metrics()["spool_bytes"] > 0, 20, "the spool takes samples")
+    wait_until(lambda: hall.checks()["store"] == "degraded", 60, "readiness names the store")
+    wait_until(lambda: hall.metrics()["spool_bytes"] > 0, 60, "the spool takes samples")
     pushed = len(hall.pusher.acknowledged)
-    wait_until(lambda: len(hall.pusher.acknowledged) > pushed + 2, 30, "pushes in the outage")
+    wait_until(lambda: len(hall.pusher.acknowledged) > pushed + 2, 60, "pushes in the outage")
     time.sleep(max(0.0, began + extent.outage_s - time.monotonic()))
     checks = hall.checks()
     assert {checks["source:pt100"], checks["source:drive"], checks["twin:bench-1"]} == {"ok"}

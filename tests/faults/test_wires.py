@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 from faults.conftest import FULL, SHORT, Extent
-from faults.hall import BASE, CAN, MODBUS, PATIENCE, Count, Hall, Outcome
+from faults.hall import BASE, CAN, MODBUS, Count, Hall, Outcome
 from faults.peers import EXCEPTION, FLOOD, GARBAGE, LATE, NORMAL, POISON, WRONG
 from processes import wait_until
 
@@ -43,7 +43,7 @@ def survive(
     if down:
         wait_until(
             lambda: hall.checks()[f"source:{source}"] == "degraded",
-            10 * PATIENCE,
+            60,
             "readiness names the source",
         )
         others = {"pt100", "drive"} - {source}
@@ -222,7 +222,7 @@ def test_readiness_names_the_source_that_is_down_and_says_why(hall: Hall) -> Non
     try:
         detail = wait_until(
             lambda: found if (found := hall.details()["source:pt100"]) != "ok" else None,
-            20,
+            60,
             "readiness names the source",
         )
         assert "cannot connect to 127.0.0.1" in detail or "connection" in detail, detail
