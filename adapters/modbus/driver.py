@@ -170,7 +170,9 @@ class ModbusDriver:
         if await self._link.connect():
             if self._was_connected:
                 self._health.reconnects += 1
-                logger.info("source %s: connected again", self.name)
+                # A device that accepts and hangs up at once would fill the log.
+                if self._link_problem:
+                    logger.info("source %s: connected again", self.name)
             self._was_connected = True
             self._reconnect_backoff.reset()
             self._link_problem = ""
