@@ -63,6 +63,8 @@ class SourceHealth:
         Times that a connection was made anew after a loss.
     errors
         Number of errors by kind.
+    problems
+        What is wrong with single channels, by ``asset/channel``, where the source can tell.
     """
 
     name: str
@@ -75,6 +77,7 @@ class SourceHealth:
     skipped: int = 0
     reconnects: int = 0
     errors: dict[str, int] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
 
     def count_error(self, kind: str) -> None:
         """Add one to the number of errors of this kind."""

@@ -154,7 +154,7 @@ class Service:
             store_samples=self._store_derived,
             save_state=save_state,
             windows=self.histories[asset.id].windows_json,
-            doubt=partial(self.checks.reason, asset.id),
+            doubt=partial(self._doubt, asset.id),
         )
 
     def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:
@@ -182,6 +182,14 @@ class Service:
     def source_health(self) -> list[SourceHealth]:
         """Health of every source, from memory."""
         return [driver.health() for driver in self.drivers]
+
+    def _doubt(self, asset: str, channel: str) -> str:
+        """Why a channel's latest sample is not good, as a check found or its source says."""
+        found = self.checks.reason(asset, channel)
+        if found:
+            return found
+        problems = (health.problems.get(f"{asset}/{channel}") for health in self.source_health())
+        return next(filter(None, problems), "")
 
     def _retention(self) -> Retention:
         return Retention(**self.settings.retention.model_dump())

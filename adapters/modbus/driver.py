@@ -72,6 +72,7 @@ class _Unit:
     backoff: Backoff
     silent: str = ""  # why, or empty
     retry_at: float = 0.0  # wall, monotonic
+    tried_at: float = 0.0  # wall, monotonic
     lost: bool = False  # the bad samples that mark the gap have been handed over
     probe: asyncio.Task[_Probe] | None = None
 
@@ -136,7 +137,11 @@ class ModbusDriver:
         if self._plan_problem:
             problems.append(self._plan_problem)
         health.detail = "; ".join(problems) or "ok"
-        return replace(health, errors=dict(health.errors))
+        return replace(
+            health,
+            errors=dict(health.errors),
+            problems={point.label: point.problem for point in points},
+        )
 
     async def batches(self) -> AsyncIterator[Batch]:
         """Yield one batch per poll for ever; cancel to stop."""
@@ -229,7 +234,11 @@ class ModbusDriver:
                 unit.retry_at = time.monotonic() + unit.backoff.next()
                 return False
             return True
-        if time.monotonic() < unit.retry_at:
+        now = time.monotonic()
+        # The long waits spare the others a delay; where nobody answers there are no others.
+        soon = unit.tried_at + RECONNECT_LAST_S
+        alone = all(other.silent for other in self._units)
+        if now < (min(unit.retry_at, soon) if alone else unit.retry_at):
             return False
         if isinstance(self._source, ModbusRtuSource):
             return True  # a serial line has no second connection
@@ -268,6 +277,9 @@ class ModbusDriver:
             return False
         if unit.silent:
             logger.info("source %s: unit %d answers again", self.name, unit.map.unit)
+            if all(other.silent for other in self._units):
+                for other in self._units:  # the line is back, not only this unit
+                    other.retry_at = 0.0
             unit.silent = ""
         unit.backoff.reset()
         unit.lost = False
@@ -295,7 +307,8 @@ class ModbusDriver:
         if not unit.silent:
             logger.warning("source %s: unit %d: %s", self.name, unit.map.unit, reason)
         unit.silent = reason
-        unit.retry_at = time.monotonic() + unit.backoff.next()
+        unit.tried_at = time.monotonic()
+        unit.retry_at = unit.tried_at + unit.backoff.next()
         samples += self._lose(unit)
 
     def _lose_everything(self) -> list[Sample]:

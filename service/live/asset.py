@@ -68,7 +68,7 @@ class AssetRuntime:
     windows : callable
         Finds the low-risk windows in the store.
     doubt : callable
-        Why the latest sample of a channel failed a check; empty when it did not.
+        Why the latest sample of a channel is not good, where a check or the source can tell.
     """
 
     def __init__(

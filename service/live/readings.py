@@ -34,7 +34,8 @@ class Readings:
     latest : dict of str to Sample
         Newest sample of each channel that had any.
     doubt : callable
-        Why the latest sample of a channel failed a check; empty when it did not.
+        Why the latest sample of a channel is not good, where a check or the source can tell; else
+        empty.
     late : int
         Samples that came when a newer one of their channel was known already.
     """
@@ -111,7 +112,7 @@ class Readings:
         quality = self.quality(channel, now_us)
         if is_good(quality):
             return ""
-        doubt = "" if is_bad(quality) else self.doubt(channel)
+        doubt = "" if self.is_stale(channel, now_us) else self.doubt(channel)
         return doubt or meaning(quality)
 
     @staticmethod

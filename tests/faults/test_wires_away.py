@@ -39,7 +39,7 @@ class SteppedClock(ProcessClock):
 class Line:
     """A driver that reads some registers, and what it has handed over."""
 
-    def __init__(self, port: int, registers: int = 1) -> None:
+    def __init__(self, port: int, registers: int = 1, units: int = 1) -> None:
         self.clock = SteppedClock()
         source = ModbusTcpSource(
             name="s", host="127.0.0.1", port=port, poll_interval_s=0.05, timeout_s=0.3
@@ -48,7 +48,10 @@ class Line:
             ChannelBinding(
                 "a",
                 f"c{register}",
-                ModbusChannel.model_validate({"source": "s", "register": register}),
+                ModbusChannel.model_validate(
+                    {"source": "s", "register": 0 if units > 1 else register}
+                    | {"unit_id": 1 + register % units}
+                ),
             )
             for register in range(registers)
         ]
@@ -172,6 +175,11 @@ async def test_an_exception_never_becomes_a_value(
         await line.until(Quality.GOOD, 2)
         answer.append(ExcCodes(code))
         await line.until(AFTER[code])
+        if code < 10:  # 10 and 11: the gateway speaks, the whole unit does not
+            end = time.monotonic() + 10
+            while not line.driver.health().problems.get("a/c0"):
+                assert time.monotonic() < end, "health says what is wrong with the channel"
+                await asyncio.sleep(0.01)
         answer.clear()
         await line.until(Quality.GOOD, 2)
     finally:
@@ -218,3 +226,29 @@ async def test_what_was_split_by_a_refusal_is_read_in_one_request_again() -> Non
         await asyncio.gather(task, return_exceptions=True)
         await server.shutdown()
     assert_sound(line.samples)
+
+
+async def test_units_that_all_fell_silent_are_not_left_out_for_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("adapters.modbus.driver.RECONNECT_LAST_S", 0.3)
+    port = free_port()
+
+    def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.close()
+
+    gateway = await asyncio.start_server(hang_up, "127.0.0.1", port)
+    line = Line(port, registers=2, units=2)
+    task = asyncio.create_task(line.run())
+    try:
+        await line.until(Quality.COMM_FAILURE, 2)
+        for unit in line.driver._units:
+            unit.retry_at = time.monotonic() + 60  # as after a long outage
+        gateway.close()
+        await gateway.wait_closed()
+        with listening(port):
+            await line.until(Quality.GOOD, 4)
+            assert {one.channel for one in line.samples if one.quality >= 192} == {"c0", "c1"}
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)

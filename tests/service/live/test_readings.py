@@ -131,3 +131,22 @@ def test_a_clock_set_back_is_followed(readings: Readings) -> None:
     assert readings.good_value("t_inner_ring_c", at(0)) is None, "nothing new has come yet"
     readings.add([sample(45.0, 0)])
     assert readings.good_value("t_inner_ring_c", at(1)) == 45.0
+
+
+def test_the_reason_is_the_best_that_is_known(readings: Readings) -> None:
+    channel = "t_inner_ring_c"
+    assert readings.reason(channel, NOW_US) == "no value yet"
+    readings.add([sample(60.0)])
+    assert readings.reason(channel, NOW_US) == ""
+    readings.add([sample(math.nan, 1.0, Quality.SENSOR_FAILURE)])
+    assert readings.reason(channel, at(1)) == "sensor failure"
+    readings.doubt = lambda name: f"{name}: wire break"
+    assert readings.reason(channel, at(1)) == f"{channel}: wire break"
+    readings.add([sample(60.0, 2.0)])
+    assert readings.reason(channel, at(20)) == "stale: no new value"
+
+
+def test_late_samples_are_counted(readings: Readings) -> None:
+    for after_s in (5.0, 1.0, 2.0):
+        readings.add([sample(60.0, after_s, received_after_s=6.0)])
+    assert readings.late == 2
