@@ -105,7 +105,7 @@ export class HistoryView {
     const group = this.names.filter((one) => unitOf(one) === unitOf(name));
     const { colour, dash } = lookOf(group, name);
     return h('i', { class: 'swatch', style: {
-      borderTop: `2px ${dash.length ? 'dashed' : 'solid'} var(${colour})`,
+      borderTop: `2px ${styleOf(dash)} var(${colour})`,
     } });
   }
 
@@ -259,6 +259,8 @@ export class HistoryView {
     }
   }
 }
+
+const styleOf = ([length]) => (length ? (length < 5 ? 'dotted' : 'dashed') : 'solid');
 
 /** Measured channels, and the twin of those that have one. */
 function selectable(asset) {
