@@ -70,7 +70,8 @@ class Publisher:
                     _log.info("mqtt_connected", **where)
                     wait_s, away = least_s, False
                     await self._publish_all(client)
-            except* (MqttError, OSError) as group:
+            except* Exception as group:
+                # Whatever it was that the connection ended with: the service goes on.
                 if not away:
                     _log.warning("mqtt_away", reason=str(group.exceptions[0]), **where)
                 away = True
@@ -101,6 +102,7 @@ class Publisher:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._tell_tags(client))
                 tasks.create_task(self._tell_alarms(client))
+                tasks.create_task(_until_lost(client))
         except asyncio.CancelledError:
             # The broker keeps the will to itself when we leave in order.
             with contextlib.suppress(MqttError):
@@ -154,3 +156,9 @@ class Publisher:
 
     def _topic(self, *parts: str) -> str:
         return "/".join((self._section.topic_prefix, *parts))
+
+
+async def _until_lost(client: Client) -> None:
+    """Raise `MqttError` when the connection is gone, even if there is nothing to publish."""
+    async for _ in client.messages:
+        pass
