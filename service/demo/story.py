@@ -9,6 +9,7 @@ import httpx2
 import numpy as np
 
 from adapters.virtual_bench import Scenario
+from service.alarms import SET_ASIDE_STATES
 from service.clock import from_rfc3339, rfc3339
 from service.demo.configuration import ASSET
 from service.demo.processes import DemoError
@@ -171,11 +172,7 @@ class Story:
 
     async def _tell_alarms(self) -> None:
         for alarm in (await self._get("/api/v1/alarms"))["items"]:
-            if alarm["id"] in self._told_alarms or alarm["state"] not in (
-                "UNACK",
-                "ACKED",
-                "RTNUN",
-            ):
+            if alarm["id"] in self._told_alarms or alarm["state"] in SET_ASIDE_STATES:
                 continue
             self._told_alarms.add(alarm["id"])
             foresight = ""
