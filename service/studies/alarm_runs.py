@@ -36,7 +36,7 @@ from twin_core.windows import LowRiskRegion, find_windows
 
 ASSET = "bench"
 CHANNELS = ("speed_rpm", "load_n", "ambient_c", *RINGS)
-CONTROLS = ("unchanged", "unchanged, other plans")
+CONTROLS = ("unchanged, other plans", "unchanged")
 LONG_CASES = (*CONTROLS, "cooling-loss", "grease-degradation")
 SHORT_CASES = ("overload", "sensor-break")
 REGION = LowRiskRegion(4300.0, 3400.0)

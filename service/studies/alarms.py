@@ -26,7 +26,7 @@ from service.studies.alarm_runs import (
 from service.studies.common import Options, Progress, Report, Table, in_processes
 
 NAME = "alarms"
-BENCHES = 6
+BENCHES = 4
 KINDS: tuple[str, ...] = get_args(AlarmKind)
 
 
@@ -97,7 +97,7 @@ def _false_table(false: Counter[str], hours: float) -> Table:
         f"False alarms in {hours:.0f} h without a fault",
         ("kind", "alarms", "per 1000 h"),
         rows,
-        (f"Limits {MARGIN_WARNING_K:g} and {MARGIN_ALARM_K:g} K over the hottest hour before.",),
+        (f"Limits {MARGIN_WARNING_K:g} and {MARGIN_ALARM_K:g} K over the hottest reading before.",),
     )
 
 
