@@ -71,7 +71,11 @@ class Command:
                 text=True,
             )
         assert self.process.stdout is not None
-        self.first_line = self.process.stdout.readline().strip()
+        try:
+            self.first_line = self.process.stdout.readline().strip()
+        except BaseException:  # the test's time is over
+            self.process.kill()
+            raise
         assert self.first_line, f"{arguments[0]} did not start: {log.read_text()[-2000:]}"
 
     def terminate(self) -> int:
