@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.labels import forecast_labels
-from twin_core.forecasting.paths import add_deviations, gather_members, net_heat_range
+from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
+from twin_core.forecasting.paths import add_deviations, gather_members
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
@@ -26,10 +27,7 @@ from twin_core.parameters import ParameterSet
 from twin_core.process_noise import hidden_spread
 from twin_core.simulation import (
     OperatingProfile,
-    heat_balance_w,
     hold_operating_point,
-    kernels,
-    simulate_batch,
 )
 
 FloatArray = NDArray[np.float64]
@@ -184,8 +182,9 @@ def forecast(
         Speed in rpm, load in N and ambient in degC up to now, the observer's
         ``operating_point``, if it has followed a run. A member whose resistances are not those of
         the observer's model is out of balance in the state that this model has found; it starts
-        with the heats that keep it on the observed course, and they fade likewise. Without it
-        every member is taken to be in the present state by itself, as a cold machine is.
+        with the heats that keep it on the observed course, and they fade likewise; they end when
+        the machine stops or starts, as what is wrong is mostly friction. Without it every member
+        is taken to be in the present state by itself, as a cold machine is.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -210,19 +209,14 @@ def forecast(
         normal_draws(rng, members, np.asarray(state_covariance, np.float64))
     )
     heat_w = np.zeros(start.shape)
-    if disturbance_w is not None:
-        heat_w += np.asarray(disturbance_w, np.float64)
     best = parameters.values_from_z(posterior.z)
-    if operating_point is not None:
+    goes_on = operating_point is None or goes_on_as(operating_point, profile)
+    if disturbance_w is not None and goes_on:
+        heat_w += np.asarray(disturbance_w, np.float64)
+    if operating_point is not None and goes_on:
         heat_w += imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
-    temperatures = simulate_batch(
-        model,
-        values,
-        hold_operating_point(profile),
-        start,
-        revolutions,
-        disturbance_w=heat_w,
-        disturbance_time_s=DISTURBANCE_TIME_S,
+    temperatures = member_paths(
+        model, values, hold_operating_point(profile), start, revolutions, heat_w
     )
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
     temperatures[failed] = _CEILING_C
@@ -281,37 +275,6 @@ def _untaught(parameters: ParameterSet, posterior: Posterior) -> list[str]:
     return [name for name, verdict in verdicts if verdict == "prior only"]
 
 
-def imbalance_w(
-    model: ThermalModel,
-    best: FloatArray,
-    state_c: FloatArray,
-    values: FloatArray,
-    start_c: FloatArray,
-    operating_point: tuple[float, float, float],
-    revolutions: float,
-) -> FloatArray:
-    """Heats (members, nodes) that set each member, in its own start, on the observed course.
-
-    dT/dt of every node shall be what it is with the best parameters in the observed state.
-    """
-    capacity = kernels.bind_network(model.compiled, best)[0]
-    net_w = heat_balance_w(model, best, state_c, *operating_point, revolutions)[0]
-    own_w, own_capacity = np.empty(start_c.shape), np.empty(start_c.shape)
-    speed_rpm, load_n, ambient_c = operating_point
-    net_heat_range(
-        model.compiled,
-        values,
-        start_c,
-        abs(float(speed_rpm)),
-        max(float(load_n), 0.0),
-        float(ambient_c),
-        float(revolutions),
-        own_w,
-        own_capacity,
-    )
-    return np.asarray(net_w * own_capacity / capacity - own_w)
-
-
 def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:
     """How far, ln(F / trained), the load has gone beyond the trained ones, (n,).
 
@@ -331,10 +294,10 @@ def _started(
 
     A machine that was not followed is taken to do what it did in its data.
     """
-    stands = np.abs(profile.speed_rpm) < STANDING_RPM
+    standing = stands(profile)
     if operating_point is not None and abs(operating_point[0]) < STANDING_RPM:
-        stands[0] = True
-    since = np.logical_or.accumulate(stands) & ~stands
+        standing[0] = True
+    since = np.logical_or.accumulate(standing) & ~standing
     return _following(np.maximum.accumulate(since.astype(np.float64)), profile.time_s, START_S)
 
 

@@ -24,9 +24,9 @@ from twin_core.forecasting.ensemble import (
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
     SENSOR_WHITE_K,
-    imbalance_w,
 )
 from twin_core.forecasting.labels import runaway_not_excluded
+from twin_core.forecasting.members import imbalance_w
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S

@@ -1,0 +1,111 @@
+"""The members of an ensemble on their way through a profile."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.forecasting.paths import net_heat_range
+from twin_core.models import ThermalModel
+from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.operating_points import STANDING_RPM
+from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch
+
+FloatArray = NDArray[np.float64]
+
+
+def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
+    """In which rows (n,) the machine stands."""
+    return np.asarray(np.abs(profile.speed_rpm) < STANDING_RPM)
+
+
+def goes_on_as(operating_point: tuple[float, float, float], profile: OperatingProfile) -> bool:
+    """Whether the machine goes on running, or standing, as up to now (speed, load, ambient)."""
+    return bool(stands(profile)[0] == (abs(operating_point[0]) < STANDING_RPM))
+
+
+def member_paths(
+    model: ThermalModel,
+    values: FloatArray,
+    profile: OperatingProfile,
+    start_c: FloatArray,
+    revolutions: float,
+    heat_w: FloatArray,
+) -> FloatArray:
+    """Temperatures (members, n, nodes) of members that begin with heats beyond their model's.
+
+    The heats fade, and end when the machine stops or starts: what is wrong is mostly friction. NaN
+    throughout where a member runs away.
+
+    Parameters
+    ----------
+    model, values
+        The model and the members' parameters (members, p).
+    profile
+        n rows.
+    start_c, heat_w
+        (members, nodes) temperatures in degC and heats in W at the first row.
+    revolutions
+        Revolutions since the grease was fresh.
+    """
+    standing = stands(profile)
+    change = int(np.argmax(standing != standing[0])) or profile.size - 1
+    first = simulate_batch(
+        model,
+        values,
+        _rows(profile, 0, change),
+        start_c,
+        revolutions,
+        disturbance_w=heat_w,
+        disturbance_time_s=DISTURBANCE_TIME_S,
+    )
+    if change == profile.size - 1:
+        return first
+    steps_s = np.diff(profile.time_s[: change + 1])
+    turned = float(np.sum(np.abs(profile.speed_rpm[:change]) * steps_s)) / 60.0
+    lost = ~np.all(np.isfinite(first), axis=(1, 2))
+    rest = simulate_batch(
+        model,
+        values,
+        _rows(profile, change, profile.size - 1),
+        np.where(lost[:, np.newaxis], start_c, first[:, -1]),
+        revolutions + turned,
+    )
+    rest[lost] = np.nan
+    return np.concatenate((first, rest[:, 1:]), axis=1)
+
+
+def _rows(profile: OperatingProfile, first: int, last: int) -> OperatingProfile:
+    rows = slice(first, last + 1)
+    return OperatingProfile(
+        profile.time_s[rows], profile.speed_rpm[rows], profile.load_n[rows], profile.ambient_c[rows]
+    )
+
+
+def imbalance_w(
+    model: ThermalModel,
+    best: FloatArray,
+    state_c: FloatArray,
+    values: FloatArray,
+    start_c: FloatArray,
+    operating_point: tuple[float, float, float],
+    revolutions: float,
+) -> FloatArray:
+    """Heats (members, nodes) that set each member, in its own start, on the observed course.
+
+    dT/dt of every node shall be what it is with the best parameters in the observed state.
+    """
+    capacity = kernels.bind_network(model.compiled, best)[0]
+    net_w = heat_balance_w(model, best, state_c, *operating_point, revolutions)[0]
+    own_w, own_capacity = np.empty(start_c.shape), np.empty(start_c.shape)
+    speed_rpm, load_n, ambient_c = operating_point
+    net_heat_range(
+        model.compiled,
+        values,
+        start_c,
+        abs(float(speed_rpm)),
+        max(float(load_n), 0.0),
+        float(ambient_c),
+        float(revolutions),
+        own_w,
+        own_capacity,
+    )
+    return np.asarray(net_w * own_capacity / capacity - own_w)
