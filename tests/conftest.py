@@ -18,7 +18,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--soak-minutes",
         type=float,
-        default=0.4,
+        default=0.1,
         help="how long random faults strike a bench at 60 times the speed of life",
     )
 
