@@ -216,7 +216,7 @@ def test_lost_bench_shows_as_unknown_and_its_alarm_is_acknowledged(
     expect(page.locator("#lost")).to_contain_text("No temperature data")
     expect(page.locator('.ans[aria-label="Is it safe now"] .word')).to_have_text("Unknown")
     expect(page.locator('[data-figure="4"]')).to_have_class(re.compile(r"\bst\b"))
-    row = page.locator(".al[data-state=UNACK]", has_text="No data from pt100")
+    row = page.locator(".al[data-state=UNACK]", has_text="No data from pt100 (")
     expect(row).to_be_visible()
     alarm_id = row.get_attribute("data-alarm")
     row.get_by_role("button", name=re.compile("Acknowledge")).click()

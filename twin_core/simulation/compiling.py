@@ -4,7 +4,9 @@ import hashlib
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
 # What a compiler may do to floating-point code beyond the letter: contract and reorder sums, so
 # that they run on vectors. Not among them: "nnan" and "ninf", a failed simulation is found by them.
@@ -25,6 +27,14 @@ def compiled(function: Callable[..., Any]) -> Any:
     except RuntimeError:
         # Neither the package folder nor the user's cache folder can be written.
         return njit(nogil=True, error_model="numpy", fastmath=_FAST_MATH)(function)
+
+
+def kernel_array(values: ArrayLike) -> NDArray[np.float64]:
+    """Array of the one kind that kernels are given: float64, contiguous, writeable.
+
+    For read-only arrays numba would compile code of their own, which may round differently.
+    """
+    return np.require(values, np.float64, ["C", "W"])
 
 
 def _digest(function: Callable[..., Any]) -> str:

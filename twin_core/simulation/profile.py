@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.simulation.compiling import kernel_array
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatingProfile:
@@ -33,7 +35,7 @@ class OperatingProfile:
 
     def __post_init__(self) -> None:
         for name in ("time_s", "speed_rpm", "load_n", "ambient_c"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            array = kernel_array(getattr(self, name))
             object.__setattr__(self, name, array)
             if array.ndim != 1 or array.shape != self.time_s.shape or array.size == 0:
                 raise ValueError(

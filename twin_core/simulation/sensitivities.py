@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.network_model import NetworkModel
+from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import OperatingProfile, SimulationError
 from twin_core.simulation.tangents import tangent_kernel
 
@@ -71,12 +72,12 @@ def simulate_sensitivities(
         If a shape is wrong.
     """
     nodes, size = len(model.node_names), model.parameters.size
-    vector = np.ascontiguousarray(values, dtype=np.float64)
-    initial = np.ascontiguousarray(initial_temperatures_c, dtype=np.float64)
+    vector = kernel_array(values)
+    initial = kernel_array(initial_temperatures_c)
     if initial_directions is None:
         initial_directions = np.empty((nodes, 0))
-    directions = np.ascontiguousarray(initial_directions, dtype=np.float64)
-    rows = np.ascontiguousarray(np.eye(nodes) if outputs is None else outputs, dtype=np.float64)
+    directions = kernel_array(initial_directions)
+    rows = kernel_array(np.eye(nodes) if outputs is None else outputs)
     for name, array, expected in (
         ("values", vector, (size,)),
         ("initial_temperatures_c", initial, (nodes,)),

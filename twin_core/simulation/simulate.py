@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin_core.network import CompiledNetwork, FrictionKind
 from twin_core.network_model import NetworkModel
 from twin_core.simulation import kernels
+from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import (
     OperatingProfile,
     SimulationError,
@@ -149,9 +150,9 @@ def simulate_batch(
             f"disturbance_w has shape {heat.shape}, expected ({nodes},) or ({count}, {nodes})"
         )
     fading = 1.0 / disturbance_time_s
-    starts = np.ascontiguousarray(np.broadcast_to(initial, (count, nodes)))
-    turns = np.ascontiguousarray(np.broadcast_to(turned, (count,)))
-    heats = np.ascontiguousarray(np.broadcast_to(heat, (count, nodes)))
+    starts = kernel_array(np.broadcast_to(initial, (count, nodes)))
+    turns = kernel_array(np.broadcast_to(turned, (count,)))
+    heats = kernel_array(np.broadcast_to(heat, (count, nodes)))
     result = np.empty((count, profile.size, nodes))
 
     def run(start: int, stop: int) -> None:
@@ -312,7 +313,7 @@ def _running_in_held(
 
 
 def _values(model: NetworkModel, values: ArrayLike, dimensions: int) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = kernel_array(values)
     size = model.parameters.size
     if array.ndim != dimensions or array.shape[-1] != size:
         expected = f"({size},)" if dimensions == 1 else f"(B, {size})"
@@ -321,7 +322,7 @@ def _values(model: NetworkModel, values: ArrayLike, dimensions: int) -> NDArray[
 
 
 def _finite(name: str, values: ArrayLike | Sequence[float]) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = kernel_array(values)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}, expected finite numbers")
     return array

@@ -109,11 +109,13 @@ async def running_driver(
         assert not task.done(), task.exception()
     finally:
         began = time.monotonic()
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
+        while not task.done():
+            # `asyncio.wait_for` of Python 3.11, which pymodbus uses, now and then swallows one.
+            task.cancel()
+            await asyncio.wait({task}, timeout=1.0)
         stopped_after_s = time.monotonic() - began
     record.check()
-    assert stopped_after_s < 2.0
+    assert stopped_after_s < 3.0
 
 
 class Peer:

@@ -107,7 +107,13 @@ def test_pushed_values_alone_keep_a_twin(
     forecast = client.get("/api/v1/assets/motor-1/forecast")
     assert forecast["planned"] is False
     assert client.get("/api/v1/assets/motor-1/windows")["items"] == []
-    shown = asyncio.run(opcua_tags(endpoint, "motor-1"))
+
+    def estimated() -> dict[str, Any] | None:
+        client.push(**MACHINE)
+        shown = asyncio.run(opcua_tags(endpoint, "motor-1"))
+        return None if shown["t_node_7_c.twin"] is None else shown
+
+    shown = wait_until(estimated, 30, "an estimate over OPC UA")
     assert list(shown) == list(client.get("/api/v1/assets/motor-1/snapshot")["tags"])
     assert shown["model.version"] == 1
     assert 22.0 < shown["t_node_7_c.twin"] < 60.0
