@@ -78,20 +78,10 @@ class AlarmJournal(Section):
         cursor : int, optional
             `AlarmJournalPage.next_cursor` of the page before.
         """
-        query = (
-            select(AlarmTransitionRow.id, *_JOURNAL_COLUMNS)
-            .where(*_conditions(wanted))
-            .order_by(AlarmTransitionRow.id.desc())
-        )
-        if cursor is not None:
-            query = query.where(AlarmTransitionRow.id < cursor)
-        with self._database.reading() as connection:
-            rows = connection.execute(query.limit(limit + 1)).all()
-        more = len(rows) > limit
-        rows = rows[:limit]
+        query = select(AlarmTransitionRow.id, *_JOURNAL_COLUMNS).where(*_conditions(wanted))
+        rows, following = self._newest_first(query, AlarmTransitionRow.id, limit, cursor)
         return AlarmJournalPage(
-            items=[AlarmTransition(*row[1:]) for row in rows],
-            next_cursor=rows[-1][0] if more else None,
+            items=[AlarmTransition(*row[1:]) for row in rows], next_cursor=following
         )
 
     def annunciations(self, now_us: int, asset: str | None = None) -> Annunciations:

@@ -29,14 +29,7 @@ class Audit(Section):
         cursor : int, optional
             `AuditPage.next_cursor` of the page before.
         """
-        query = select(AuditRow.id, *_COLUMNS).order_by(AuditRow.id.desc())
-        if cursor is not None:
-            query = query.where(AuditRow.id < cursor)
-        with self._database.reading() as connection:
-            rows = connection.execute(query.limit(limit + 1)).all()
-        more = len(rows) > limit
-        rows = rows[:limit]
-        return AuditPage(
-            items=[AuditEntry(*row[1:]) for row in rows],
-            next_cursor=rows[-1][0] if more else None,
+        rows, following = self._newest_first(
+            select(AuditRow.id, *_COLUMNS), AuditRow.id, limit, cursor
         )
+        return AuditPage(items=[AuditEntry(*row[1:]) for row in rows], next_cursor=following)

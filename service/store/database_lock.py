@@ -6,13 +6,13 @@ import threading
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import psycopg
 import structlog
 from sqlalchemy.engine import URL
 
+from service.store.closable import Closable
 from service.store.errors import DatabaseInUseError, StoreError
 from service.store.opening import database_address
 from service.store.postgresql import CONNECT_ARGS
@@ -37,7 +37,7 @@ _NOTICE_LOSS = (
 _log = structlog.get_logger(__name__)
 
 
-class DatabaseLock:
+class DatabaseLock(Closable):
     """The right to run a service on a PostgreSQL database, until closed or the process ends.
 
     A connection of its own holds it. When the server was restarted the lock is taken again.
@@ -130,17 +130,6 @@ class DatabaseLock:
         self._ended.set()
         self._thread.join()
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _first(cursor: psycopg.Cursor[Any]) -> Any:

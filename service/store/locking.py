@@ -3,15 +3,14 @@
 import fcntl
 import os
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from service.store.closable import Closable
 from service.store.errors import DataDirectoryInUseError, StoreError
 
 LOCK_FILE = "service.lock"
 
 
-class DataDirectoryLock:
+class DataDirectoryLock(Closable):
     """The right to run a service on a data directory, until closed or the process ends."""
 
     def __init__(self, descriptor: int) -> None:
@@ -22,17 +21,6 @@ class DataDirectoryLock:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def lock_data_directory(data_dir: Path) -> DataDirectoryLock:

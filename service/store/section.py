@@ -1,5 +1,11 @@
 """What all parts of the store share."""
 
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Select
+from sqlalchemy.orm import InstrumentedAttribute
+
 from service.store.database import Database
 
 
@@ -13,3 +19,19 @@ class Section:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+
+    def _newest_first(
+        self,
+        query: Select[tuple[Any, ...]],
+        number: InstrumentedAttribute[int],
+        limit: int,
+        cursor: int | None,
+    ) -> tuple[Sequence[Sequence[Any]], int | None]:
+        """A page of numbered rows, the number their first column, and the cursor of the next."""
+        query = query.order_by(number.desc())
+        if cursor is not None:
+            query = query.where(number < cursor)
+        with self._database.reading() as connection:
+            rows = connection.execute(query.limit(limit + 1)).all()
+        page = rows[:limit]
+        return page, page[-1][0] if len(rows) > limit else None

@@ -1,13 +1,13 @@
 """The store: one object with everything that the service keeps."""
 
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from service.store.access import Access
 from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
+from service.store.closable import Closable
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
@@ -15,7 +15,9 @@ from service.store.opening import open_database
 from service.store.rollups import Rollups
 
 
-class Store(Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access, Audit):
+class Store(
+    Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access, Audit, Closable
+):
     """Samples, models, jobs, alarms and keys in one database.
 
     The methods come from the parts, one module per noun. All are synchronous and safe to call
@@ -49,14 +51,3 @@ class Store(Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Ac
     def close(self) -> None:
         """Close all connections."""
         self._database.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -4,51 +4,41 @@ from collections.abc import Iterator, Mapping
 
 from service.alarms import AlarmCondition
 from service.live.presentation import LimitCrossing
-from service.live.rules.scene import LEVELS, Scene, label
+from service.live.rules.scene import Scene, label
 
 
 def measured_limits(scene: Scene) -> Iterator[AlarmCondition]:
     """Measured temperature at or above its warning or alarm limit."""
     rule = scene.rules.measured_limit
-    for channel, pair in scene.limits.items():
-        value = scene.good_value(channel)
-        for level in LEVELS:
-            limit_c = getattr(pair, level)
-            yield scene.condition(
-                rule,
-                "measured limit",
-                channel,
-                level,
-                None if value is None else value >= limit_c,
-                f"{label(channel)} over {level} {limit_c:g} °C",
-                value=value,
-                limit_value=limit_c,
-                deadband=rule.deadband_k,
-                unit="°C",
-            )
+    for channel, limits in scene.limits.items():
+        yield from scene.over_limits(
+            rule,
+            "measured limit",
+            channel,
+            scene.good_value(channel),
+            limits,
+            "over {level} {limit:g} °C",
+            deadband=rule.deadband_k,
+            unit="°C",
+        )
 
 
 def above_ambient(scene: Scene) -> Iterator[AlarmCondition]:
     """Measured temperature too far above the measured ambient temperature."""
     rule = scene.rules.above_ambient
     ambient_c = scene.good_value("ambient_c")
-    for channel, pair in rule.limits.items():
+    for channel, limits in rule.limits.items():
         value = scene.good_value(channel)
-        above_k = None if value is None or ambient_c is None else round(value - ambient_c, 3)
-        for level in LEVELS:
-            limit_k = getattr(pair, level)
-            yield scene.condition(
-                rule,
-                "above ambient",
-                channel,
-                level,
-                None if above_k is None else above_k >= limit_k,
-                f"{label(channel)} over {level} {limit_k:g} K above ambient",
-                value=above_k,
-                limit_value=limit_k,
-                deadband=rule.deadband_k,
-                unit="K",
-            )
+        yield from scene.over_limits(
+            rule,
+            "above ambient",
+            channel,
+            None if value is None or ambient_c is None else round(value - ambient_c, 3),
+            limits,
+            "over {level} {limit:g} K above ambient",
+            deadband=rule.deadband_k,
+            unit="K",
+        )
 
 
 def forecast_limits(

@@ -1,10 +1,10 @@
 """What every rule looks at, and how it says what it found."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from service.alarm_settings import AlarmsSection, LevelRule, PlainRule
+from service.alarm_settings import AlarmsSection, LevelRule, Levels, PlainRule
 from service.alarms import AlarmCondition, AlarmKind
 from service.live.readings import Readings
 from service.settings import Limits
@@ -96,6 +96,37 @@ class Scene:
             suppressed_reason=self.suppressed(kind, channel, level),
             **({"value": None} | facts),
         )
+
+    def over_limits(
+        self,
+        rule: LevelRule,
+        kind: AlarmKind,
+        channel: str,
+        value: float | None,
+        limits: Limits | Levels,
+        text: str,
+        *,
+        deadband: float,
+        unit: str,
+    ) -> Iterator[AlarmCondition]:
+        """Say of both levels whether a value, None if it cannot be told, is at or over its limit.
+
+        The message is the channel's name and the text with `level` and `limit` put in.
+        """
+        for level in LEVELS:
+            limit = getattr(limits, level)
+            yield self.condition(
+                rule,
+                kind,
+                channel,
+                level,
+                None if value is None else value >= limit,
+                f"{label(channel)} {text.format(level=level, limit=limit)}",
+                value=value,
+                limit_value=limit,
+                deadband=deadband,
+                unit=unit,
+            )
 
     # ------------------------------------------------------------------ suppressed by design
     def suppressed(self, kind: AlarmKind, channel: str, level: str) -> str | None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from service.alarms import AlarmCondition
 from service.live.residuals import ResidualChart
-from service.live.rules.scene import LEVELS, Scene, label
+from service.live.rules.scene import Scene, label
 
 
 def twin_difference(
@@ -21,20 +21,16 @@ def twin_difference(
     """
     rule = scene.rules.twin_difference
     for channel, difference_k in differences_k.items():
-        for level in LEVELS:
-            limit_k = getattr(rule.limits, level)
-            yield scene.condition(
-                rule,
-                "twin difference",
-                channel,
-                level,
-                None if difference_k is None else difference_k >= limit_k,
-                f"{label(channel)} {limit_k:g} K hotter than its model says ({level})",
-                value=difference_k,
-                limit_value=limit_k,
-                deadband=rule.deadband_k,
-                unit="K",
-            )
+        yield from scene.over_limits(
+            rule,
+            "twin difference",
+            channel,
+            difference_k,
+            rule.limits,
+            "{limit:g} K hotter than its model says ({level})",
+            deadband=rule.deadband_k,
+            unit="K",
+        )
 
 
 def rate_of_rise(scene: Scene, rates: Mapping[str, float | None]) -> Iterator[AlarmCondition]:
@@ -49,20 +45,16 @@ def rate_of_rise(scene: Scene, rates: Mapping[str, float | None]) -> Iterator[Al
     """
     rule = scene.rules.rate_of_rise
     for channel, rate in rates.items():
-        for level in LEVELS:
-            limit = getattr(rule.limits, level)
-            yield scene.condition(
-                rule,
-                "rate of rise",
-                channel,
-                level,
-                None if rate is None else rate >= limit,
-                f"{label(channel)} rises by more than {limit:g} K/min ({level})",
-                value=rate,
-                limit_value=limit,
-                deadband=rule.deadband_k_per_min,
-                unit="K/min",
-            )
+        yield from scene.over_limits(
+            rule,
+            "rate of rise",
+            channel,
+            rate,
+            rule.limits,
+            "rises by more than {limit:g} K/min ({level})",
+            deadband=rule.deadband_k_per_min,
+            unit="K/min",
+        )
 
 
 def twin_residual(
