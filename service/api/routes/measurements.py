@@ -62,7 +62,8 @@ router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements
                         "schema": {"type": "string"},
                         "example": "time,channel,value,quality\r\n"
                         "2026-11-21T08:00:00.000Z,t_inner_ring_c,63.4,192\r\n",
-                    }
+                    },
+                    PARQUET: {"schema": {"type": "string", "format": "binary"}},
                 }
             }
         },

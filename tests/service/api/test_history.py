@@ -149,6 +149,20 @@ async def test_auto_keeps_its_choice_over_pages(world: Any) -> None:
     assert second["items"][0]["time"] == rfc3339(START_US + 2_500_000_000)
 
 
+async def test_every_form_of_the_answer_is_documented(world: Any) -> None:
+    client = world.client("viewer")
+    operation = (await client.get("/openapi.json")).json()["paths"][
+        "/api/v1/assets/{asset_id}/measurements"
+    ]["get"]
+    documented = set(operation["responses"]["200"]["content"])
+    (form,) = (one for one in operation["parameters"] if one["name"] == "format")
+    given = set()
+    for name in form["schema"]["enum"]:
+        response = await client.get(PATH, params=span(60) | {"format": name})
+        given.add(response.headers["content-type"].split(";")[0])
+    assert given == documented
+
+
 async def test_csv_is_long_with_an_empty_cell_for_no_value(world: Any) -> None:
     world.write("bench-1", INNER, START_US, [60.25, float("nan")])
     response = await world.client("viewer").get(PATH, params=span(60) | {"format": "csv"})

@@ -254,11 +254,12 @@ async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
         assert source.entered == 1
 
 
-async def test_pushed_samples_are_on_the_disk_when_the_answer_comes(hall: Hall) -> None:
+async def test_pushed_samples_are_on_the_disk_when_the_answer_comes(
+    hall: Hall, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.ingest.writer.BATCH_S", 3600.0)  # a push does not wait for others
     async with hall.running():
-        started = time.monotonic()
         counts = await hall.ingest.accept([sample(1), sample(2), sample(2)])
-        assert time.monotonic() - started < 0.4  # does not wait for the next batch
         assert counts == WriteCounts(stored=2, duplicates=1)
         with contextlib.closing(sqlite3.connect(hall.path)) as outside:
             assert outside.execute("SELECT COUNT(*) FROM samples").fetchone() == (2,)
@@ -284,9 +285,9 @@ async def test_a_push_survives_its_caller_and_is_on_the_spool_while_the_store_is
             assert await patient == (1, 0)
             assert hall.stored_outside() == 0
             assert hall.on_spool() == [1, 2]
-            started = time.monotonic()
+            # The spool takes it while the store is still away.
             assert await hall.ingest.accept([sample(3)]) == (1, 0)
-            assert time.monotonic() - started < 2.0
+            assert hall.stored_outside() == 0
         await hall.until(stored=3)
         assert hall.on_spool() == []
         assert await hall.ingest.accept([sample(3), sample(4)]) == (1, 1)

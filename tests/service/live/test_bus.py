@@ -13,7 +13,7 @@ def make_bus(**limits: int) -> Bus:
 
 
 async def read(subscription: Subscription, count: int) -> list[dict]:
-    async with asyncio.timeout(2):
+    async with asyncio.timeout(20):
         return [json.loads((await subscription.get()).text) for _ in range(count)]
 
 
