@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from adapters.drivers import Clock
 from service.clock import rfc3339
 from service.settings import AssetSection
-from service.store import Store
+from service.store import MinuteTable, Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.windows import (
     STANDING_RPM,
@@ -28,6 +28,10 @@ OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
 SHORTEST_WINDOW_S = 1800.0
 # How many good minutes there must be in them: of three in a row two may be missing.
 FEWEST_MINUTES = 10
+# What is left of a minute with bad or uncertain samples must be so many good ones for each of
+# them, and so much of the channel's usual number of samples in a minute.
+GOOD_FOR_EACH_DOUBTFUL = 3
+FEWEST_OF_USUAL = 0.75
 # A set-point at the edge of the region is measured with noise; `find_windows` allows for as much.
 REGION_TOLERANCE = 1.02
 # What the drivers and the sample writer may still hold, in wall seconds.
@@ -176,33 +180,42 @@ class AssetHistory:
             known = [values[np.isfinite(values)] for values in temperatures.values()]
             coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
             operating["ambient_c"] = np.full(time_us.size, coldest)
-        bad = sum(
-            _spread(time_us, over.minute_us, over.bad_count[name].astype(np.float64))
-            for name in OPERATING_CHANNELS
-        ) + sum(
-            _spread(time_us, around_us, around.bad_count[name].astype(np.float64))
-            for name in self._sensors
-            if name in temperatures
-        )
-        finite = np.isfinite(bad) & np.isfinite(sum(operating.values()))
+        good = np.isfinite(sum(operating.values()))
+        for name in OPERATING_CHANNELS:
+            good &= _spread(time_us, over.minute_us, _is_sound(over, name)) == 1.0
         for name in self._sensors:
             if name in temperatures:
-                finite &= np.isfinite(temperatures[name])
+                good &= np.isfinite(temperatures[name])
+                good &= _spread(time_us, around_us, _is_sound(around, name)) == 1.0
         return MinuteData(
             time_s=time_us / 1e6,
             speed_rpm=operating["speed_rpm"],
             load_n=operating["load_n"],
             ambient_c=operating["ambient_c"],
             temperatures_c=temperatures,
-            good=finite & (bad == 0),
+            good=good,
         )
 
     def _find(self, minutes: MinuteData) -> list[Window]:
         return list(find_windows(minutes, self._region, SHORTEST_WINDOW_S))
 
 
+def _is_sound(table: MinuteTable, channel: str) -> NDArray[np.bool_]:
+    """Whether the mean of a channel's good samples stands for the minute, minute by minute.
+
+    It does when none of the minute's samples was bad or uncertain; and when a few were, as of a
+    sensor that spikes, but the good ones are by far more and nearly as many as usual. A minute in
+    which the channel fell silent has a bad sample too, and fewer good ones than usual.
+    """
+    good, doubtful = table.good_count[channel], table.bad_count[channel]
+    count = good + doubtful
+    usual = float(np.median(count[count > 0])) if count.any() else 0.0
+    enough = np.maximum(GOOD_FOR_EACH_DOUBTFUL * doubtful, FEWEST_OF_USUAL * usual)
+    return np.asarray((doubtful == 0) | (good >= enough), np.bool_)
+
+
 def _spread(
-    onto_us: NDArray[np.int64], time_us: NDArray[np.int64], values: NDArray[np.float64]
+    onto_us: NDArray[np.int64], time_us: NDArray[np.int64], values: NDArray[np.generic]
 ) -> NDArray[np.float64]:
     """Values on a longer time axis, NaN where there are none."""
     spread = np.full(onto_us.size, np.nan)

@@ -72,28 +72,74 @@ async def test_a_row_holds_the_point_over_its_minute_and_the_temperature_at_its_
     assert minutes.good[row]
 
 
-async def test_one_bad_sample_makes_its_minute_bad(
+async def test_a_few_doubtful_samples_are_left_out_and_many_make_their_minute_bad(
     store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
 ) -> None:
+    """From the load, and around a full minute from the inner ring, so many of 60 are not good."""
+    doubtful = {2: 1, 3: 15, 4: 16, 5: 60}
+
     def values(channel: str, second: float) -> float:
-        # Load fails in minute 3; the inner ring fails in the half minute before the sixth.
-        if (channel, second) in (("load_n", 3 * 60 + 45), (LOW, 5 * 60 + 45)):
-            return math.nan
+        shift = {"load_n": 0, LOW: 30}.get(channel)
+        if shift is not None:
+            minute, inside = divmod(second + shift, 60)
+            # Spread over the minute, so that its mean stays what it was.
+            if (inside * 7) % 60 < doubtful.get(minute, 0):
+                return math.nan
         return ramping(channel, second)
 
     write(store, make_sample, start_us, 10 * 60, values)
     minutes = await minutes_of(make_history(store, clock), start_us, start_us + 10 * MINUTE_US)
-    assert np.flatnonzero(~minutes.good).tolist() == [3, 6]
+    assert np.flatnonzero(~minutes.good).tolist() == [4, 5]
+    assert minutes.load_n[3] == pytest.approx(20.0 + 3 + 59 / 120, abs=0.1)
 
 
-async def test_an_uncertain_sample_makes_its_minute_bad(
+async def test_uncertain_values_are_in_no_mean(
     store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
 ) -> None:
     write(store, make_sample, start_us, 10 * 60, ramping)
-    doubtful = make_sample("speed_rpm", start_us + 2 * MINUTE_US + 1, 1002.0, Quality.UNCERTAIN)
-    store.write_samples([doubtful])
+    spikes = [
+        make_sample(channel, start_us + 2 * MINUTE_US + 1, 9e9, Quality.UNCERTAIN)
+        for channel in ("speed_rpm", LOW)
+    ]
+    store.write_samples(spikes)
     minutes = await minutes_of(make_history(store, clock), start_us, start_us + 10 * MINUTE_US)
-    assert np.flatnonzero(~minutes.good).tolist() == [2]
+    assert minutes.good.all()
+    assert minutes.speed_rpm[2] == pytest.approx(1000.0 + 2 + 59 / 120)
+    assert minutes.temperatures_c[LOW][2] == pytest.approx(20.0 + 2, abs=0.01)
+
+
+async def test_a_minute_in_which_a_channel_broke_off_is_bad(
+    store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
+) -> None:
+    """A driver marks a gap with one bad sample; what is left is a part of the minute."""
+
+    def values(channel: str, second: float) -> float | None:
+        if channel == "speed_rpm" and 4 * 60 + 40 <= second < 7 * 60:
+            return math.nan if second == 4 * 60 + 40 else None
+        return ramping(channel, second)
+
+    write(store, make_sample, start_us, 10 * 60, values)
+    minutes = await minutes_of(make_history(store, clock), start_us, start_us + 10 * MINUTE_US)
+    assert np.flatnonzero(~minutes.good).tolist() == [4, 5, 6]
+
+
+async def test_a_sensor_that_spikes_every_minute_does_not_starve_identification(
+    run_store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
+) -> None:
+    """The run of the other tests, six samples a minute, with a spike in each."""
+    history = make_history(run_store, clock)
+    (calm,) = await history.windows()
+    before = await minutes_of(history, *history.span_us(calm))
+    # Between two samples; of the first minute only half is there, too little beside a spike.
+    spikes = [
+        make_sample(LOW, start_us + minute * MINUTE_US + 11_500_000, 180.0, Quality.UNCERTAIN)
+        for minute in range(1, 140)
+    ]
+    run_store.write_samples(spikes)
+    assert await history.windows() == [calm]
+    after = await minutes_of(history, *history.span_us(calm))
+    assert np.array_equal(after.temperatures_c[LOW], before.temperatures_c[LOW])
+    assert after.good.all()
 
 
 @pytest.mark.parametrize("channel", ["speed_rpm", "t_outer_ring_c"])
