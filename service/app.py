@@ -14,7 +14,7 @@ from typing import Any
 import anyio.to_thread
 import structlog
 import uvicorn
-from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.drivers import Driver, SourceHealth
 from adapters.samples import Batch
@@ -39,6 +39,7 @@ from service.settings import AssetSection, Settings
 from service.store import (
     Alarm,
     ModelVersion,
+    Outbox,
     Retention,
     Store,
     StoreError,
@@ -78,7 +79,13 @@ class Service:
         self.clock = clock
         self.registry = CollectorRegistry()
         self.bus = Bus(clock)
-        self.alarms = AlarmBook(store, clock, self._alarm_changed)
+        self.outbox = Outbox.open(settings.data_dir, store)
+        Gauge(
+            "bearing_twin_outbox_changes",
+            "Alarm changes and audit lines that wait for the store, in memory or on the disk.",
+            registry=self.registry,
+        ).set_function(lambda: self.outbox.waiting)
+        self.alarms = AlarmBook(self.outbox, clock, self._alarm_changed)
         self.spool = Spool.open(settings.data_dir, settings.service.spool_mib)
         self._clock_steps = Counter(
             "bearing_twin_clock_steps",
@@ -107,6 +114,7 @@ class Service:
         )
         self.jobs = IdentificationJobs(
             store,
+            self.outbox,
             clock,
             self.bus,
             self.assets,
@@ -120,6 +128,7 @@ class Service:
                 settings=settings,
                 clock=clock,
                 store=store,
+                outbox=self.outbox,
                 bus=self.bus,
                 ingest=self.ingest,
                 alarms=self.alarms,
@@ -241,18 +250,11 @@ class Service:
         tls : ssl.SSLContext, optional
             With it the web side talks HTTPS.
         """
-        closing: list[asyncio.Task[None]] = []
-
-        def close_alarms() -> None:
-            closing.append(asyncio.create_task(anyio.to_thread.run_sync(self.alarms.close)))
-
         try:
             async with (
                 self._background(self.ingest.run(self.drivers), INGEST, stop),
                 contextlib.AsyncExitStack() as stack,
             ):
-                # At the end, while the last samples are stored.
-                stack.callback(close_alarms)
                 for asset in self.assets.values():
                     kept = await anyio.to_thread.run_sync(self.store.load_asset_state, asset.id)
                     await stack.enter_async_context(
@@ -273,7 +275,7 @@ class Service:
                     await stack.enter_async_context(self._background(task, name, stop))
                 await stop.wait()
         finally:
-            await asyncio.gather(*closing)
+            await anyio.to_thread.run_sync(self.outbox.close)
             self._executor.shutdown(wait=False, cancel_futures=True)
             self.spool.close()
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from service.alarms import AlarmBook, AlarmCondition
-from service.store import Alarm, AlarmTransition, Store
+from service.store import Alarm, AlarmTransition, Outbox, Store
 
 SECOND_US = 1_000_000
 START_US = 1_763_700_000 * SECOND_US
@@ -49,8 +49,7 @@ class Bench:
         self.data_dir = data_dir
         self.clock = HandClock()
         self.told: list[Alarm] = []
-        self.store = Store.open("", data_dir)
-        self.book = AlarmBook(self.store, self.clock, self.told.append)
+        self._open()
 
     def after(self, seconds: float, condition: AlarmCondition) -> str:
         """Move on, evaluate, and tell the state of the condition's alarm."""
@@ -69,14 +68,18 @@ class Bench:
         return alarm
 
     def journal(self) -> list[AlarmTransition]:
-        assert self.book.flush(10)
+        assert self.outbox.flush(10)
         return self.store.alarm_journal(limit=100_000).items[::-1]
 
     def restart(self) -> None:
         self.close()
-        self.store = Store.open("", self.data_dir)
-        self.book = AlarmBook(self.store, self.clock, self.told.append)
+        self._open()
 
     def close(self) -> None:
-        self.book.close()
+        self.outbox.close()
         self.store.close()
+
+    def _open(self) -> None:
+        self.store = Store.open("", self.data_dir)
+        self.outbox = Outbox.open(self.data_dir, self.store)
+        self.book = AlarmBook(self.outbox, self.clock, self.told.append)

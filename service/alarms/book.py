@@ -15,10 +15,9 @@ from service.alarms.lives import (
     normal_alarm,
     updated,
 )
-from service.alarms.recorder import AlarmRecorder
 from service.alarms.states import ACTIVE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
-from service.store import Alarm, AlarmTransition, Store
+from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
 
 #: Who the journal names for what happens without a person.
 SERVICE = "service"
@@ -40,9 +39,8 @@ class NotAllowedError(ValueError):
 class AlarmBook:
     """Turns conditions into alarms with delays, deadbands, acknowledgement and a journal.
 
-    The book is in memory; it never waits for the store. Changes are written behind it, in order
-    (`flush` waits for them), and read back at the next start. All methods may be called from any
-    thread.
+    The book is in memory; it never waits for the store. Changes are written behind it, in order,
+    and read back at the next start. All methods may be called from any thread.
 
     An alarm has an id for one life: from the first event after it was normal until it is normal
     again. An alarm that has never been anything but normal has an id too, so that it can be
@@ -50,8 +48,8 @@ class AlarmBook:
 
     Parameters
     ----------
-    store : Store
-        Holds the alarms that were open when the service stopped; takes the changes.
+    outbox : Outbox
+        Knows the alarms that were open when the service stopped; takes the changes.
     clock : Clock
         Delays and shelving count in its process time.
     on_change : callable
@@ -59,15 +57,15 @@ class AlarmBook:
         has become normal. It must return quickly.
     """
 
-    def __init__(self, store: Store, clock: Clock, on_change: Callable[[Alarm], None]) -> None:
+    def __init__(self, outbox: Outbox, clock: Clock, on_change: Callable[[Alarm], None]) -> None:
         self._clock = clock
         self._on_change = on_change
         self._lock = threading.RLock()
         self._timers: defaultdict[AlarmKey, Timer] = defaultdict(Timer)
         self._normal: dict[AlarmKey, Alarm] = {}
-        self._open = {key_of(alarm): alarm for alarm in store.load_alarms()}
+        self._open = {key_of(alarm): alarm for alarm in outbox.load_alarms()}
         self._conditions: dict[AlarmKey, AlarmCondition] = {}
-        self._recorder = AlarmRecorder(store)
+        self._outbox = outbox
 
     # ------------------------------------------------------------------ what the rules say
     def evaluate(self, condition: AlarmCondition) -> None:
@@ -133,7 +131,7 @@ class AlarmBook:
             value=None,
             message=message,
         )
-        self._recorder.record(None, event)
+        self._outbox.record(AlarmChange(None, (event,)))
 
     # ------------------------------------------------------------------ what people say
     def acknowledge(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
@@ -192,7 +190,7 @@ class AlarmBook:
                 raise NotAllowedError(f"alarm {alarm_id} is NORM: there is nothing to comment on")
             self._keep(alarm)
             line = journal_line(alarm, alarm.state, "comment", now_us, who, comment)
-            self._recorder.record(alarm, line)
+            self._outbox.record(AlarmChange(alarm, (line,)))
             self._on_change(alarm)
         return alarm
 
@@ -225,14 +223,6 @@ class AlarmBook:
     def normal(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are normal: the conditions that are watched and not there."""
         return self._listed(asset, self._normal)
-
-    def flush(self, timeout_s: float = 10.0) -> bool:
-        """Wait until the store has all changes so far; False when that takes too long."""
-        return self._recorder.flush(timeout_s)
-
-    def close(self, timeout_s: float = 2.0) -> None:
-        """Write what is left, for at most so many wall seconds, and stop."""
-        self._recorder.close(timeout_s)
 
     # ------------------------------------------------------------------ changes
     def _listed(self, asset: str | None, alarms: dict[AlarmKey, Alarm]) -> list[Alarm]:
@@ -341,14 +331,15 @@ class AlarmBook:
                 self._normal[key] = normal_alarm(condition, now_us)
         else:
             self._open[key] = moved
-        self._recorder.record(moved, journal_line(moved, alarm.state, event, now_us, who, comment))
+        line = journal_line(moved, alarm.state, event, now_us, who, comment)
+        self._outbox.record(AlarmChange(moved, (line,)))
         self._on_change(moved)
         return moved
 
     def _replace(self, alarm: Alarm) -> Alarm:
         """Take news of an alarm that stays in its state."""
         self._keep(alarm)
-        self._recorder.record(alarm)
+        self._outbox.record(AlarmChange(alarm))
         self._on_change(alarm)
         return alarm
 

@@ -78,13 +78,12 @@ def create_app(context: ServiceContext) -> FastAPI:
             beating.cancel()
             context.bus.close()
             await asyncio.gather(beating, return_exceptions=True)
-            await trail.flush()
 
     security = context.settings.security
     authenticator = Authenticator(
         context.store, security.failed_logins_per_minute, security.requests_per_minute
     )
-    trail = AuditTrail(context.store)
+    trail = AuditTrail(context.outbox)
     snapshots = Snapshots()
     app = FastAPI(
         title="Bearing Twin",

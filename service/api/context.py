@@ -23,7 +23,7 @@ from service.settings import Settings
 if TYPE_CHECKING:
     from service.alarms import AlarmBook
     from service.ingest import Ingest
-    from service.store import Store
+    from service.store import Outbox, Store
 
 MAX_PROFILE_HOURS = 48
 MAX_PROFILE_STEPS = 200
@@ -338,6 +338,7 @@ class ServiceContext:
     settings: Settings
     clock: Clock
     store: "Store"
+    outbox: "Outbox"
     bus: Bus
     ingest: "Ingest"
     alarms: "AlarmBook"

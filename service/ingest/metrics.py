@@ -8,7 +8,8 @@ from prometheus_client import CollectorRegistry, Gauge, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from adapters.drivers import Clock, Driver
-from service.ingest.spool import Spool, SpoolUnavailableError
+from service.ingest.spool import Spool
+from service.store import QueueUnavailableError
 
 #: Why an accepted sample may not reach the store.
 SKIP_REASONS = ("queue_full", "refused", "spool_full", "store_unavailable")
@@ -123,14 +124,14 @@ def watch_queues(
     def age_s() -> float:
         try:
             oldest_us = spool.oldest_received_us() if len(spool) else None
-        except SpoolUnavailableError:
+        except QueueUnavailableError:
             return math.nan
         return 0.0 if oldest_us is None else max(clock.now_us() - oldest_us, 0) / 1e6
 
     def size_bytes() -> float:
         try:
             return float(spool.size_bytes if len(spool) else 0)
-        except SpoolUnavailableError:
+        except QueueUnavailableError:
             return math.nan
 
     Gauge(

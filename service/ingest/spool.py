@@ -1,17 +1,13 @@
 """Samples on the disk that wait for a store which is away: bounded, in order, crash-safe."""
 
-import contextlib
 import math
 import sqlite3
-import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple, Self
 
-import structlog
-
 from adapters.samples import Sample, is_bad
-from service.store import StoreError
+from service.store import QueueFile
 
 FILE_NAME = "spool.db"
 
@@ -20,7 +16,7 @@ _BYTES_PER_MIB = 2**20
 _MAKE_ROOM = 0.02
 _APPLICATION_ID = 0x42547370
 
-_TABLE = """
+_TABLES = """
 CREATE TABLE IF NOT EXISTS samples (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     importance INTEGER NOT NULL,
@@ -32,16 +28,11 @@ CREATE TABLE IF NOT EXISTS samples (
     received_us INTEGER NOT NULL
 )
 """
+_PROBE = "SELECT id, importance, received_us FROM samples LIMIT 1"
 _INSERT = """
 INSERT INTO samples (importance, asset, channel, time_us, value, quality, received_us)
 VALUES (?, ?, ?, ?, ?, ?, ?)
 """
-
-_log = structlog.get_logger(__name__)
-
-
-class SpoolUnavailableError(RuntimeError):
-    """The spool cannot take samples now (disk full, I/O error)."""
 
 
 class Chunk(NamedTuple):
@@ -59,50 +50,30 @@ class Spool:
 
     Parameters
     ----------
-    connection : sqlite3.Connection
-        Of the spool's file.
-    path : pathlib.Path
-        The file, for messages.
+    file : QueueFile
+        The spool's file.
     size_mib : int
         Size that the samples may take. A full spool gives up the oldest samples of the least
         important channels.
     """
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, size_mib: int) -> None:
-        self._connection = connection
-        self._path = path
-        self._lock = threading.Lock()
-        page_bytes = int(connection.execute("PRAGMA page_size").fetchone()[0])
-        self._pages_max = max(size_mib * _BYTES_PER_MIB // page_bytes, 16)
-        self._page_bytes = page_bytes
-        self._count = int(connection.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
+    def __init__(self, file: QueueFile, size_mib: int) -> None:
+        self._file = file
+        with file.reading() as connection:
+            self._page_bytes = int(connection.execute("PRAGMA page_size").fetchone()[0])
+            self._count = int(connection.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
+        self._pages_max = max(size_mib * _BYTES_PER_MIB // self._page_bytes, 16)
 
     @classmethod
     def open(cls, folder: Path, size_mib: int) -> Self:
         """Open the spool of a data directory; samples of an earlier run are still in it.
-
-        A damaged file is put aside, with a log line, since a service that does not start would
-        lose more.
 
         Raises
         ------
         StoreError
             If the file can be neither opened nor made; one line that names it.
         """
-        path = folder / FILE_NAME
-        try:
-            try:
-                return cls(_connect(path), path, size_mib)
-            except sqlite3.OperationalError:
-                raise
-            except sqlite3.DatabaseError as error:
-                aside = _put_aside(path)
-                _log.error("spool_damaged", file=str(path), kept_as=str(aside), error=str(error))
-                return cls(_connect(path), path, size_mib)
-        except (sqlite3.Error, OSError) as error:
-            raise StoreError(
-                f"spool {path}: {error}; expected a file that may be written"
-            ) from error
+        return cls(QueueFile.open(folder / FILE_NAME, _APPLICATION_ID, _TABLES, _PROBE), size_mib)
 
     def __len__(self) -> int:
         """Samples that wait."""
@@ -111,18 +82,18 @@ class Spool:
     @property
     def size_bytes(self) -> int:
         """What the samples take on the disk."""
-        with self._reading():
-            return self._used_pages() * self._page_bytes
+        with self._file.reading() as connection:
+            return _used_pages(connection) * self._page_bytes
 
     def oldest_received_us(self) -> int | None:
         """Receipt time of the sample that waits longest; None when none waits.
 
         Raises
         ------
-        SpoolUnavailableError
+        QueueUnavailableError
             If the file cannot be read now.
         """
-        with self._reading() as connection:
+        with self._file.reading() as connection:
             row = connection.execute(
                 "SELECT received_us FROM samples ORDER BY id LIMIT 1"
             ).fetchone()
@@ -138,7 +109,7 @@ class Spool:
 
         Raises
         ------
-        SpoolUnavailableError
+        QueueUnavailableError
             If the disk does not take them; then none is in the spool.
         """
         rows = [
@@ -153,9 +124,9 @@ class Spool:
             )
             for one in samples
         ]
-        with self._transaction():
-            self._connection.executemany(_INSERT, rows)
-            given_up = self._make_room(self._count + len(rows))
+        with self._file.writing() as connection:
+            connection.executemany(_INSERT, rows)
+            given_up = self._make_room(connection, self._count + len(rows))
         self._count += len(rows) - given_up
         return given_up
 
@@ -164,10 +135,10 @@ class Spool:
 
         Raises
         ------
-        SpoolUnavailableError
+        QueueUnavailableError
             If the file cannot be read now.
         """
-        with self._reading() as connection:
+        with self._file.reading() as connection:
             rows = connection.execute(
                 "SELECT id, asset, channel, time_us, value, quality, received_us FROM samples "
                 "ORDER BY id LIMIT ?",
@@ -186,16 +157,16 @@ class Spool:
 
         Raises
         ------
-        SpoolUnavailableError
+        QueueUnavailableError
             If the disk does not take the change; they will be read, and stored, once more.
         """
-        with self._transaction():
-            self._connection.execute("DELETE FROM samples WHERE id <= ?", (chunk.last_id,))
+        with self._file.writing() as connection:
+            connection.execute("DELETE FROM samples WHERE id <= ?", (chunk.last_id,))
         self._count -= len(chunk.samples)
 
     def newest(self) -> dict[tuple[str, str], int | None]:
         """Time of the newest sample of each asset and channel; None where it is bad."""
-        with self._reading() as connection:
+        with self._file.reading() as connection:
             rows = connection.execute(
                 # SQLite gives the other columns of the row that has the maximum.
                 "SELECT asset, channel, MAX(time_us), quality FROM samples GROUP BY asset, channel"
@@ -207,40 +178,13 @@ class Spool:
 
     def close(self) -> None:
         """Close the file."""
-        with self._lock:
-            self._connection.close()
+        self._file.close()
 
-    @contextlib.contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
-        with self._lock:
-            try:
-                yield self._connection
-            except sqlite3.OperationalError as error:
-                raise SpoolUnavailableError(f"{self._path}: {error}") from error
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[None]:
-        with self._reading() as connection:
-            connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-                connection.execute("COMMIT")
-            except BaseException:
-                # A full disk may have ended the transaction already.
-                with contextlib.suppress(sqlite3.Error):
-                    connection.execute("ROLLBACK")
-                raise
-
-    def _used_pages(self) -> int:
-        pages = self._connection.execute("PRAGMA page_count").fetchone()[0]
-        free = self._connection.execute("PRAGMA freelist_count").fetchone()[0]
-        return int(pages) - int(free)
-
-    def _make_room(self, count: int) -> int:
+    def _make_room(self, connection: sqlite3.Connection, count: int) -> int:
         given_up = 0
-        while self._used_pages() > self._pages_max and given_up < count:
+        while _used_pages(connection) > self._pages_max and given_up < count:
             portion = max(int(count * _MAKE_ROOM), 1)
-            given_up += self._connection.execute(
+            given_up += connection.execute(
                 "DELETE FROM samples WHERE id IN "
                 "(SELECT id FROM samples ORDER BY importance, id LIMIT ?)",
                 (portion,),
@@ -262,26 +206,7 @@ def importance(channel: str) -> int:
     return 1
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1.0)
-    try:
-        # One file without a companion: a rollback journal is deleted with every commit, and the
-        # file gives its pages back to the disk when the queue has drained.
-        connection.execute("PRAGMA auto_vacuum = FULL")
-        connection.execute("PRAGMA journal_mode = TRUNCATE")
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
-        connection.execute(_TABLE)
-        connection.execute("SELECT id, importance, received_us FROM samples LIMIT 1").fetchall()
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _put_aside(path: Path) -> Path:
-    number = 1
-    while (aside := path.with_name(f"spool-damaged-{number}.db")).exists():
-        number += 1
-    path.rename(aside)
-    return aside
+def _used_pages(connection: sqlite3.Connection) -> int:
+    pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    free = connection.execute("PRAGMA freelist_count").fetchone()[0]
+    return int(pages) - int(free)

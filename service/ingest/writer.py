@@ -12,8 +12,8 @@ import structlog
 
 from adapters.samples import Sample
 from service.ingest.metrics import SampleLedger
-from service.ingest.spool import Spool, SpoolUnavailableError
-from service.store import Store, StoreUnavailableError, WriteCounts
+from service.ingest.spool import Spool
+from service.store import QueueUnavailableError, Store, StoreUnavailableError, WriteCounts
 
 #: A transaction holds at least so many samples, or those of so many wall seconds.
 BATCH_SAMPLES = 5000
@@ -232,7 +232,7 @@ class SampleWriter:
                 if not rest:
                     self._spool.remove(chunk)
                     continue
-            except SpoolUnavailableError as error:
+            except QueueUnavailableError as error:
                 _log.warning("spool_unavailable", error=str(error), waiting=len(self._spool))
                 self._store_asked_at = time.monotonic()
             # What is stored but still on the spool is read once more, and a duplicate then.
@@ -259,7 +259,7 @@ class SampleWriter:
                 self.problem = str(error)
                 self._store_asked_at = time.monotonic()
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
-            except SpoolUnavailableError as error:
+            except QueueUnavailableError as error:
                 if self.spool_problem is None:
                     _log.error("spool_unavailable", error=str(error), waiting=self._queued)
                 self.spool_problem = str(error)

@@ -36,7 +36,7 @@ from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
 from service.security.keys import wall_us
-from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
+from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavailableError
 from service.store.jobs import UNFINISHED
 from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
 
@@ -69,6 +69,7 @@ class IdentificationJobs:
     def __init__(
         self,
         store: Store,
+        outbox: Outbox,
         clock: Clock,
         bus: Bus,
         assets: Mapping[str, AssetRuntime],
@@ -78,6 +79,7 @@ class IdentificationJobs:
         observe_seconds: Callable[[float], None],
     ) -> None:
         self._store = store
+        self._outbox = outbox
         self._clock = clock
         self._bus = bus
         self._assets = assets
@@ -161,7 +163,7 @@ class IdentificationJobs:
                 "expected the same body, or a new key"
             )
         if created and who == AUTOMATIC:
-            await self._note("identification.start", f"asset {asset_id}, made {job.id}")
+            self._note("identification.start", f"asset {asset_id}, made {job.id}")
         if created:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
             self._publish(job)
@@ -383,7 +385,7 @@ class IdentificationJobs:
         if version.status == "candidate" and ladder == "apply":
             await self.activate(job.asset, version.version, AUTOMATIC, version.reason, force=False)
             target = f"asset {job.asset}, version {version.version}"
-            await self._note("model.activate", target, version.reason)
+            self._note("model.activate", target, version.reason)
         ended = await self._update(
             job.id,
             status="succeeded",
@@ -401,13 +403,9 @@ class IdentificationJobs:
             )
             self._publish(ended)
 
-    async def _note(self, action: str, target: str, detail: str = "") -> None:
+    def _note(self, action: str, target: str, detail: str = "") -> None:
         """Write what the service does by itself into the audit trail."""
-        entry = AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail)
-        try:
-            await anyio.to_thread.run_sync(self._store.add_audit_entry, entry)
-        except StoreUnavailableError as error:
-            _log.warning("audit_line_lost", action=action, target=target, error=str(error))
+        self._outbox.record(AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail))
 
     async def _end(self, job_id: str, status: JobStatus, error: str) -> None:
         while True:

@@ -17,6 +17,8 @@ from service.store.errors import (
     StoreUnavailableError,
 )
 from service.store.locking import DataDirectoryLock, lock_data_directory
+from service.store.outbox import AlarmChange, Outbox
+from service.store.queue_file import QueueFile, QueueUnavailableError
 from service.store.records import (
     Activation,
     ApiKey,
@@ -41,6 +43,7 @@ __all__ = [
     "Activation",
     "ActiveJobError",
     "Alarm",
+    "AlarmChange",
     "AlarmCount",
     "AlarmJournalPage",
     "AlarmTransition",
@@ -60,6 +63,9 @@ __all__ = [
     "MinuteTable",
     "ModelStatus",
     "ModelVersion",
+    "Outbox",
+    "QueueFile",
+    "QueueUnavailableError",
     "Retention",
     "Role",
     "Rollup",

@@ -14,6 +14,7 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
+from service.store.deliveries import Delivery
 from service.store.section import Section
 from service.store.tables import AlarmRow, AlarmTransitionRow
 
@@ -30,7 +31,12 @@ _EVERYTHING = JournalFilter()
 class AlarmJournal(Section):
     """An alarm and the line in the journal that tells of its change are written together."""
 
-    def save_alarm(self, alarm: Alarm | None, lines: Sequence[AlarmTransition] = ()) -> None:
+    def save_alarm(
+        self,
+        alarm: Alarm | None,
+        lines: Sequence[AlarmTransition] = (),
+        delivery: Delivery | None = None,
+    ) -> None:
         """Write an alarm as it is now, and what happened to it, in one transaction.
 
         Parameters
@@ -39,8 +45,12 @@ class AlarmJournal(Section):
             None writes lines alone: events that belong to no alarm.
         lines : sequence of AlarmTransition
             For the journal.
+        delivery : Delivery, optional
+            Of an outbox; what it delivers again is known.
         """
-        with self._database.writing() as connection:
+        with self._writing_once(delivery) as connection:
+            if connection is None:
+                return
             if alarm is not None:
                 values = asdict(alarm)
                 changed = connection.execute(

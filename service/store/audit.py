@@ -4,6 +4,7 @@ from dataclasses import asdict, fields
 
 from sqlalchemy import insert, select
 
+from service.store.deliveries import Delivery
 from service.store.records import AuditEntry, AuditPage
 from service.store.section import Section
 from service.store.tables import AuditRow
@@ -14,10 +15,11 @@ _COLUMNS = tuple(getattr(AuditRow, field.name) for field in fields(AuditEntry))
 class Audit(Section):
     """Who did what to what, when and from where."""
 
-    def add_audit_entry(self, entry: AuditEntry) -> None:
-        """Write one line."""
-        with self._database.writing() as connection:
-            connection.execute(insert(AuditRow).values(asdict(entry)))
+    def add_audit_entry(self, entry: AuditEntry, delivery: Delivery | None = None) -> None:
+        """Write one line; what an outbox delivers again is known."""
+        with self._writing_once(delivery) as connection:
+            if connection is not None:
+                connection.execute(insert(AuditRow).values(asdict(entry)))
 
     def audit(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
         """Part of the trail, newest first.

@@ -1,12 +1,17 @@
 """What all parts of the store share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy import Select
+from sqlalchemy import Connection, Select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from service.store.database import Database
+from service.store.database import PATIENCE_S, Database
+from service.store.deliveries import Delivery, is_first
+
+#: Wall seconds for a change that can wait in its outbox.
+_DELIVERY_PATIENCE_S = 1.0
 
 
 class Section:
@@ -19,6 +24,14 @@ class Section:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+
+    @contextmanager
+    def _writing_once(self, delivery: Delivery | None) -> Iterator[Connection | None]:
+        """Give a connection to write with; None when this delivery was made before."""
+        patience_s = PATIENCE_S if delivery is None else _DELIVERY_PATIENCE_S
+        with self._database.writing(patience_s) as connection:
+            first = delivery is None or is_first(connection, delivery)
+            yield connection if first else None
 
     def _newest_first(
         self,

@@ -246,6 +246,15 @@ class AlarmTransitionRow(Base):
     until_us: Mapped[int | None]
 
 
+class DeliveryRow(Base):
+    """The latest change that was taken from the outbox of a service; see `service.store.outbox`."""
+
+    __tablename__ = "deliveries"
+
+    sender: Mapped[str] = mapped_column(primary_key=True)
+    number: Mapped[int]
+
+
 class ApiKeyRow(Base):
     """An API key: only its hash is kept.
 

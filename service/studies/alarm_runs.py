@@ -1,5 +1,6 @@
 """Runs of the study ``alarms``: the service's own rules over a bench, in process time."""
 
+import contextlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ from service.live.presentation import limit_crossings
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
 from service.settings import AssetSection
-from service.store import JournalFilter, Store
+from service.store import JournalFilter, Outbox, Store
 from service.studies.drift_runs import BEARING, RINGS, VERSION_MIN, minute_rows, scenario_of
 from service.wiring import ChannelFacts
 from twin_core.bearings import bearing
@@ -209,8 +210,11 @@ def _watched(
     clock.us = _EPOCH_US + round(3.6e9 * from_h)
     readings = Readings(ASSET, dict.fromkeys(CHANNELS, 4 * step_s), clock.us)
     facts = {name: ChannelFacts("bench", 4 * step_s) for name in CHANNELS}
-    with tempfile.TemporaryDirectory() as folder, Store.open("", Path(folder)) as store:
-        book = AlarmBook(store, clock, lambda alarm: None)
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        store = stack.enter_context(Store.open("", folder))
+        outbox = stack.enter_context(Outbox.open(folder, store))
+        book = AlarmBook(outbox, clock, lambda alarm: None)
         watch = AlarmWatch(section, facts, readings, estimate, book)
         forecast_us = 0
         for time_us, samples in _samples(seen, from_h, step_s):
@@ -222,7 +226,7 @@ def _watched(
             if estimate.started and time_us - forecast_us >= 1e6 * _FORECAST_EVERY_S[step_s]:
                 forecast_us = time_us
                 watch.forecast(time_us, limit_crossings(_held(estimate), section.limits))
-        book.close(30.0)
+        outbox.flush(30.0)
         lines = store.alarm_journal(JournalFilter(events=False), limit=100_000).items
     calls = tuple(
         Call(line.kind, line.channel, line.level, (line.time_us - _EPOCH_US) / 3.6e9)

@@ -89,7 +89,7 @@ def get_journal(
     wanted = JournalFilter(
         asset, alarm, start, end, None if line_class is None else line_class == "event"
     )
-    context.alarms.flush(_FLUSH_S)  # what an operator has just done is in the answer
+    context.outbox.flush(_FLUSH_S)  # what an operator has just done is in the answer
     if format == "csv" and limit is None:
         return StreamingResponse(
             _pages(context.store, wanted, before), media_type=CSV, headers=_FILE
@@ -120,7 +120,7 @@ def get_statistics(
 
     An alarm counts every time that it becomes unacknowledged by itself; process time.
     """
-    context.alarms.flush(_FLUSH_S)
+    context.outbox.flush(_FLUSH_S)
     now_us = context.clock.now_us()
     counts = context.store.annunciations(now_us, asset)
     return json_response(statistics_document(counts, context.alarms.active(asset), now_us))

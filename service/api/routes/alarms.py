@@ -218,7 +218,7 @@ async def _done(
 
 
 async def _written(context: ServiceContext) -> None:
-    await anyio.to_thread.run_sync(context.alarms.flush, _FLUSH_S)
+    await anyio.to_thread.run_sync(context.outbox.flush, _FLUSH_S)
 
 
 def _comment(request: CommentedRequest | None) -> str:

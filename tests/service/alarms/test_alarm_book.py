@@ -213,7 +213,7 @@ def test_a_locked_store_makes_nobody_wait_and_gets_everything_later(bench: Bench
     bench.book.acknowledge(bench.only().id, "eva")
     bench.after(1, COLD)
     assert time.monotonic() - started < 4.0
-    assert not bench.book.flush(0.2)
+    assert not bench.outbox.flush(0.2)
     intruder.rollback()
     intruder.close()
     assert [line.to_state for line in bench.journal()] == ["UNACK", "ACKED", "NORM"]

@@ -35,7 +35,7 @@ from service.ingest import Ingest, Spool
 from service.live.bus import Bus
 from service.security import create_key
 from service.settings import Settings
-from service.store import ActiveJobError, Job, ModelVersion, Store
+from service.store import ActiveJobError, Job, ModelVersion, Outbox, Store
 
 ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
 REMOTE = ("203.0.113.9", 50_000)
@@ -281,9 +281,9 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
     def take(batch: Batch) -> None:
         taken.extend(batch.samples)
 
-    with Store.open("", tmp_path) as store:
+    with Store.open("", tmp_path) as store, Outbox.open(tmp_path, store) as outbox:
         alarms = AlarmBook(
-            store, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
+            outbox, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
         )
         ingest = Ingest(store, Spool.open(tmp_path, 16), clock, take, registry=registry)
         now_us = clock.now_us()
@@ -300,6 +300,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             settings=settings,
             clock=clock,
             store=store,
+            outbox=outbox,
             bus=bus,
             ingest=ingest,
             alarms=alarms,
@@ -330,4 +331,3 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
                 await client.aclose()
             ingesting.cancel()
             await asyncio.gather(ingesting, return_exceptions=True)
-            alarms.close()

@@ -1,9 +1,12 @@
 """Every change leaves a line, whichever route makes it."""
 
+import asyncio
+import functools
 from typing import Any
 
 import pytest
 from fastapi.routing import APIRoute, iter_route_contexts
+from processes import wait_until
 
 from service.api.access import AUDIT
 from service.security import create_key, revoke_key
@@ -116,7 +119,7 @@ async def test_what_the_store_cannot_take_now_is_written_later(
 ) -> None:
     alarm, write = world.raise_alarm(), world.store.add_audit_entry
 
-    def refuse(entry: Any) -> None:
+    def refuse(*_: Any) -> None:
         raise StoreUnavailableError("away")
 
     monkeypatch.setattr(world.store, "add_audit_entry", refuse)
@@ -124,5 +127,7 @@ async def test_what_the_store_cannot_take_now_is_written_later(
     assert acknowledged.status_code == 200
     assert acknowledged.elapsed.total_seconds() < PATIENCE_S + 5
     monkeypatch.setattr(world.store, "add_audit_entry", write)
+    written = functools.partial(world.context.outbox.flush, 30)
+    await asyncio.to_thread(wait_until, written, 30, "the store has the line")
     (line,) = await lines(world)
     assert line["action"] == "alarm.acknowledge"

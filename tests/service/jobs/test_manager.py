@@ -29,7 +29,7 @@ from service.jobs.models import active_model, first_model
 from service.jobs.worker import JobOrder, JobResult
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
-from service.store import Job, JournalFilter, Store
+from service.store import Job, JournalFilter, Outbox, Store
 from service.store.opening import FILE_NAME
 
 ASSET = "bench-1"
@@ -73,6 +73,7 @@ class Shop:
     """A job manager on a real store with two assets, and what it told."""
 
     store: Store
+    outbox: Outbox
     clock: Any
     folder: Path
     assets: dict[str, AssetRuntime]
@@ -86,6 +87,7 @@ class Shop:
         """Start a manager, as a start of the service would."""
         jobs = IdentificationJobs(
             self.store,
+            self.outbox,
             self.clock,
             self.bus,
             self.assets,
@@ -121,7 +123,8 @@ async def shop(
     run_store: Store, clock: Any, make_section: Callable[..., Any], tmp_path: Path
 ) -> AsyncIterator[Shop]:
     bus = Bus(clock)
-    alarms = AlarmBook(run_store, clock, lambda _: None)
+    outbox = Outbox.open(tmp_path, run_store)
+    alarms = AlarmBook(outbox, clock, lambda _: None)
     assets, histories = {}, {}
     with ThreadPoolExecutor(1) as executor:
         for asset_id in (ASSET, "bench-2"):
@@ -147,11 +150,11 @@ async def shop(
                 windows=nothing,
             )
             histories[asset_id] = AssetHistory(settings, run_store, clock)
-        shop = Shop(run_store, clock, tmp_path / "jobs", assets, histories, bus, alarms)
+        shop = Shop(run_store, outbox, clock, tmp_path / "jobs", assets, histories, bus, alarms)
         yield shop
         for jobs in shop.managers:
             await jobs.stop()
-    alarms.close()
+    outbox.close()
 
 
 @contextmanager
@@ -229,6 +232,7 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert after_restart["convergence"][-1] == whole["convergence"][-1]
     # Who sees the end of the job sees its version at work.
     assert shop.store.activations(ASSET)[-1].who == "automatic"
+    assert shop.outbox.flush(10)
     (line,) = shop.store.audit().items
     assert (line.who, line.action) == ("automatic", "model.activate")
     assert line.target == f"asset {ASSET}, version 2"
@@ -522,7 +526,7 @@ async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop
     assert shop.active() == (1, 1)
     entry = shop.store.activations(ASSET)[-1]
     assert (entry.version, entry.who, entry.comment) == (1, "engineer x", "back again")
-    assert shop.alarms.flush(10)
+    assert shop.outbox.flush(10)
     assert [
         (line.kind, line.who, line.comment)
         for line in shop.store.alarm_journal(JournalFilter(events=True)).items

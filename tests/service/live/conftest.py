@@ -16,7 +16,7 @@ from service.live.asset import AssetRuntime
 from service.live.bus import Bus, Subscription
 from service.live.estimate import ActiveModel
 from service.settings import AssetSection
-from service.store import Store
+from service.store import Outbox, Store
 from service.wiring import ChannelFacts
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
@@ -139,6 +139,7 @@ async def make_live(
     made: list[Live] = []
     clock = ProcessClock(RATE)
     store = Store.open("", tmp_path)
+    outbox = Outbox.open(tmp_path, store)
     bus = Bus(clock)
 
     def make(
@@ -148,7 +149,7 @@ async def make_live(
     ) -> Live:
         section = settings or asset_section()
         book = AlarmBook(
-            store, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
+            outbox, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
         )
 
         async def save_state(document: Mapping[str, Any]) -> None:
@@ -179,5 +180,5 @@ async def make_live(
     for live in made:
         if live.task is not None:
             await live.stop()
-        live.alarms.close()
+    outbox.close()
     store.close()

@@ -17,7 +17,7 @@ from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.residuals import ResidualChart
 from service.settings import Limits
-from service.store import Alarm, Store
+from service.store import Alarm, Outbox, Store
 from service.wiring import ChannelFacts
 
 NOW_US = 1_763_700_000_000_000
@@ -109,10 +109,9 @@ def told() -> list[Alarm]:
 
 @pytest.fixture
 def booked(scene: Bench, told: list[Alarm], tmp_path: Path) -> Iterator[Bench]:
-    with Store.open("", tmp_path) as store:
-        scene.book = AlarmBook(store, SceneClock(scene), told.append)
+    with Store.open("", tmp_path) as store, Outbox.open(tmp_path, store) as outbox:
+        scene.book = AlarmBook(outbox, SceneClock(scene), told.append)
         yield scene
-        scene.book.close()
 
 
 # ---------------------------------------------------------------------- measured limit

@@ -14,7 +14,7 @@ from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
 from service.settings import AssetSection
-from service.store import Store
+from service.store import Outbox, Store
 from service.wiring import ChannelFacts
 
 STEP_S, LONG_STEP_S = 5.0, 30.0
@@ -35,7 +35,8 @@ class Machine:
     ) -> None:
         self.clock = clock
         self.store = Store.open("", folder)
-        self.book = AlarmBook(self.store, clock, lambda alarm: None)
+        self.outbox = Outbox.open(folder, self.store)
+        self.book = AlarmBook(self.outbox, clock, lambda alarm: None)
         channels = {name: ChannelFacts("pt100", 10.0) for name in section.channels}
         channels["speed_rpm"] = ChannelFacts("drive", 10.0)
         self.readings = Readings(section.id, dict.fromkeys(channels, 10.0), clock.now_us())
@@ -67,12 +68,12 @@ class Machine:
         }
 
     def events(self) -> list[tuple[str, str]]:
-        assert self.book.flush(10)
+        assert self.outbox.flush(10)
         lines = self.store.alarm_journal(limit=1000).items
         return [(line.kind, line.who) for line in lines[::-1] if line.alarm_id is None]
 
     def close(self) -> None:
-        self.book.close()
+        self.outbox.close()
         self.store.close()
 
 

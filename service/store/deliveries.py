@@ -1,0 +1,29 @@
+"""What the outboxes of services have delivered, so that nothing is taken twice."""
+
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, insert, select, update
+
+from service.store.tables import DeliveryRow
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """One change of an outbox; a sender's numbers ascend."""
+
+    sender: str
+    number: int
+
+
+def is_first(connection: Connection, delivery: Delivery) -> bool:
+    """Take note of a delivery; False when it was made before."""
+    row = DeliveryRow
+    this_sender = row.sender == delivery.sender
+    latest = connection.scalar(select(row.number).where(this_sender))
+    if latest is None:
+        connection.execute(insert(row).values(sender=delivery.sender, number=delivery.number))
+        return True
+    if delivery.number <= latest:
+        return False
+    connection.execute(update(row).where(this_sender).values(number=delivery.number))
+    return True

@@ -1,0 +1,286 @@
+"""Alarm changes and audit lines on their way to the store: in order, crash-safe, once."""
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Self
+from uuid import uuid4
+
+import structlog
+
+from service.store.alarm_records import Alarm, AlarmTransition
+from service.store.closable import Closable
+from service.store.deliveries import Delivery
+from service.store.errors import StoreUnavailableError
+from service.store.queue_file import QueueFile, QueueUnavailableError
+from service.store.records import AuditEntry
+from service.store.store import Store
+
+FILE_NAME = "outbox.db"
+
+_APPLICATION_ID = 0x4254_6F62
+_TABLES = """
+CREATE TABLE IF NOT EXISTS changes (
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    document TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS sender (id TEXT NOT NULL);
+"""
+_PROBE = "SELECT number, document, sender.id FROM changes, sender"
+#: Some 700 changes find room on a full disk.
+_RESERVED_BYTES = 2**20
+#: Both the store and the disk are left alone so many wall seconds after they refused.
+_RETRY_S = 0.5
+#: Wall seconds that `flush` gives the disk.
+_DISK_PATIENCE_S = 10.0
+_PORTION = 100
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmChange:
+    """An alarm as it is now, and what happened to it; no alarm for lines that belong to none."""
+
+    alarm: Alarm | None
+    lines: tuple[AlarmTransition, ...] = ()
+
+
+Change = AlarmChange | AuditEntry
+
+
+class Outbox(Closable):
+    """A queue on the disk in front of the store, and the two threads that fill and empty it.
+
+    What is recorded is on the disk a moment later, whether or not the store answers, and stays
+    there until the store has it. What an earlier run left is written before anything newer. The
+    store remembers the number of the last change that it took, in the same transaction, and so
+    takes none twice.
+
+    Parameters
+    ----------
+    file : QueueFile
+        Where changes wait.
+    store : Store
+        Where they go.
+
+    Attributes
+    ----------
+    problem : str or None
+        Why the store takes nothing at the moment; None while all is well.
+    disk_problem : str or None
+        Why the disk takes nothing: changes wait in memory only. None while it does.
+    """
+
+    def __init__(self, file: QueueFile, store: Store) -> None:
+        self._file = file
+        self._store = store
+        self._condition = threading.Condition()
+        self._new: deque[Change] = deque()
+        self._taken = 0
+        self._closing = False
+        self.problem: str | None = None
+        self.disk_problem: str | None = None
+        with file.writing() as connection:
+            self._kept = int(connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
+            row = connection.execute("SELECT id FROM sender").fetchone()
+            self._sender = row[0] if row else uuid4().hex
+            if not row:
+                connection.execute("INSERT INTO sender VALUES (?)", (self._sender,))
+        self._threads = [
+            threading.Thread(target=self._repeat, args=(has_work, work), name=name, daemon=True)
+            for name, has_work, work in (
+                ("outbox-keeper", lambda: self._new, self._keep),
+                ("outbox-sender", lambda: self._kept, self._send),
+            )
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @classmethod
+    def open(cls, data_dir: Path, store: Store) -> Self:
+        """Open the outbox of a data directory and begin to send what is in it.
+
+        Raises
+        ------
+        StoreError
+            If its file can be neither opened nor made; one line that names it.
+        """
+        path = data_dir / FILE_NAME
+        return cls(QueueFile.open(path, _APPLICATION_ID, _TABLES, _PROBE, _RESERVED_BYTES), store)
+
+    @property
+    def waiting(self) -> int:
+        """Changes that the store does not have yet."""
+        return len(self._new) + self._kept
+
+    def load_alarms(self) -> list[Alarm]:
+        """All alarms that are not over, as they are when all that waits has been written."""
+        # The file first: what leaves it meanwhile is in the store by then.
+        waiting = [change for _, change in self._read() if isinstance(change, AlarmChange)]
+        alarms = {alarm.id: alarm for alarm in self._store.load_alarms()}
+        alarms |= {change.alarm.id: change.alarm for change in waiting if change.alarm is not None}
+        return [alarm for alarm in alarms.values() if alarm.state != "NORM"]
+
+    def record(self, change: Change) -> None:
+        """Have a change written after all that were recorded before; returns at once."""
+        with self._condition:
+            self._new.append(change)
+            self._condition.notify_all()
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until all that was recorded is safe: on the disk, and as a rule in the store too.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Wall seconds for a store that takes its time; one that is known to be away is not
+            waited for.
+
+        Returns
+        -------
+        bool
+            Whether the store has all.
+        """
+        with self._condition:
+            self._condition.wait_for(
+                lambda: not self._new or self.disk_problem is not None, _DISK_PATIENCE_S
+            )
+            self._condition.wait_for(
+                lambda: not self.waiting or self.problem is not None, timeout_s
+            )
+            return not self.waiting
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Write what is left, for at most so many wall seconds; what the store lacks stays."""
+        self.flush(timeout_s)
+        with self._condition:
+            self._closing = True
+            self._condition.notify_all()
+        for thread in self._threads:
+            thread.join(timeout_s)
+        if self._new:
+            _log.error("changes_lost", count=len(self._new), error=self.disk_problem)
+        elif self._kept:
+            _log.warning("changes_wait_for_next_start", count=self._kept, error=self.problem)
+        if not any(thread.is_alive() for thread in self._threads):
+            self._file.close()
+
+    # ------------------------------------------------------------------ the two threads
+    def _repeat(self, has_work: Callable[[], object], work: Callable[[], bool]) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._closing or has_work())
+                if self._closing:
+                    return
+            try:
+                done = work()
+            except Exception:
+                # A thread that ends would stop everything behind it without a word.
+                _log.exception("outbox_failed", waiting=self.waiting)
+                done = False
+            with self._condition:
+                self._condition.notify_all()
+                if not done:
+                    self._condition.wait_for(lambda: self._closing, _RETRY_S)
+
+    def _keep(self) -> bool:
+        """Put new changes on the disk; where it takes none, the first goes straight on."""
+        with self._condition:
+            changes = list(islice(self._new, _PORTION))
+        try:
+            with self._file.writing() as connection:
+                connection.executemany(
+                    "INSERT INTO changes (document) VALUES (?)",
+                    [(_document(change),) for change in changes],
+                )
+        except QueueUnavailableError as error:
+            if self.disk_problem is None:
+                _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
+            self.disk_problem = str(error)
+            if self._kept or not self._hand_over(changes[0], None):
+                return False
+            del changes[1:]
+            kept = 0
+        else:
+            self.disk_problem = None
+            kept = len(changes)
+        with self._condition:
+            for _ in changes:
+                self._new.popleft()
+            self._kept += kept
+        return True
+
+    def _send(self) -> bool:
+        """Write a portion of what is on the disk into the store."""
+        try:
+            portion = self._read(_PORTION)
+        except QueueUnavailableError as error:
+            _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
+            return False
+        count = 0
+        for number, change in portion:
+            if not self._hand_over(change, Delivery(self._sender, number)):
+                break
+            self._taken = number
+            count += 1
+        try:
+            with self._file.writing() as connection:
+                connection.execute("DELETE FROM changes WHERE number <= ?", (self._taken,))
+        except QueueUnavailableError as error:
+            # No harm: the store knows what it has.
+            _log.warning("outbox_unavailable", error=str(error), waiting=self.waiting)
+        with self._condition:
+            self._kept -= count
+        return self.problem is None
+
+    def _hand_over(self, change: Change | None, delivery: Delivery | None) -> bool:
+        """Write a change into the store; False when that is away."""
+        try:
+            if isinstance(change, AuditEntry):
+                self._store.add_audit_entry(change, delivery)
+            elif change is not None:
+                self._store.save_alarm(change.alarm, change.lines, delivery)
+        except StoreUnavailableError as error:
+            if self.problem is None:
+                _log.warning("changes_wait", error=str(error), waiting=self.waiting)
+            self.problem = str(error)
+            return False
+        except Exception as error:
+            # A change that the store refuses must not hold up the ones behind it.
+            _log.error("change_refused", change=change, error=repr(error))
+        if self.problem is not None:
+            self.problem = None
+            _log.info("changes_written_again", waiting=self.waiting)
+        return True
+
+    def _read(self, limit: int = -1) -> list[tuple[int, Change | None]]:
+        """Read the oldest changes that the store does not have, with their numbers."""
+        with self._file.reading() as connection:
+            rows = connection.execute(
+                "SELECT number, document FROM changes WHERE number > ? ORDER BY number LIMIT ?",
+                (self._taken, limit),
+            ).fetchall()
+        return [(number, _change(document)) for number, document in rows]
+
+
+def _document(change: Change) -> str:
+    kind = "audit" if isinstance(change, AuditEntry) else "alarm"
+    return json.dumps({kind: asdict(change)}, default=float)
+
+
+def _change(document: str) -> Change | None:
+    """Read a change; None, with a log line, for one of another version of the program."""
+    try:
+        ((kind, given),) = json.loads(document).items()
+        if kind == "audit":
+            return AuditEntry(**given)
+        alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
+        return AlarmChange(alarm, tuple(AlarmTransition(**line) for line in given["lines"]))
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        _log.error("change_refused", change=document, error=repr(error))
+        return None

@@ -1,0 +1,244 @@
+"""Changes that wait for a store which is away: on the disk, in order, written once."""
+
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from processes import wait_until
+
+from service.store import Alarm, AlarmChange, AlarmTransition, AuditEntry, Outbox, Store
+from service.store.opening import FILE_NAME
+from service.store.outbox import FILE_NAME as OUTBOX_FILE
+
+PATIENCE_S = 30.0
+ALARM = Alarm(
+    id="first",
+    asset="a",
+    kind="measured limit",
+    channel="t_inner_ring_c",
+    level="alarm",
+    state="UNACK",
+    priority=1,
+    message="Inner ring over 105 °C",
+    predicted=False,
+    raised_at_us=7,
+    since_us=7,
+    returned_at_us=None,
+    acknowledged_at_us=None,
+    acknowledged_by=None,
+    value=106.0,
+    limit_value=105.0,
+    unit="°C",
+    lead_time_s=None,
+    probability=None,
+    present=True,
+    latched=False,
+    shelved_until_us=None,
+    shelved_by=None,
+    suppressed_reason=None,
+    comment=None,
+)
+
+
+def change(time_us: int, state: str = "UNACK", alarm_id: str = "first") -> AlarmChange:
+    alarm = replace(ALARM, id=alarm_id, state=state, since_us=time_us)
+    line = AlarmTransition(
+        alarm_id,
+        "a",
+        alarm.kind,
+        alarm.channel,
+        alarm.level,
+        time_us,
+        "",
+        state,
+        "eva",
+        "",
+        1.0,
+        "",
+    )
+    return AlarmChange(alarm, (line,))
+
+
+def long_change(time_us: int) -> AlarmChange:
+    """An event as long as eight usual ones."""
+    line = AlarmTransition(None, "a", "", "", "", time_us, "", "", "", "", None, "x" * 8000)
+    return AlarmChange(None, (line,))
+
+
+def audit_line(time_us: int) -> AuditEntry:
+    return AuditEntry(time_us, "operator bt_1", "10.0.0.9", "alarm.acknowledge", f"alarm {time_us}")
+
+
+#: An alarm is over and the next one of its kind is raised: sent again later it would be refused.
+STORY = [change(1), audit_line(2), change(3, "ACKED"), change(4, "NORM"), change(5, alarm_id="2nd")]
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Another program holds the right to write."""
+    with closing(sqlite3.connect(folder / FILE_NAME, isolation_level=None)) as intruder:
+        intruder.execute("BEGIN EXCLUSIVE")
+        yield
+        intruder.execute("ROLLBACK")
+
+
+def told(store: Store) -> list[int]:
+    """What journal and trail hold, in the order in which each was written."""
+    journal = [line.time_us for line in store.alarm_journal().items[::-1]]
+    assert [entry.time_us for entry in store.audit().items] == [2]
+    return journal
+
+
+def record(outbox: Outbox, *changes: AlarmChange | AuditEntry) -> None:
+    for one in changes:
+        outbox.record(one)
+
+
+def written(outbox: Outbox) -> Callable[[], bool]:
+    return lambda: outbox.flush(1.0)
+
+
+def test_changes_are_written_in_order(store: Store, tmp_path: Path) -> None:
+    with Outbox.open(tmp_path, store) as outbox:
+        record(outbox, *STORY)
+        assert outbox.flush(PATIENCE_S)
+        assert (outbox.waiting, told(store)) == (0, [1, 3, 4, 5])
+        assert [alarm.id for alarm in store.load_alarms()] == ["2nd"]
+
+
+def test_a_locked_store_makes_nobody_wait_and_a_restart_writes_first_what_waits(
+    sqlite_store: Store, tmp_path: Path
+) -> None:
+    with locked(tmp_path):
+        with Outbox.open(tmp_path, sqlite_store) as outbox:
+            record(outbox, *STORY[:4])
+            assert not outbox.flush(PATIENCE_S)
+            assert outbox.waiting == 4
+            assert "locked" in str(outbox.problem)
+        with Outbox.open(tmp_path, sqlite_store) as outbox:
+            assert outbox.waiting == 4
+            assert outbox.load_alarms() == []
+            outbox.record(STORY[4])
+            outbox.flush(0)
+    with Outbox.open(tmp_path, sqlite_store) as outbox:
+        assert [alarm.id for alarm in outbox.load_alarms()] == ["2nd"]
+        wait_until(written(outbox), PATIENCE_S, "the store has all")
+        assert told(sqlite_store) == [1, 3, 4, 5]
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_what_was_written_before_a_crash_is_not_written_again(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """The process dies after the store's commit and before the file has forgotten."""
+    url = request.getfixturevalue("postgresql").database() if kind == "postgresql" else ""
+    file, before = tmp_path / OUTBOX_FILE, tmp_path / "before.db"
+    with Store.open(url, tmp_path) as store, store._database.writing():
+        with Outbox.open(tmp_path, store) as outbox:
+            record(outbox, *STORY)
+            outbox.flush(0)
+        shutil.copy(file, before)
+    with Store.open(url, tmp_path) as store:
+        for _ in range(2):
+            with Outbox.open(tmp_path, store) as outbox:
+                assert outbox.flush(PATIENCE_S)
+            assert told(store) == [1, 3, 4, 5]
+            shutil.copy(before, file)
+        with Outbox.open(tmp_path, store) as outbox:
+            assert [alarm.id for alarm in outbox.load_alarms()] == ["2nd"]
+            outbox.record(change(6, "ACKED", "2nd"))
+            assert outbox.flush(PATIENCE_S)
+        assert told(store) == [1, 3, 4, 5, 6], "new numbers follow those of the file"
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from test_outbox import STORY, record
+from service.store import Outbox, Store
+folder = Path(sys.argv[1])
+outbox = Outbox.open(folder, Store.open("", folder))
+print("open", flush=True)
+sys.stdin.readline()
+record(outbox, *STORY)
+outbox.flush(1)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_process_loses_nothing(tmp_path: Path) -> None:
+    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
+    child = subprocess.Popen(
+        [sys.executable, "-c", _KILLED, str(tmp_path)],
+        env=os.environ | {"PYTHONPATH": path},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "open\n"
+    with locked(tmp_path):
+        child.communicate("go on\n", timeout=PATIENCE_S)
+    assert child.returncode == -signal.SIGKILL
+    with Store.open("", tmp_path) as store:
+        assert store.alarm_journal().items == []
+        with Outbox.open(tmp_path, store) as outbox:
+            assert [alarm.id for alarm in outbox.load_alarms()] == ["2nd"]
+            assert outbox.flush(PATIENCE_S)
+        assert told(store) == [1, 3, 4, 5]
+
+
+def test_a_full_disk_still_takes_much_and_what_it_refuses_goes_straight_on(
+    sqlite_store: Store, tmp_path: Path
+) -> None:
+    with Outbox.open(tmp_path, sqlite_store) as outbox:
+        with outbox._file.reading() as connection:
+            pages = connection.execute("PRAGMA page_count").fetchone()[0]
+            # The limit that SQLite itself knows gives the same error as the disk's.
+            connection.execute(f"PRAGMA max_page_count = {pages}")
+        with locked(tmp_path):
+            record(outbox, *(long_change(1000 + number) for number in range(100)))
+            assert not outbox.flush(0)
+            assert outbox.disk_problem is None
+            record(outbox, *(long_change(2000 + number) for number in range(200)))
+            assert not outbox.flush(0)
+            assert "full" in str(outbox.disk_problem)
+        wait_until(written(outbox), PATIENCE_S, "the store has all")
+        # Not even the room that was kept: the disk is broken.
+        with outbox._file.reading() as connection:
+            connection.execute("PRAGMA query_only = ON")
+        outbox.record(long_change(3000))
+        wait_until(written(outbox), PATIENCE_S, "the store has it without the disk")
+        assert "readonly" in str(outbox.disk_problem)
+        times = [line.time_us for line in sqlite_store.alarm_journal(limit=2000).items[::-1]]
+        assert times == [*range(1000, 1100), *range(2000, 2200), 3000]
+
+
+def test_a_damaged_file_is_put_aside(sqlite_store: Store, tmp_path: Path) -> None:
+    (tmp_path / OUTBOX_FILE).write_bytes(random.Random(1).randbytes(8192))
+    with Outbox.open(tmp_path, sqlite_store) as outbox:
+        outbox.record(change(1))
+        assert outbox.flush(PATIENCE_S)
+    assert (tmp_path / "outbox-damaged-1.db").stat().st_size == 8192
+
+
+def test_what_is_refused_holds_nothing_up(sqlite_store: Store, tmp_path: Path) -> None:
+    with locked(tmp_path), Outbox.open(tmp_path, sqlite_store) as outbox:
+        record(outbox, change(1), change(2), change(3, alarm_id="open too"))
+        outbox.flush(0)
+    with closing(sqlite3.connect(tmp_path / OUTBOX_FILE)) as file:
+        file.execute("""UPDATE changes SET document = '{"weather": {}}' WHERE number = 2""")
+        file.commit()
+    with Outbox.open(tmp_path, sqlite_store) as outbox:
+        outbox.record(change(4, "ACKED"))
+        assert outbox.flush(PATIENCE_S)
+    assert [line.time_us for line in sqlite_store.alarm_journal().items] == [4, 1]
