@@ -42,9 +42,9 @@ class AlarmBook:
     The book is in memory; it never waits for the store. Changes are written behind it, in order,
     and read back at the next start. All methods may be called from any thread.
 
-    An alarm has an id for one life: from the first event after it was normal until it is normal
-    again. An alarm that has never been anything but normal has an id too, so that it can be
-    shelved or taken out of service, but it is not kept.
+    An alarm has an id for one life, which ends when it is normal after it was raised. It has that
+    id before it is raised, so that it can be shelved or taken out of service; until one of that
+    happens it is not kept.
 
     Parameters
     ----------
@@ -328,7 +328,10 @@ class AlarmBook:
             self._open.pop(key, None)
             condition = self._conditions.get(key)
             if condition is not None:
-                self._normal[key] = normal_alarm(condition, now_us)
+                following_life = normal_alarm(condition, now_us)
+                if not moved.raised_at_us:  # this one has not begun yet
+                    following_life = replace(following_life, id=moved.id)
+                self._normal[key] = following_life
         else:
             self._open[key] = moved
         line = journal_line(moved, alarm.state, event, now_us, who, comment)

@@ -225,6 +225,25 @@ def test_a_normal_alarm_goes_out_of_service_and_comes_back_normal(bench: Bench) 
     assert bench.book.active() == []
 
 
+def test_who_sets_a_normal_alarm_aside_finds_it_again_under_the_same_id(bench: Bench) -> None:
+    bench.after(0, COLD)
+    (normal,) = bench.book.normal()
+    for _ in range(2):
+        bench.book.shelve(normal.id, 600, "eva", "cable is being moved")
+        assert bench.book.unshelve(normal.id, "eva").state == "NORM"
+    bench.book.take_out_of_service(normal.id, "ina", "not fitted yet")
+    bench.book.return_to_service(normal.id, "ina")
+    with pytest.raises(NotAllowedError, match="is NORM: to unshelve it"):
+        bench.book.unshelve(normal.id, "eva")
+    assert [(one.id, one.comment) for one in bench.book.normal()] == [(normal.id, None)]
+    assert bench.after(1, HOT) == "UNACK"
+    assert bench.only().id == normal.id
+    bench.book.acknowledge(normal.id, "eva")
+    bench.after(1, COLD)
+    (after,) = bench.book.normal()
+    assert after.id != normal.id, "its life is over"
+
+
 # ---------------------------------------------------------------------------- latches
 LATCHED_HOT = replace(HOT, latched=True)
 LATCHED_COLD = replace(COLD, latched=True)
