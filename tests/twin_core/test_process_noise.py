@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from twin_core.bearings import bearing
 from twin_core.models import build_model
-from twin_core.process_noise import hidden_spread, transition_and_noise
+from twin_core.network import Sensor
+from twin_core.process_noise import between_joints, hidden_spread, transition_and_noise
 
 CAPACITY = np.array([100.0, 400.0])
 CONDUCTANCE = np.array([[3.0, -2.0], [-2.0, 2.5]])
@@ -67,3 +70,15 @@ def test_hidden_nodes_may_deviate_where_no_sensor_would_show_it() -> None:
     assert 0.1 < nodes["t_node_3_c"] < 0.6
     assert 0.03 < nodes["t_node_12_c"] < 0.3
     assert nodes["t_node_4_c"] < 0.01
+
+
+def test_sleeves_and_cage_hang_between_joints_unless_a_sensor_sits_on_them() -> None:
+    model = build_model(bearing=bearing("6311"))
+    bodies, neighbours = between_joints(model)
+    pairs = {(body + 1, other + 1) for body, other in zip(bodies, neighbours, strict=True)}
+    assert pairs == {(6, 3), (6, 7), (10, 4), (10, 5), (11, 4), (11, 12)}
+
+    sensor = Sensor("t_sleeve_c", (("t_node_10_c", 1.0),))
+    network = replace(model.network, sensors=(*model.network.sensors, sensor))
+    bodies, _ = between_joints(replace(model, network=network))
+    assert set((bodies + 1).tolist()) == {6, 11}

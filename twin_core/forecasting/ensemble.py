@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.labels import forecast_labels
 from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
-from twin_core.forecasting.paths import add_deviations, gather_members
+from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
 from twin_core.parameters import ParameterSet
-from twin_core.process_noise import hidden_spread
+from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
 from twin_core.simulation import (
     OperatingProfile,
     hold_operating_point,
@@ -248,6 +248,9 @@ def forecast(
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     noisy = readings + noise_k * rng.standard_normal(readings.shape)
+    bodies, neighbours = between_joints(model)
+    joints = JOINT_ERROR * paired_draws(rng, members, bodies.shape)
+    shift_between(nodes, bodies, neighbours, joints)
     # In the order in which they are sorted: row, name, member.
     ordered = np.empty((profile.size, len(sensors) + len(others), members))
     gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])

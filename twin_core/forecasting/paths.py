@@ -44,6 +44,26 @@ def add_deviations(
 
 
 @compiled
+def shift_between(
+    paths: FloatArray, bodies: NDArray[np.int64], neighbours: NDArray[np.int64], part: FloatArray
+) -> None:
+    """Move bodies by a part of what lies between them and their neighbours.
+
+    paths (members, n, k), changed in place; bodies and neighbours (pairs,) places on its last
+    axis; part (members, pairs).
+    """
+    moved = np.empty(bodies.size)
+    for member in range(paths.shape[0]):
+        for row in range(paths.shape[1]):
+            here = paths[member, row]
+            for pair in range(bodies.size):
+                between = here[neighbours[pair]] - here[bodies[pair]]
+                moved[pair] = part[member, pair] * between
+            for pair in range(bodies.size):
+                here[bodies[pair]] += moved[pair]
+
+
+@compiled
 def net_heat_range(  # type: ignore[no-untyped-def]
     net, values, temperatures, speed, load, ambient, revolutions, flow, capacity
 ):
