@@ -49,13 +49,32 @@ class ServiceSection(Section):
     spool_mib: int = Field(512, ge=1)
 
 
-class RetentionSection(Section):
-    """Days for which history is kept at each resolution; without a number for ever."""
+def _kept_a_year(days: float) -> float:
+    # The database itself refuses to give up younger lines, by a clock of its own: a day more.
+    if 0 < days < _LEAST_AUDIT_DAYS:
+        raise ValueError(f"expected 0 (for ever) or at least {_LEAST_AUDIT_DAYS} days")
+    return days
 
-    raw_days: PositiveFloat | None = None
-    second_days: PositiveFloat | None = None
-    minute_days: PositiveFloat | None = None
-    hour_days: PositiveFloat | None = None
+
+Days = Annotated[float, Field(gt=0, le=100_000)]
+_LEAST_AUDIT_DAYS = 366
+_TEN_YEARS_DAYS = 3652
+
+
+class RetentionSection(Section):
+    """Days for which history is kept at each resolution, without a number for ever.
+
+    Journal of the alarms (process time) and audit trail (wall clock): with 0 for ever.
+    """
+
+    raw_days: Days | None = None
+    second_days: Days | None = None
+    minute_days: Days | None = None
+    hour_days: Days | None = None
+    journal_days: float = Field(_TEN_YEARS_DAYS, ge=0, le=100_000)
+    audit_days: Annotated[float, AfterValidator(_kept_a_year)] = Field(
+        _TEN_YEARS_DAYS, ge=0, le=100_000
+    )
 
 
 class ClockSection(Section):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, func, insert, select, update
+from sqlalchemy import ColumnElement, Select, delete, exists, func, insert, select, update
 
 from service.store.alarm_records import (
     Alarm,
@@ -93,6 +93,23 @@ class AlarmJournal(Section):
         return AlarmJournalPage(
             items=[AlarmTransition(*row[1:]) for row in rows], next_cursor=following
         )
+
+    def expire_journal(self, before_us: int) -> int:
+        """Remove lines from before a process time, and alarms that were over by then.
+
+        Returns
+        -------
+        int
+            Rows that were removed.
+        """
+        removed = self._expire(AlarmTransitionRow, before_us)
+        with self._database.writing() as connection:
+            over = delete(AlarmRow).where(
+                AlarmRow.state == "NORM",
+                AlarmRow.since_us < before_us,
+                ~exists().where(AlarmTransitionRow.alarm_id == AlarmRow.id),
+            )
+            return removed + connection.execute(over).rowcount
 
     def annunciations(self, now_us: int, asset: str | None = None) -> Annunciations:
         """Count how often alarms called for an operator in the last day.

@@ -1,4 +1,4 @@
-"""The audit trail: lines are added and read, never changed; the database itself sees to that."""
+"""The audit trail: lines are added and read, never changed, as the database itself sees to."""
 
 from dataclasses import asdict, fields
 
@@ -20,6 +20,13 @@ class Audit(Section):
         with self._writing_once(delivery) as connection:
             if connection is not None:
                 connection.execute(insert(AuditRow).values(asdict(entry)))
+
+    def expire_audit(self, before_us: int) -> int:
+        """Remove lines from before a wall time that is more than a year ago; returns how many.
+
+        The database refuses to give up younger ones.
+        """
+        return self._expire(AuditRow, before_us)
 
     def audit(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
         """Part of the trail, newest first.

@@ -15,7 +15,7 @@ _COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "goo
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Days for which each resolution is kept; None keeps it for ever.
+    """Days for which each resolution is kept, None for ever; journal and audit trail: 0.
 
     Raw samples that expire are condensed to seconds when those are kept longer.
     """
@@ -24,6 +24,8 @@ class Retention:
     second_days: float | None = None
     minute_days: float | None = None
     hour_days: float | None = None
+    journal_days: float = 0.0
+    audit_days: float = 0.0
 
 
 class Rollups(Samples):

@@ -4,14 +4,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy import Connection, Select
+from sqlalchemy import Connection, Select, delete, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from service.store.database import PATIENCE_S, Database
 from service.store.deliveries import Delivery, is_first
+from service.store.tables import AlarmTransitionRow, AuditRow
 
 #: Wall seconds for a change that can wait in its outbox.
 _DELIVERY_PATIENCE_S = 1.0
+#: So many old lines go in one transaction; the others have their turn in between.
+_PORTION = 1000
 
 
 class Section:
@@ -32,6 +35,16 @@ class Section:
         with self._database.writing(patience_s) as connection:
             first = delivery is None or is_first(connection, delivery)
             yield connection if first else None
+
+    def _expire(self, row: type[AlarmTransitionRow | AuditRow], before_us: int) -> int:
+        """Remove lines from before a time, in portions; returns how many."""
+        oldest = select(row.id).where(row.time_us < before_us).order_by(row.id).limit(_PORTION)
+        removed, count = 0, _PORTION
+        while count == _PORTION:
+            with self._database.writing() as connection:
+                count = connection.execute(delete(row).where(row.id.in_(oldest))).rowcount
+            removed += count
+        return removed
 
     def _newest_first(
         self,

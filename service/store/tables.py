@@ -286,7 +286,10 @@ class BrowserSessionRow(Base):
 
 
 class AuditRow(Base):
-    """The audit trail: one line per change that somebody asked for; the database takes no other."""
+    """The audit trail: one line per change that somebody asked for.
+
+    The database changes none, and deletes none of the last year; see migrations 0004 and 0008.
+    """
 
     __tablename__ = "audit"
 

@@ -196,3 +196,15 @@ def test_the_environment_wins_over_the_file(folder: Path, monkeypatch: pytest.Mo
     file.write_text(CONFIGURATION)
     settings = load_settings(file)
     assert (settings.service.port, settings.clock.rate, settings.sources) == (9001, 60, ())
+
+
+def test_retention_is_years_for_what_people_did_and_may_be_for_ever(folder: Path) -> None:
+    file = folder / "twin.toml"
+    file.write_text(CONFIGURATION)
+    retention = load_settings(file).retention
+    assert (retention.raw_days, retention.journal_days, retention.audit_days) == (None, 3652, 3652)
+    file.write_text(f"{CONFIGURATION}[retention]\njournal_days = 0\naudit_days = 0\n")
+    retention = load_settings(file).retention
+    assert (retention.journal_days, retention.audit_days) == (0, 0)
+    with pytest.raises(SettingsError, match=r"retention\.audit_days = 30.*0 .* at least 366 days"):
+        load(folder, f"{CONFIGURATION}[retention]\naudit_days = 30\n")

@@ -164,3 +164,17 @@ def test_an_older_store_keeps_its_alarms(tmp_path: Path) -> None:
         (kept,) = store.alarm_journal().items
         assert (kept.alarm_id, kept.event, kept.priority) == ("one", "", None)
         store.save_alarm(None, [replace(kept, alarm_id=None)])
+
+
+def test_old_lines_go_and_with_them_alarms_that_are_over(store: Store) -> None:
+    over, standing = replace(ALARM, id="over", level="warning"), ALARM
+    event = replace(line(3), alarm_id=None)
+    store.save_alarm(over, [line(1, over)])
+    store.save_alarm(replace(over, state="NORM", since_us=2), [line(2, over)])
+    later = replace(over, id="later", state="NORM", since_us=9)
+    store.save_alarm(later, [line(9, later)])
+    store.save_alarm(standing, [line(1), line(8)])
+    store.save_alarm(None, [event])
+    assert store.expire_journal(5) == 5, "four lines and the alarm that is over"
+    assert [kept.time_us for kept in store.alarm_journal().items] == [8, 9]
+    assert store.load_alarms() == [standing]

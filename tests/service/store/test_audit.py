@@ -1,8 +1,14 @@
+import time
+from dataclasses import asdict
+
 import pytest
-from sqlalchemy import text
+from sqlalchemy import insert, text
 from sqlalchemy.exc import DatabaseError
 
 from service.store import AuditEntry, Store, StoreUnavailableError
+from service.store.tables import AuditRow
+
+DAY_US = 86_400_000_000
 
 
 def entry(number: int) -> AuditEntry:
@@ -21,10 +27,22 @@ def test_lines_are_read_back_newest_first_in_pages(store: Store) -> None:
 
 @pytest.mark.parametrize("change", ["UPDATE audit SET who = 'nobody'", "DELETE FROM audit"])
 def test_the_database_takes_no_change_of_a_line(store: Store, change: str) -> None:
-    store.add_audit_entry(entry(1))
+    written = entry(time.time_ns() // 1000 - 364 * DAY_US)
+    store.add_audit_entry(written)
     with (
         pytest.raises((DatabaseError, StoreUnavailableError), match="only grows"),
         store._database.writing() as connection,
     ):
         connection.execute(text(change))
-    assert store.audit().items == [entry(1)]
+    assert store.audit().items == [written]
+
+
+def test_lines_that_are_old_enough_go(store: Store) -> None:
+    now_us = time.time_ns() // 1000
+    old, young = entry(now_us - 400 * DAY_US), entry(now_us - 370 * DAY_US)
+    with store._database.writing() as connection:
+        connection.execute(insert(AuditRow), [asdict(old)] * 1500)
+    store.add_audit_entry(young)
+    assert store.expire_audit(now_us - 390 * DAY_US) == 1500
+    assert store.audit().items == [young]
+    assert store.expire_audit(now_us - 390 * DAY_US) == 0
