@@ -9,7 +9,7 @@ from service.store.tables import DeliveryRow
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """One change of an outbox; a sender's numbers ascend."""
+    """One change of an outbox; each run of a service is a sender, whose numbers ascend."""
 
     sender: str
     number: int

@@ -26,11 +26,11 @@ _APPLICATION_ID = 0x4254_6F62
 _TABLES = """
 CREATE TABLE IF NOT EXISTS changes (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
+    sender TEXT NOT NULL,
     document TEXT NOT NULL
 );
-CREATE TABLE IF NOT EXISTS sender (id TEXT NOT NULL);
 """
-_PROBE = "SELECT number, document, sender.id FROM changes, sender"
+_PROBE = "SELECT number, sender, document FROM changes"
 #: Some 700 changes find room on a full disk.
 _RESERVED_BYTES = 2**20
 #: Both the store and the disk are left alone so many wall seconds after they refused.
@@ -85,12 +85,11 @@ class Outbox(Closable):
         self._closing = False
         self.problem: str | None = None
         self.disk_problem: str | None = None
-        with file.writing() as connection:
+        # Each run is a sender of its own: the numbers of a file that was restored from a copy
+        # begin again where the store has gone on from.
+        self._sender = uuid4().hex
+        with file.reading() as connection:
             self._kept = int(connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
-            row = connection.execute("SELECT id FROM sender").fetchone()
-            self._sender = row[0] if row else uuid4().hex
-            if not row:
-                connection.execute("INSERT INTO sender VALUES (?)", (self._sender,))
         self._threads = [
             threading.Thread(target=self._repeat, args=(has_work, work), name=name, daemon=True)
             for name, has_work, work in (
@@ -195,8 +194,8 @@ class Outbox(Closable):
         try:
             with self._file.writing() as connection:
                 connection.executemany(
-                    "INSERT INTO changes (document) VALUES (?)",
-                    [(_document(change),) for change in changes],
+                    "INSERT INTO changes (sender, document) VALUES (?, ?)",
+                    [(self._sender, _document(change)) for change in changes],
                 )
         except QueueUnavailableError as error:
             if self.disk_problem is None:
@@ -223,10 +222,10 @@ class Outbox(Closable):
             _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
             return False
         count = 0
-        for number, change in portion:
-            if not self._hand_over(change, Delivery(self._sender, number)):
+        for delivery, change in portion:
+            if not self._hand_over(change, delivery):
                 break
-            self._taken = number
+            self._taken = delivery.number
             count += 1
         try:
             with self._file.writing() as connection:
@@ -258,14 +257,15 @@ class Outbox(Closable):
             _log.info("changes_written_again", waiting=self.waiting)
         return True
 
-    def _read(self, limit: int = -1) -> list[tuple[int, Change | None]]:
-        """Read the oldest changes that the store does not have, with their numbers."""
+    def _read(self, limit: int = -1) -> list[tuple[Delivery, Change | None]]:
+        """Read the oldest changes that the store does not have."""
         with self._file.reading() as connection:
             rows = connection.execute(
-                "SELECT number, document FROM changes WHERE number > ? ORDER BY number LIMIT ?",
+                "SELECT sender, number, document FROM changes WHERE number > ? "
+                "ORDER BY number LIMIT ?",
                 (self._taken, limit),
             ).fetchall()
-        return [(number, _change(document)) for number, document in rows]
+        return [(Delivery(sender, number), _change(document)) for sender, number, document in rows]
 
 
 def _document(change: Change) -> str:

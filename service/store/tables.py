@@ -247,7 +247,7 @@ class AlarmTransitionRow(Base):
 
 
 class DeliveryRow(Base):
-    """The latest change that was taken from the outbox of a service; see `service.store.outbox`."""
+    """The latest change that a run of a service had delivered; see `service.store.outbox`."""
 
     __tablename__ = "deliveries"
 
