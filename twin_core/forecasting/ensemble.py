@@ -43,7 +43,8 @@ the model: a deviation by this part of a sensor's rise over ambient, per ln(load
 START_DEVIATION = 0.04
 """No start is like another: the grease is pushed aside anew, and an inner ring that warms up ahead
 of its housing tightens the bearing. A deviation by this part of a sensor's rise over ambient from
-the first start out of standstill on."""
+the first start out of standstill on; by that of all sensors' mean rise where it is more, for heat
+that goes another way comes from the hottest part."""
 START_S = 600.0
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
@@ -227,7 +228,10 @@ def forecast(
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
     beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
     started = _started(profile, operating_point)
-    part = np.hypot(LOAD_DEVIATION * beyond, START_DEVIATION * started)
+    passed_on_c = np.maximum(rise_c, np.mean(rise_c, axis=1, keepdims=True))
+    change_k = np.hypot(
+        LOAD_DEVIATION * beyond[:, None] * rise_c, START_DEVIATION * started[:, None] * passed_on_c
+    )
     keep = np.exp(-np.diff(profile.time_s) / model.errors.slow_s)
     shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
     add_deviations(
@@ -235,7 +239,7 @@ def forecast(
         rng.standard_normal((members // 2, keep.size, len(sensors))),
         keep,
         shock,
-        np.hypot(1.0, part[:, None] * rise_c / DEVIATION_K),
+        np.hypot(1.0, change_k / DEVIATION_K),
         SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),)),
         np.ones(profile.size),
     )

@@ -126,6 +126,23 @@ def test_a_load_beyond_the_trained_ones_widens_the_band_by_its_distance(model, k
         assert_allclose(wide[2], plain[2], atol=0.15)
 
 
+def test_a_start_widens_the_cooler_ring_by_what_the_hotter_one_may_pass_on(model, known) -> None:  # type: ignore[no-untyped-def]
+    cold, exact = np.full(13, 22.0), np.zeros((13, 13))
+    running = hold(4200.0, 2650.0, 241)
+    starting = replace(running, speed_rpm=np.where(running.time_s < 300.0, 0.0, 4200.0))
+    half, median = {}, {}
+    for profile in (running, starting):
+        result = forecast(model, known, cold, exact, RUN_IN, profile, members=600)
+        quantiles = np.array([result.quantile(name)[:, -1] for name in SENSORS])
+        half[profile is starting] = (quantiles[:, 4] - quantiles[:, 0]) / 2.0
+        median[profile is starting] = quantiles[:, 2]
+    rise = median[True] - 22.0
+    expected = 1.96 * 0.04 * np.array([rise[0], rise.mean()])
+    assert rise[1] < 0.6 * rise[0]
+    added = np.sqrt(half[True] ** 2 - half[False] ** 2)
+    assert_allclose(added, expected, rtol=0.15)
+
+
 def test_samples_of_the_posterior_are_used_when_there_are_any(model) -> None:  # type: ignore[no-untyped-def]
     state, covariance = now(model)
     prior = prior_posterior(model)
