@@ -422,7 +422,10 @@ async def serve(
         service = Service(settings, wiring, store, clock)
         port = listener.getsockname()[1]
         scheme = "http" if tls is None else "https"
-        async with open_outlets(settings, service.assets, service.bus, store) as outlets:
+        web = service.app.state
+        async with open_outlets(
+            settings, service.assets, service.bus, web.authenticator, web.trail
+        ) as outlets:
             announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
             await service.run(listener, stop, outlets, tls)
         if lock is not None and lock.lost:

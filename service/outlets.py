@@ -9,10 +9,8 @@ from typing import Any
 from service.api.context import AssetTwin
 from service.configuration import SettingsError
 from service.live.bus import Bus
-from service.security import verify_key
-from service.security.roles import VIEWER
+from service.security import AuditTrail, Authenticator
 from service.settings import MqttSection, Settings
-from service.store import Store
 
 Outlet = tuple[str, Callable[[], Coroutine[Any, Any, None]]]
 """Name of a task and its work, which goes on until it is cancelled."""
@@ -45,7 +43,11 @@ def check_outlets(settings: Settings) -> None:
 
 @contextlib.asynccontextmanager
 async def open_outlets(
-    settings: Settings, assets: Mapping[str, AssetTwin], bus: Bus, store: Store
+    settings: Settings,
+    assets: Mapping[str, AssetTwin],
+    bus: Bus,
+    authenticator: Authenticator,
+    trail: AuditTrail,
 ) -> AsyncIterator[list[Outlet]]:
     """Open what is enabled; gives the work to be done beside the service.
 
@@ -60,12 +62,8 @@ async def open_outlets(
         if settings.opcua.enabled:
             from service.opcua.server import serve_tags
 
-            def key_opens(text: str) -> bool:
-                key = verify_key(store, text)
-                return key is not None and key.role in VIEWER
-
             tags = await stack.enter_async_context(
-                serve_tags(settings.opcua, assets, key_opens, settings.data_dir)
+                serve_tags(settings.opcua, assets, authenticator, trail, settings.data_dir)
             )
             outlets.append(("OPC UA", tags.run))
         if settings.mqtt.enabled:

@@ -6,7 +6,6 @@ route says by `secured` which roles it is for. OpenAPI shows both.
 
 import base64
 import binascii
-import ipaddress
 import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Any, Final
@@ -18,7 +17,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
 from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem, parameter_problem
-from service.security import Actor, AuditTrail, Authenticator, Principal
+from service.security import Actor, AuditTrail, Authenticator, Principal, guesses
 from service.security.keys import key_prefix
 from service.security.roles import Roles
 from service.store import StoreUnavailableError
@@ -178,16 +177,6 @@ def address_of(connection: HTTPConnection) -> str:
     return connection.client.host if connection.client else ""
 
 
-def _site_of(address: str) -> str:
-    """What one caller has for sure: an IPv4 address, or the network of an IPv6 one."""
-    try:
-        if ipaddress.ip_address(address).version == 4:
-            return address
-        return str(ipaddress.ip_network(f"{address.partition('%')[0]}/64", strict=False))
-    except ValueError:
-        return address
-
-
 def make_door(
     authenticator: Authenticator, trail: AuditTrail
 ) -> Callable[[Request], Coroutine[Any, Any, None]]:
@@ -237,7 +226,7 @@ async def authenticate(
             return None
         if authenticator.knows(key):  # also a wrong one: a client that goes on costs nothing
             return await authenticator.by_key(key)
-        return await new_key(connection, authenticator, key, trail, "key.refuse")
+        return await new_key(connection, authenticator, key, trail, guesses.REFUSED)
     except StoreUnavailableError as error:
         raise Problem(
             503,
@@ -263,17 +252,14 @@ async def new_key(
         When the store cannot tell.
     """
     address = address_of(connection)
-    caller_name = f"{action} {_site_of(address)}"
-    wait_s = authenticator.failures.wait_s(caller_name)
+    wait_s = guesses.wait_s(authenticator, action, address)
     if wait_s:
         raise too_many("too many wrong keys from this address", wait_s)
     principal = await authenticator.by_key(key)
     if principal is None:
-        authenticator.failures.count(caller_name)
+        guesses.count_wrong_key(authenticator, action, address)
         if trail is not None:
-            offered = key_prefix(key)
-            detail = f"a wrong key ({offered})" if offered else "no key of this service"
-            await trail.note(Actor("unknown", address), action, "", detail)
+            await guesses.note_wrong_key(trail, action, address, key)
     return principal
 
 

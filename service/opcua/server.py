@@ -9,8 +9,7 @@ import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import AsyncIterator, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -21,60 +20,23 @@ import anyio
 import structlog
 from asyncua import Server, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
-from asyncua.crypto.permission_rules import User, UserRole
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from service.api.context import AssetTwin
 from service.configuration import SettingsError
 from service.live.guard import Guard
 from service.opcua.codes import status_code, unit_id
+from service.opcua.users import KeyedServer, KeyUsers
+from service.security import AuditTrail, Authenticator
 from service.settings import OpcUaSection
 from service.wiring import is_loopback
 
 APPLICATION_URI = "urn:bearing-twin:server"
 NAMESPACE = "urn:bearing-twin"
 PERIOD_S = 0.5
-_KEY_PATIENCE_S = 1.0
 _UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 
-KeyOpens = Callable[[str], bool]
-"""Whether a text is a key that may read the tags; may ask the store."""
-
 _log = structlog.get_logger(__name__)
-
-
-class _KeyUsers:
-    """Lets in whoever gives a key as password, and on loopback everybody; for reading only.
-
-    The library asks in the event loop and waits, so the store is given little time to answer.
-    """
-
-    def __init__(self, key_opens: KeyOpens, anonymous: bool) -> None:
-        self._key_opens = key_opens
-        self._anonymous = anonymous
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="opcua-key")
-
-    def get_user(
-        self,
-        iserver: Any,
-        username: str | None = None,
-        password: str | bytes | None = None,
-        certificate: Any = None,
-    ) -> User | None:
-        """Give a user without any right to write, or None."""
-        if not password:
-            return User(role=UserRole.User) if self._anonymous else None
-        text = password.decode(errors="replace") if isinstance(password, bytes) else password
-        try:
-            opens = self._executor.submit(self._key_opens, text).result(_KEY_PATIENCE_S)
-        except Exception as error:  # the store is away or slow; the caller may try again
-            _log.warning("opcua_key_not_checked", reason=repr(error))
-            return None
-        return User(role=UserRole.User) if opens else None
-
-    def close(self) -> None:
-        """End the thread."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 class TagServer:
@@ -88,20 +50,26 @@ class TagServer:
         Index of our namespace.
     assets
         Whose tags are shown.
+    users
+        Who may read them.
     """
 
-    def __init__(self, server: Server, namespace: int, assets: Mapping[str, AssetTwin]) -> None:
+    def __init__(
+        self, server: Server, namespace: int, assets: Mapping[str, AssetTwin], users: KeyUsers
+    ) -> None:
         self._server = server
+        self._users = users
         self._namespace = namespace
         self._assets = assets
         self._shown: dict[ua.NodeId, Mapping[str, Any]] = {}
         self._guards = {name: Guard("opcua_update", name) for name in assets}
 
     async def run(self) -> None:
-        """Keep the variables up to date until cancelled."""
+        """Keep the variables up to date, and revoked keys out, until cancelled."""
         while True:
             await asyncio.sleep(PERIOD_S)
             await self.update()
+            await self.put_out()
 
     async def update(self) -> None:
         """Write what has changed since the last time; a tag that is new gets its variable."""
@@ -114,6 +82,17 @@ class TagServer:
                     if self._shown.get(node_id) != shown:
                         await self._server.write_attribute_value(node_id, _data_value(shown))
                         self._shown[node_id] = shown
+
+    async def put_out(self) -> None:
+        """End the connections whose key opens nothing any more."""
+        for client in list(self._server.bserver.clients if self._server.bserver else ()):
+            session = client.processor.session if client.processor else None
+            if session is None or await self._users.may_stay(session.user):
+                continue
+            _log.info("opcua_closed", peer=str(client.peer_name), reason="key no longer valid")
+            await session.close_session()
+            if client.transport is not None:
+                client.transport.close()
 
     async def add_objects(self) -> None:
         """Make the object of every asset."""
@@ -185,7 +164,8 @@ def check_port(section: OpcUaSection) -> None:
 async def serve_tags(
     section: OpcUaSection,
     assets: Mapping[str, AssetTwin],
-    key_opens: KeyOpens,
+    authenticator: Authenticator,
+    trail: AuditTrail,
     data_dir: Path,
 ) -> AsyncIterator[TagServer]:
     """Listen, and show the tags as they are now.
@@ -199,8 +179,8 @@ async def serve_tags(
         The configuration.
     assets
         Whose tags are shown.
-    key_opens
-        Checks a key.
+    authenticator, trail
+        Checks keys, and keeps a line of wrong ones.
     data_dir
         Where the certificate is kept.
 
@@ -213,8 +193,8 @@ async def serve_tags(
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     check_port(section)
     local = is_loopback(urlsplit(section.endpoint).hostname or "")
-    users = _KeyUsers(key_opens, anonymous=local)
-    server = Server(user_manager=users)
+    users = KeyUsers(authenticator, trail, anonymous=local)
+    server = Server(iserver=KeyedServer(users))
     server.application_type = ua.ApplicationType.Server
     server.product_uri = NAMESPACE
     server.manufacturer_name = "Bearing Twin"
@@ -238,15 +218,12 @@ async def serve_tags(
     await server.set_build_info(
         NAMESPACE, server.manufacturer_name, server.name, build, build, datetime.now()
     )
-    tags = TagServer(server, await server.register_namespace(NAMESPACE), assets)
+    tags = TagServer(server, await server.register_namespace(NAMESPACE), assets, users)
     await tags.add_objects()
     await tags.update()
-    try:
-        async with server:
-            _log.info("opcua_listens", endpoint=section.endpoint, anonymous=local)
-            yield tags
-    finally:
-        users.close()
+    async with server:
+        _log.info("opcua_listens", endpoint=section.endpoint, anonymous=local)
+        yield tags
 
 
 async def _load_certificate(server: Server, folder: Path) -> None:

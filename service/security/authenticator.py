@@ -9,6 +9,7 @@ import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import structlog
@@ -108,9 +109,31 @@ class Authenticator:
             return None
         principal = await self._recall(f"key {sha256}", lambda: self._verify_key(text))
         if principal is None:
-            self._wrong[sha256] = None
-            while len(self._wrong) > _MOST_REMEMBERED:
-                self._wrong.popitem(last=False)
+            self._remember_wrong(sha256)
+        return principal
+
+    def by_key_now(self, text: str, patience_s: float) -> Principal | None:
+        """Who a key belongs to, as `by_key`, for a caller that cannot await.
+
+        The event loop stands still meanwhile, so the store has only `patience_s` to answer.
+        """
+        sha256 = fingerprint(text)
+        if sha256 in self._wrong:
+            return None
+        name, now_s = f"key {sha256}", time.monotonic()
+        thread = ThreadPoolExecutor(1, thread_name_prefix="key")
+        try:
+            principal = thread.submit(self._verify_key, text).result(patience_s)
+        except TimeoutError:
+            late = StoreUnavailableError(f"the store did not answer within {patience_s:g} s")
+            return self._known_without_store(name, now_s, late)
+        except StoreUnavailableError as error:
+            return self._known_without_store(name, now_s, error)
+        finally:
+            thread.shutdown(wait=False)
+        self._remember(name, principal, now_s)
+        if principal is None:
+            self._remember_wrong(sha256)
         return principal
 
     def knows(self, text: str) -> bool:
@@ -157,21 +180,37 @@ class Authenticator:
             return known.principal
         try:
             principal = await self._look_up_once(name, look_up)
-        except StoreUnavailableError:
-            # Without the store nothing can have been revoked through it either: whoever was
-            # known a moment ago keeps watching the machine.
-            if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
-                raise
-            _log.warning("store_away_trusting_known_key", since_s=round(now_s - known.at_s, 1))
-            return known.principal
+        except StoreUnavailableError as error:
+            return self._known_without_store(name, now_s, error)
+        self._remember(name, principal, now_s)
+        return principal
+
+    def _known_without_store(
+        self, name: str, now_s: float, error: StoreUnavailableError
+    ) -> Principal | None:
+        """Without the store nothing can have been revoked through it either.
+
+        Whoever was known a moment ago keeps watching the machine.
+        """
+        known = self._memory.get(name)
+        if known is None or now_s - known.at_s > MEMORY_WITHOUT_STORE_S:
+            raise error
+        _log.warning("store_away_trusting_known_key", since_s=round(now_s - known.at_s, 1))
+        return known.principal
+
+    def _remember(self, name: str, principal: Principal | None, now_s: float) -> None:
         if principal is None:
             self._memory.pop(name, None)
-            return None
+            return
         self._memory[name] = _Remembered(principal, now_s)
         self._memory.move_to_end(name)
         while len(self._memory) > _MOST_REMEMBERED:
             self._memory.popitem(last=False)
-        return principal
+
+    def _remember_wrong(self, sha256: str) -> None:
+        self._wrong[sha256] = None
+        while len(self._wrong) > _MOST_REMEMBERED:
+            self._wrong.popitem(last=False)
 
     async def _look_up_once(
         self, name: str, look_up: Callable[[], Principal | None]

@@ -1,5 +1,7 @@
 """Rate limits: token buckets, one per caller."""
 
+# The library `limits` has no token bucket, keeps each call's time, and goes by the wall clock.
+
 import time
 from collections import OrderedDict
 from collections.abc import Callable

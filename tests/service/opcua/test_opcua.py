@@ -1,8 +1,9 @@
 """The OPC UA server, asked by a real client in an event loop of its own."""
 
 import asyncio
+import contextlib
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,9 +18,13 @@ from service.clock import from_rfc3339
 from service.configuration import SettingsError
 from service.opcua.codes import status_code, unit_id
 from service.opcua.server import serve_tags
+from service.security import AuditTrail, Authenticator, create_key, revoke_key
+from service.security.authenticator import FAILED_LOGINS_PER_MINUTE
 from service.settings import OpcUaSection, Settings
+from service.store import Store
 
 Answer = TypeVar("Answer")
+WRONG = "bt_00000000_" + "A" * 43
 BEGAN = "2026-01-21T08:00:00.000Z"
 
 
@@ -46,15 +51,20 @@ class Asset:
         return {"tags": dict(self.tags)}
 
 
-def key_opens(text: str) -> bool:
-    return text == "a good key"
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with Store.open("", tmp_path) as store:
+        yield store
 
 
 @asynccontextmanager
-async def serving(asset: Asset, folder: Path, host: str = "127.0.0.1") -> AsyncIterator[str]:
+async def serving(
+    asset: Asset, folder: Path, store: Store, host: str = "127.0.0.1"
+) -> AsyncIterator[str]:
     port = free_port()
     section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    async with serve_tags(section, {"bench-1": asset}, key_opens, folder) as tags:
+    authenticator, trail = Authenticator(store), AuditTrail(store)
+    async with serve_tags(section, {"bench-1": asset}, authenticator, trail, folder) as tags:
         running = asyncio.create_task(tags.run())
         try:
             yield f"opc.tcp://127.0.0.1:{port}/bearing-twin"
@@ -87,9 +97,9 @@ class Changes:
 
 
 @pytest.mark.wires
-async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path) -> None:
+async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path, store: Store) -> None:
     asset = Asset()
-    async with serving(asset, tmp_path) as address:
+    async with serving(asset, tmp_path, store) as address:
 
         async def look() -> None:
             async with Client(address) as client:
@@ -138,9 +148,11 @@ async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path) ->
 
 
 @pytest.mark.wires
-async def test_clients_come_and_go_and_a_tag_that_is_new_appears(tmp_path: Path) -> None:
+async def test_clients_come_and_go_and_a_tag_that_is_new_appears(
+    tmp_path: Path, store: Store
+) -> None:
     asset = Asset()
-    async with serving(asset, tmp_path) as address:
+    async with serving(asset, tmp_path, store) as address:
 
         async def vanish() -> None:
             client = Client(address)
@@ -167,9 +179,10 @@ async def test_clients_come_and_go_and_a_tag_that_is_new_appears(tmp_path: Path)
 
 @pytest.mark.wires
 async def test_beyond_loopback_a_key_is_asked_for_and_the_line_may_be_encrypted(
-    tmp_path: Path,
+    tmp_path: Path, store: Store
 ) -> None:
-    async with serving(Asset(), tmp_path, host="0.0.0.0") as address:
+    viewer, gateway = (create_key(store, role).text for role in ("viewer", "gateway"))
+    async with serving(Asset(), tmp_path, store, host="0.0.0.0") as address:
 
         async def value(password: str | None, encrypted: bool = False) -> Any:
             client = Client(address)
@@ -189,12 +202,84 @@ async def test_beyond_loopback_a_key_is_asked_for_and_the_line_may_be_encrypted(
         def asking(*arguments: Any) -> Awaitable[Any]:
             return apart(lambda: value(*arguments))
 
-        for password in (None, "a wrong key"):
+        for password in (None, "a wrong key", gateway):
             with pytest.raises(ua.UaStatusCodeError):
                 await asking(password)
-        assert await asking("a good key") == 61.5
-        assert await asking("a good key", True) == 61.5
+        assert await asking(viewer) == 61.5
+        assert await asking(viewer, True) == 61.5
     assert (tmp_path / "opcua").stat().st_mode & 0o077 == 0
+
+
+async def activate(address: str, key: str) -> None:
+    """Open a session with a key, and close it."""
+    client = Client(address)
+    client.set_user("scada")
+    client.set_password(key)
+    async with client:
+        pass
+
+
+@pytest.mark.wires
+async def test_wrong_keys_are_noted_and_an_address_has_only_so_many(
+    tmp_path: Path, store: Store
+) -> None:
+    good, other = create_key(store, "viewer").text, create_key(store, "operator").text
+    async with serving(Asset(), tmp_path, store) as address:
+
+        async def guess() -> None:
+            await activate(address, good)
+            for number in range(FAILED_LOGINS_PER_MINUTE):
+                for _ in range(2):  # the same wrong key again is known, and counts once
+                    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+                        await activate(address, WRONG[:-2] + f"{number:02d}")
+            with pytest.raises(ua.uaerrors.BadTooManyOperations):
+                await activate(address, WRONG)
+            with pytest.raises(ua.uaerrors.BadTooManyOperations):
+                await activate(address, other)  # or a guess would be told from a wrong one
+            await activate(address, good)  # who is known already is not disturbed
+
+        await apart(guess)
+    lines = [line for line in store.audit().items if line.action == "key.refuse"]
+    assert len(lines) == FAILED_LOGINS_PER_MINUTE
+    assert {(line.who, line.address, line.detail) for line in lines} == {
+        ("unknown", "127.0.0.1", "a wrong key (bt_00000000)")
+    }
+
+
+@pytest.mark.wires
+async def test_a_revoked_key_ends_its_connections_and_no_other(
+    tmp_path: Path, store: Store
+) -> None:
+    revoked, kept = create_key(store, "viewer"), create_key(store, "viewer")
+    async with serving(Asset(), tmp_path, store) as address:
+
+        async def follow(key: str) -> Client:
+            client = Client(address)
+            client.set_user("scada")
+            client.set_password(key)
+            await client.connect()
+            subscription = await client.create_subscription(100, Changes())
+            await subscription.subscribe_data_change(client.get_node(node_id("t_inner_ring_c")))
+            return client
+
+        async def look() -> None:
+            ended, stays = await follow(revoked.text), await follow(kept.text)
+            await asyncio.to_thread(revoke_key, store, revoked.record.id)
+            async with asyncio.timeout(30):
+                while True:
+                    try:
+                        await read(ended, "t_inner_ring_c")
+                    except (ConnectionError, ua.UaError):
+                        break
+                    await asyncio.sleep(0.05)
+            assert (await read(stays, "t_inner_ring_c")).Value.Value == 61.5
+            with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+                await activate(address, revoked.text)
+            await stays.disconnect()
+            with contextlib.suppress(ConnectionError, ua.UaError):
+                await ended.disconnect()
+
+        await apart(look)
 
 
 def test_every_quality_has_a_status_code_of_its_severity() -> None:

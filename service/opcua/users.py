@@ -1,0 +1,132 @@
+"""Who may use the OPC UA server: whoever has a key, checked, counted and noted as over HTTP."""
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+
+from service.security import AuditTrail, Authenticator, guesses
+from service.security.keys import key_prefix
+from service.security.roles import VIEWER
+from service.store import StoreUnavailableError
+
+#: The library asks in the event loop and cannot wait, so the store has little time to answer.
+KEY_PATIENCE_S = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass
+class KeyUser(User):  # type: ignore[misc]  # the library has no types
+    """A user without any right to write, and the key that let it in; empty for anybody."""
+
+    key: str = ""
+
+
+class KeyUsers:
+    """Lets in whoever gives a key as password, and on loopback everybody; for reading only.
+
+    Parameters
+    ----------
+    authenticator
+        Checks the keys.
+    trail
+        Where wrong ones are noted.
+    anonymous
+        Whether a caller without a password is let in too.
+
+    Attributes
+    ----------
+    address : str
+        Of the caller whose session is being activated.
+    """
+
+    def __init__(self, authenticator: Authenticator, trail: AuditTrail, anonymous: bool) -> None:
+        self._authenticator = authenticator
+        self._trail = trail
+        self._anonymous = anonymous
+        self._noting: set[asyncio.Task[None]] = set()
+        self.address = ""
+
+    def get_user(
+        self,
+        iserver: Any,
+        username: str | None = None,
+        password: str | bytes | None = None,
+        certificate: Any = None,
+    ) -> User | None:
+        """Give a user, or None; the library calls this when a session is activated.
+
+        Raises
+        ------
+        ServiceError
+            After too many wrong keys from this address, and when the store cannot tell.
+        """
+        if not password:
+            return KeyUser(role=UserRole.User) if self._anonymous else None
+        text = password.decode(errors="replace") if isinstance(password, bytes) else password
+        if key_prefix(text) is None:  # no guess, and nothing to look up
+            return None
+        keys, guess = self._authenticator, not self._authenticator.knows(text)
+        if guess and guesses.wait_s(keys, guesses.REFUSED, self.address):
+            raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+        try:
+            principal = keys.by_key_now(text, KEY_PATIENCE_S)
+        except StoreUnavailableError as error:
+            _log.warning("opcua_key_not_checked", reason=str(error))
+            raise ServiceError(ua.StatusCodes.BadResourceUnavailable) from error
+        if principal is None and guess:
+            guesses.count_wrong_key(keys, guesses.REFUSED, self.address)
+            note = guesses.note_wrong_key(self._trail, guesses.REFUSED, self.address, text)
+            self._noting.add(task := asyncio.create_task(note))
+            task.add_done_callback(self._noting.discard)
+        if principal is None or principal.role not in VIEWER:
+            return None
+        return KeyUser(role=UserRole.User, key=text)
+
+    async def may_stay(self, user: User) -> bool:
+        """Tell whether the key of somebody who was let in still opens."""
+        if not isinstance(user, KeyUser) or not user.key:
+            return True
+        try:
+            principal = await self._authenticator.by_key(user.key)
+        except StoreUnavailableError:
+            return True  # the store cannot tell; whoever was let in stays
+        return principal is not None and principal.role in VIEWER
+
+
+class KeyedServer(InternalServer):  # type: ignore[misc]
+    """The library's server, which tells its users from where a session is activated."""
+
+    def __init__(self, users: KeyUsers) -> None:
+        super().__init__(user_manager=users)
+        self._users = users
+
+    def create_session(
+        self, name: Any, user: User | None = None, external: bool = False
+    ) -> InternalSession:
+        """Make a session; the library names those from outside by their peer's address."""
+        if not external:
+            return super().create_session(name, user or User(role=UserRole.Anonymous))
+        return _Session(self._users, self, name)
+
+
+class _Session(InternalSession):  # type: ignore[misc]
+    def __init__(self, users: KeyUsers, server: KeyedServer, peer: tuple[str, int]) -> None:
+        super().__init__(
+            server, server.aspace, server.subscription_service, str(peer), external=True
+        )
+        self._users = users
+        self._address = peer[0]
+
+    def activate_session(
+        self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
+    ) -> ua.ActivateSessionResult:
+        self._users.address = self._address
+        return super().activate_session(params, peer_certificate)

@@ -1,0 +1,43 @@
+"""Wrong keys: an address has only so many, and each leaves a line in the audit trail.
+
+The same for every way by which a key may come; what a caller is told is the way's own.
+"""
+
+import ipaddress
+
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
+from service.security.keys import Actor, key_prefix
+
+REFUSED = "key.refuse"
+
+
+def wait_s(authenticator: Authenticator, action: str, address: str) -> float:
+    """Seconds until this address may offer another key that may be a guess; 0 for now."""
+    return authenticator.failures.wait_s(_caller(action, address))
+
+
+def count_wrong_key(authenticator: Authenticator, action: str, address: str) -> None:
+    """Count a wrong key that this address has offered."""
+    authenticator.failures.count(_caller(action, address))
+
+
+async def note_wrong_key(trail: AuditTrail, action: str, address: str, key: str) -> None:
+    """Write a wrong key into the audit trail, by its prefix alone."""
+    offered = key_prefix(key)
+    detail = f"a wrong key ({offered})" if offered else "no key of this service"
+    await trail.note(Actor("unknown", address), action, "", detail)
+
+
+def _caller(action: str, address: str) -> str:
+    return f"{action} {_site_of(address)}"
+
+
+def _site_of(address: str) -> str:
+    """What one caller has for sure: an IPv4 address, or the network of an IPv6 one."""
+    try:
+        if ipaddress.ip_address(address).version == 4:
+            return address
+        return str(ipaddress.ip_network(f"{address.partition('%')[0]}/64", strict=False))
+    except ValueError:
+        return address
