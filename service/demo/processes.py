@@ -6,7 +6,8 @@ import sys
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 
-START_WALL_S = 120.0
+#: Long: the first start compiles the kernels, and this may be a slow machine.
+START_WALL_S = 900.0
 STOP_WALL_S = 15.0
 
 
