@@ -14,13 +14,14 @@ from typing import Any, TypeVar
 
 import httpx2
 
+from service.clock import ProcessClock
 from service.demo.configuration import ASSET, write_configuration
 from service.security.keys import create_key
 from service.settings import load_settings
 from service.store import Store
 
 START_S = 90.0
-STOP_S = 15.0
+STOP_S = 60.0
 
 Found = TypeVar("Found")
 
@@ -119,11 +120,16 @@ class Station:
             self.key = create_key(store, "admin").text
         self.service: Command | None = None
         self.client = httpx2.Client(
-            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": self.key}, timeout=20
+            base_url=f"http://127.0.0.1:{port}", headers={"X-API-Key": self.key}, timeout=60
         )
 
     def start_service(self) -> None:
         self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")
+
+    def now_us(self) -> int:
+        """The service's process time."""
+        settings = load_settings(self.configuration)
+        return ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us()
 
     def open_store(self) -> Store:
         settings = load_settings(self.configuration)

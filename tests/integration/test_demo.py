@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
     """Have the kernels compiled, so that the demo's time is spent on its story."""
-    subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=280)
+    subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=560)
 
 
 def test_a_demo_cut_short_ends_cleanly_with_its_document() -> None:
@@ -23,7 +23,7 @@ def test_a_demo_cut_short_ends_cleanly_with_its_document() -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=560,
         check=False,
     )  # fmt: skip
     assert demo.returncode == 0, demo.stderr[-3000:]

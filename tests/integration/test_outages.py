@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from processes import Site, wait_until
 from service.demo.configuration import ASSET
 from service.store.records import StoredSample
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
 RATE = 60.0
 MODBUS_CHANNEL, CAN_CHANNEL = "t_inner_ring_c", "speed_rpm"
@@ -52,12 +51,13 @@ def test_everything_comes_back_by_itself(site: Site) -> None:
     # --- the bench loses power
     assert site.bench is not None
     site.bench.kill()
+    outages_us = [site.now_us()]
     wait_until(
         lambda: all(
             site.tags()[name]["quality"] < 64 and site.tags()[name]["value"] is None
             for name in (MODBUS_CHANNEL, CAN_CHANNEL)
         ),
-        15,
+        30,
         "no value of a dead bench is shown as live",
     )
     twin_alone = site.tag("t_node_7_c.twin")
@@ -69,7 +69,7 @@ def test_everything_comes_back_by_itself(site: Site) -> None:
     for channel in (MODBUS_CHANNEL, CAN_CHANNEL):
         wait_until(
             lambda channel=channel: samples(site, channel)[-1].time_us > down_us + 60_000_000,
-            20,
+            30,
             "samples stored after the bench came back",
         )
 
@@ -77,12 +77,13 @@ def test_everything_comes_back_by_itself(site: Site) -> None:
     before_us = samples(site, CAN_CHANNEL)[-1].time_us
     assert site.service is not None
     site.service.kill()
+    outages_us.append(site.now_us())
     site.start_service()
     wait_until(lambda: good_now(site), 30, "good values after the restart")
     wait_until(lambda: site.tag("t_node_7_c.twin"), 30, "a running twin after the restart")
     wait_until(
         lambda: samples(site, CAN_CHANNEL)[-1].time_us > before_us + 60_000_000,
-        20,
+        30,
         "new samples in the store",
     )
     assert site.tag("model.version") == 1
@@ -95,11 +96,11 @@ def test_everything_comes_back_by_itself(site: Site) -> None:
         assert len(times) == len(set(times)), "no sample twice"
         bad = [sample for sample in stored if sample.quality < 64]
         assert all(sample.value is None for sample in bad)
-        # Both outages are marked: wherever good samples are far apart, a bad one lies between.
+        # Both outages are marked: a bad sample lies between the good ones before and after.
         good = [sample.time_us for sample in stored if sample.quality >= 192]
-        gaps = [(a, b) for a, b in pairwise(good) if b - a > 1_500_000 * RATE]
-        assert len(gaps) >= 2
-        for start_us, end_us in gaps:
+        for outage_us in outages_us:
+            start_us = max(time_us for time_us in good if time_us <= outage_us)
+            end_us = min(time_us for time_us in good if time_us > outage_us)
             assert any(start_us < sample.time_us < end_us for sample in bad)
 
 
@@ -126,7 +127,7 @@ def test_a_second_service_on_the_same_data_is_refused(site: Site) -> None:
         [sys.executable, "-m", "service", "serve", "-c", str(site.configuration)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=180,
         check=False,
     )
     assert second.returncode == 2

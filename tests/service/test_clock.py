@@ -9,7 +9,8 @@ from service.clock import ProcessClock, from_rfc3339, rfc3339
 
 
 def test_rate_one_is_the_system_clock() -> None:
-    assert abs(ProcessClock().now_us() - time.time_ns() // 1000) < 1_000_000
+    before_us = time.time_ns() // 1000
+    assert before_us <= ProcessClock().now_us() <= time.time_ns() // 1000
 
 
 def test_a_fast_clock_runs_at_its_rate() -> None:
@@ -21,18 +22,18 @@ def test_a_fast_clock_runs_at_its_rate() -> None:
 
 
 async def test_sleep_takes_process_seconds() -> None:
-    clock = ProcessClock(50.0)
+    clock = ProcessClock(6000.0)
     wall_s = time.monotonic()
-    await clock.sleep(5.0)
-    assert 0.1 <= time.monotonic() - wall_s < 4.0
+    await clock.sleep(600.0)
+    assert 0.1 <= time.monotonic() - wall_s < 60.0  # of six hundred
 
 
 def test_a_restart_goes_on_in_the_same_process_time(tmp_path: Path) -> None:
     first = ProcessClock.resume(1000.0, tmp_path)
     time.sleep(0.05)
     second = ProcessClock.resume(1000.0, tmp_path)
-    difference_us = second.now_us() - first.now_us()
-    assert abs(difference_us) < 20_000_000  # 20 ms of wall time; 50 ms were slept
+    before_us, resumed_us, after_us = first.now_us(), second.now_us(), first.now_us()
+    assert before_us <= resumed_us <= after_us
 
 
 def test_another_rate_never_goes_back(tmp_path: Path) -> None:

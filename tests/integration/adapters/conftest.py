@@ -56,7 +56,7 @@ class Record:
     def qualities(self, channel: str) -> list[int]:
         return [sample.quality for sample in self.of(channel)]
 
-    async def until(self, condition: Callable[[], Any], timeout_s: float = 10.0) -> None:
+    async def until(self, condition: Callable[[], Any], timeout_s: float = 30.0) -> None:
         """Wait until the condition holds; say what there is when it does not."""
         end = time.monotonic() + timeout_s
         while not condition():
@@ -137,6 +137,13 @@ class Peer:
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
+
+    def pause(self) -> None:
+        """Have it send nothing more; what it has sent may still be on its way."""
+        self.tell("pause")
+        assert self._process is not None
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline().strip() == "paused"
 
     def kill(self) -> None:
         """End it the hard way, as by SIGKILL or a power failure."""

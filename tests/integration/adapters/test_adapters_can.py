@@ -65,8 +65,9 @@ async def test_no_doubtful_frame_becomes_a_good_value(
     adapter.start()
     async with drive(source, CHANNELS) as record:
         await record.until(lambda: len(record.samples) > 4)
-        adapter.tell("pause")
-        await asyncio.sleep(0.2)
+        await asyncio.to_thread(adapter.pause)
+        adapter.tell("line t1008" + "8283" + "00" * 6)  # the last good one
+        await record.until(lambda: record.samples[-1].value == 4208.25)
         before = len(record.samples)
         errors = {}
         for line, error in [
@@ -116,7 +117,7 @@ async def test_comes_back_by_itself_from_a_killed_adapter_also_at_the_first_star
             await record.until(lambda: record.qualities("load_n")[-1] == GOOD)
             assert record.driver.health().up
             await asyncio.to_thread(adapter.kill)
-            await record.until(lambda: record.qualities("load_n")[-1] == COMM, 2.0)
+            await record.until(lambda: record.qualities("load_n")[-1] == COMM)
             assert not record.driver.health().up
             for channel in CHANNELS:
                 assert record.qualities(channel).count(COMM) == restart + 1
@@ -130,10 +131,10 @@ async def test_an_adapter_that_hangs_up_at_once_leaks_nothing_and_is_not_hammere
     peer("slcan_adapter.py", free_port, 0.01, "hang-up").start()
     async with drive(source, CHANNELS) as record:
         descriptors = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-        await asyncio.sleep(3.0)
-        health = record.driver.health()
-        assert not health.up
-        assert 2 <= sum(health.errors.values()) <= 6
+        began, tries = time.monotonic(), sum(record.driver.health().errors.values())
+        await record.until(lambda: sum(record.driver.health().errors.values()) >= tries + 4)
+        assert time.monotonic() - began > 0.6  # it waits ever longer between its tries
+        assert not record.driver.health().up
         assert len(record.samples) == 2
         assert len(os.listdir("/proc/self/fd")) <= descriptors + 2  # noqa: PTH208
     assert listening_threads() == []
@@ -146,14 +147,14 @@ async def test_a_bus_that_falls_silent_shows_in_the_health_and_is_opened_anew(
     peer: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("adapters.can.reader.SILENCE_FIRST_S", 3.0)
+    monkeypatch.setattr("adapters.can.reader.SILENCE_FIRST_S", 6.0)
     adapter = peer("slcan_adapter.py", free_port, 0.02)
     adapter.start()
     async with drive(source, CHANNELS) as record:
         await record.until(lambda: record.driver.health().polls >= 20)
         adapter.tell("pause")
         await record.until(lambda: not record.driver.health().up)
-        assert "DriveStatus: no frame for 1." in record.driver.health().detail
+        assert "DriveStatus: no frame for " in record.driver.health().detail
         assert COMM not in record.qualities("load_n")
         await record.until(lambda: record.driver.health().reconnects >= 1)
         assert record.qualities("load_n")[-1] == COMM
@@ -168,8 +169,7 @@ async def test_samples_that_nobody_takes_are_bounded_and_the_newest_are_kept(
     adapter.start()
     async with drive(source, CHANNELS) as record:
         await record.until(lambda: record.samples)
-        adapter.tell("pause")
-        await asyncio.sleep(0.2)
+        await asyncio.to_thread(adapter.pause)
         adapter.tell("flood 60000")
         adapter.tell("line t1008" + "8083" + "00" * 6)
         end = time.monotonic() + 60.0
@@ -186,10 +186,13 @@ async def test_process_time_of_the_reception_is_the_source_time(
 ) -> None:
     peer("slcan_adapter.py", free_port, 0.02).start()
     async with drive(source, CHANNELS, rate=60.0) as record:
+        began_us = record.clock.now_us()
         await record.until(lambda: len(record.of("load_n")) >= 50)
         times = [sample.time_us for sample in record.of("load_n")]
+        assert began_us <= times[0]
+        assert times[-1] <= record.clock.now_us()
         period_s = (times[-1] - times[0]) / 1e6 / (len(times) - 1)
-        assert period_s == pytest.approx(60.0 * 0.02, rel=0.5)
+        assert period_s > 60.0 * 0.02 / 5  # of process time, not of the wall's
         # once a frame is older than 1.5 wall seconds it counts as stale, whatever its period
         assert record.driver.health().up
 

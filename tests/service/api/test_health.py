@@ -72,7 +72,7 @@ async def test_store_that_does_not_answer_degrades_while_the_spool_takes_samples
         intruder.isolation_level = None
         intruder.execute("BEGIN EXCLUSIVE")
         world.context.ingest.submit([sample])
-        for _ in range(100):
+        for _ in range(300):
             status, document = await ready(world)
             if status == 503:
                 break

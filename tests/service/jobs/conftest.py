@@ -1,22 +1,29 @@
 """A store with two hours of a real run in it: simulated, sampled, with sensor noise."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from job_shop import ASSET, Shop
 
 from adapters.samples import Quality, Sample
+from service.alarms import AlarmBook
+from service.jobs.history import AssetHistory
+from service.jobs.models import active_model, first_model
+from service.kernels import compile_kernels
+from service.live.asset import AssetRuntime
+from service.live.bus import Bus
 from service.settings import AssetSection
-from service.store import Store
+from service.store import Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile, simulate
 
-ASSET = "bench-1"
 MINUTE_US = 60_000_000
 START_US = 29_395_000 * MINUTE_US
 EVERY_S = 10.0
@@ -85,6 +92,12 @@ def run_samples() -> list[Sample]:
     return samples
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _compiled() -> None:
+    """The first computation of all takes a minute, on a slow machine many: no test waits for it."""
+    compile_kernels()
+
+
 @pytest.fixture(scope="session")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
@@ -126,3 +139,42 @@ def make_sample() -> Callable[..., Sample]:
 @pytest.fixture
 def start_us() -> int:
     return START_US
+
+
+@pytest.fixture
+async def shop(
+    run_store: Store, clock: Any, make_section: Callable[..., Any], tmp_path: Path
+) -> AsyncIterator[Shop]:
+    bus = Bus(clock)
+    outbox = Outbox.open(tmp_path, run_store)
+    alarms = AlarmBook(outbox, clock, lambda _: None)
+    assets, histories = {}, {}
+    with ThreadPoolExecutor(1) as executor:
+        for asset_id in (ASSET, "bench-2"):
+            settings = make_section(id=asset_id)
+            number = run_store.add_model_version(
+                asset_id, "candidate", "", first_model(settings), 1
+            )
+            first = run_store.activate(asset_id, number, "service", "first", 1)
+
+            async def nothing(*_: Any) -> list[Any]:
+                return []
+
+            assets[asset_id] = AssetRuntime(
+                settings,
+                {},
+                active_model(settings, first),
+                clock=clock,
+                bus=bus,
+                alarms=alarms,
+                executor=executor,
+                store_samples=lambda _: None,
+                save_state=nothing,  # type: ignore[arg-type]
+                windows=nothing,
+            )
+            histories[asset_id] = AssetHistory(settings, run_store, clock)
+        shop = Shop(run_store, outbox, clock, tmp_path / "jobs", assets, histories, bus, alarms)
+        yield shop
+        for jobs in shop.managers:
+            await jobs.stop()
+    outbox.close()

@@ -13,7 +13,8 @@ from service.jobs.executor import make_executor
 def test_the_worker_is_another_process_of_lower_priority() -> None:
     with make_executor() as executor:
         assert executor.submit(os.getpid).result(60) != os.getpid()
-        assert executor.submit(os.nice, 0).result(60) > os.nice(0)
+        # 19 is as low as it goes; the tests themselves may be run at a low priority.
+        assert executor.submit(os.nice, 0).result(60) == min(os.nice(0) + 10, 19)
 
 
 def test_a_killed_worker_is_noticed() -> None:

@@ -91,7 +91,7 @@ class Live:
         look: Callable[[], Any],
         what: str,
         feeding: Mapping[str, float] | None = None,
-        timeout_s: float = 30.0,
+        timeout_s: float = 60.0,
     ) -> Any:
         """Wait until something is there; the machine goes on sending meanwhile."""
         async with asyncio.timeout(timeout_s):

@@ -191,4 +191,4 @@ async def test_the_event_loop_goes_on_while_they_are_computed(
         late_s.append(time.perf_counter() - begun)
     await computing
     assert len(late_s) > 20
-    assert np.median(late_s) < 0.02
+    assert max(late_s) < sum(late_s) / 2

@@ -419,7 +419,7 @@ def test_a_stopped_identification_leaves_nothing_and_showed_its_progress(
             shown += chunk
     except OSError:
         pass  # the other side is closed
-    output, _ = process.communicate(timeout=10)
+    output, _ = process.communicate(timeout=60)
     os.close(master)
     assert (process.returncode, output) == (0, b"")
     assert b"stopped; nothing is written" in shown

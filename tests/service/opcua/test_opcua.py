@@ -21,7 +21,7 @@ from service.opcua.server import serve_tags
 from service.security import AuditTrail, Authenticator, create_key, revoke_key
 from service.security.authenticator import FAILED_LOGINS_PER_MINUTE
 from service.settings import OpcUaSection, Settings
-from service.store import Store
+from service.store import Outbox, Store
 
 Answer = TypeVar("Answer")
 WRONG = "bt_00000000_" + "A" * 43
@@ -57,13 +57,19 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield store
 
 
+@pytest.fixture
+def outbox(store: Store, tmp_path: Path) -> Iterator[Outbox]:
+    with Outbox.open(tmp_path, store) as outbox:
+        yield outbox
+
+
 @asynccontextmanager
 async def serving(
-    asset: Asset, folder: Path, store: Store, host: str = "127.0.0.1"
+    asset: Asset, folder: Path, store: Store, outbox: Outbox, host: str = "127.0.0.1"
 ) -> AsyncIterator[str]:
     port = free_port()
     section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    authenticator, trail = Authenticator(store), AuditTrail(store)
+    authenticator, trail = Authenticator(store), AuditTrail(outbox)
     async with serve_tags(section, {"bench-1": asset}, authenticator, trail, folder) as tags:
         running = asyncio.create_task(tags.run())
         try:
@@ -99,7 +105,7 @@ class Changes:
 @pytest.mark.wires
 async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path, store: Store) -> None:
     asset = Asset()
-    async with serving(asset, tmp_path, store) as address:
+    async with serving(asset, tmp_path, store, outbox) as address:
 
         async def look() -> None:
             async with Client(address) as client:
@@ -149,10 +155,10 @@ async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path, st
 
 @pytest.mark.wires
 async def test_clients_come_and_go_and_a_tag_that_is_new_appears(
-    tmp_path: Path, store: Store
+    tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
     asset = Asset()
-    async with serving(asset, tmp_path, store) as address:
+    async with serving(asset, tmp_path, store, outbox) as address:
 
         async def vanish() -> None:
             client = Client(address)
@@ -179,10 +185,10 @@ async def test_clients_come_and_go_and_a_tag_that_is_new_appears(
 
 @pytest.mark.wires
 async def test_beyond_loopback_a_key_is_asked_for_and_the_line_may_be_encrypted(
-    tmp_path: Path, store: Store
+    tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
     viewer, gateway = (create_key(store, role).text for role in ("viewer", "gateway"))
-    async with serving(Asset(), tmp_path, store, host="0.0.0.0") as address:
+    async with serving(Asset(), tmp_path, store, outbox, host="0.0.0.0") as address:
 
         async def value(password: str | None, encrypted: bool = False) -> Any:
             client = Client(address)
@@ -221,10 +227,10 @@ async def activate(address: str, key: str) -> None:
 
 @pytest.mark.wires
 async def test_wrong_keys_are_noted_and_an_address_has_only_so_many(
-    tmp_path: Path, store: Store
+    tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
     good, other = create_key(store, "viewer").text, create_key(store, "operator").text
-    async with serving(Asset(), tmp_path, store) as address:
+    async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def guess() -> None:
             await activate(address, good)
@@ -239,6 +245,7 @@ async def test_wrong_keys_are_noted_and_an_address_has_only_so_many(
             await activate(address, good)  # who is known already is not disturbed
 
         await apart(guess)
+        assert outbox.flush(30)
     lines = [line for line in store.audit().items if line.action == "key.refuse"]
     assert len(lines) == FAILED_LOGINS_PER_MINUTE
     assert {(line.who, line.address, line.detail) for line in lines} == {
@@ -248,10 +255,10 @@ async def test_wrong_keys_are_noted_and_an_address_has_only_so_many(
 
 @pytest.mark.wires
 async def test_a_revoked_key_ends_its_connections_and_no_other(
-    tmp_path: Path, store: Store
+    tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
     revoked, kept = create_key(store, "viewer"), create_key(store, "viewer")
-    async with serving(Asset(), tmp_path, store) as address:
+    async with serving(Asset(), tmp_path, store, outbox) as address:
 
         async def follow(key: str) -> Client:
             client = Client(address)

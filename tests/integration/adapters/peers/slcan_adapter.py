@@ -2,7 +2,8 @@
 
 Once its channel is open it sends frames 0x100 (Intel speed, counting up from 8000 in steps of
 0.125 rpm) and 0x18FEF100 (Motorola load, 26500) every PERIOD seconds. Commands on standard input:
-``pause``, ``go``, ``line TEXT`` (TEXT with escapes, sent as one line), ``flood N``.
+``pause`` (answered by a line when the last frame is sent), ``go``, ``line TEXT`` (TEXT with
+escapes, sent as one line), ``flood N``.
 """
 
 import socket
@@ -13,13 +14,14 @@ import time
 
 def main(port: int, period_s: float, hang_up: bool) -> None:
     server = socket.create_server(("127.0.0.1", port))
-    state = {"running": True, "connection": None}
+    state = {"running": True, "told": True, "connection": None}
 
     def commands() -> None:
         for command in sys.stdin:
             word, _, rest = command.rstrip("\n").partition(" ")
             connection = state["connection"]
             if word in ("pause", "go"):
+                state["told"] = word == "go"
                 state["running"] = word == "go"
             elif word == "line" and connection:
                 connection.sendall(rest.encode().decode("unicode_escape").encode("latin-1") + b"\r")
@@ -54,6 +56,10 @@ def main(port: int, period_s: float, hang_up: bool) -> None:
                         f"t1008{payload.hex()}\r".encode() + b"T18FEF10086784000000000000\r"
                     )
                     speed = 8000 if speed >= 64000 else speed + 1
+                elif not state["told"]:
+                    state["told"] = True
+                    sys.stdout.write("paused\n")
+                    sys.stdout.flush()
                 time.sleep(period_s)
         except OSError:
             state["connection"] = None
