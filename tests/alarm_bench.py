@@ -68,7 +68,7 @@ class Bench:
         return alarm
 
     def journal(self) -> list[AlarmTransition]:
-        assert self.outbox.flush(10)
+        assert self.outbox.flush(30)
         return self.store.alarm_journal(limit=100_000).items[::-1]
 
     def restart(self) -> None:

@@ -180,7 +180,7 @@ def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> Non
         assert [one for one, status in statuses.items() if status == "active"] == [version]
     wait_until(
         lambda: live.get(f"/api/v1/assets/{ASSET}/forecast")["model_version"] == newest,
-        10,
+        30,
         "a forecast of the active version",
     )
 
@@ -192,7 +192,7 @@ def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> Non
         return rows if len(rows) > 3 else None
 
     # The twin is stored once a process minute: the four switches may well take less.
-    stored = wait_until(stored_since, 20, "stored values of the twin")
+    stored = wait_until(stored_since, 30, "stored values of the twin")
     values = [item["value"] for item in stored]
     # A cold machine itself warms by a kelvin a minute at this rate.
     assert max(abs(b - a) for a, b in pairwise(values)) < 2.0, "the live twin made no jump"
@@ -218,7 +218,7 @@ def test_a_job_is_accepted_once_and_seen_at_its_location(quiet: Site) -> None:
     while len(seen) < 4:
         now = wait_until(
             lambda: (found := job(quiet, job_id))["progress"] > seen[-1]["progress"] and found,
-            15,
+            60,
             "more progress",
         )
         seen.append(now)
@@ -326,7 +326,7 @@ def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     )
     quiet.start_service()
     assert quiet.tag("model.version") == active
-    again = wait_until(lambda: quiet.tag("t_node_7_c.twin"), 10, "the twin's estimate")
+    again = wait_until(lambda: quiet.tag("t_node_7_c.twin"), 30, "the twin's estimate")
     assert again == pytest.approx(node, abs=1.0), "no jump"
     later = quiet.get(f"/api/v1/assets/{ASSET}/state")["nodes"]["t_node_7_c"]
     # It grows with the time away; an estimate begun anew would know far less.
@@ -354,7 +354,7 @@ def test_a_service_killed_in_mid_job_takes_it_up_again(quiet: Site) -> None:
     worker = worker_of(quiet)
     assert quiet.service is not None
     quiet.service.kill()
-    wait_until(lambda: not Path(f"/proc/{worker}").exists(), 5, "no worker outlives its service")
+    wait_until(lambda: not Path(f"/proc/{worker}").exists(), 30, "no worker outlives its service")
     quiet.start_service()
     done = ended(quiet, job_id)
     assert (done["status"], done["attempts"]) == ("succeeded", 2)

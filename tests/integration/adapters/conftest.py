@@ -115,7 +115,7 @@ async def running_driver(
             await asyncio.wait({task}, timeout=1.0)
         stopped_after_s = time.monotonic() - began
     record.check()
-    assert stopped_after_s < 20.0
+    assert stopped_after_s < 60.0
 
 
 class Peer:

@@ -91,7 +91,7 @@ def test_what_was_said_outlives_a_killed_process(bench: Bench) -> None:
         "bench.book.acknowledge(ids['a'], 'eva', 'seen')\n"
         "bench.book.shelve(ids['b'], 600, 'eva')\n"
         "bench.book.take_out_of_service(ids['c'], 'ina', 'on order')\n"
-        "assert bench.outbox.flush(10)\n"
+        "assert bench.outbox.flush(30)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     other = bench.data_dir / "other"
