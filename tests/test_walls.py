@@ -73,7 +73,7 @@ def test_all_but_the_surrogates_can_do_without_scikit_learn() -> None:
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=280,
     )
     expected = "scikit-learn is not installed: pip install 'bearing-twin[surrogates]'\n"
     assert done.stdout == expected

@@ -100,7 +100,7 @@ def test_what_was_said_outlives_a_killed_process(bench: Bench) -> None:
     killed = subprocess.run(
         [sys.executable, "-c", code, str(other)],
         env=os.environ | {"PYTHONPATH": path},
-        timeout=60,
+        timeout=180,
         check=False,
     )
     assert killed.returncode == -signal.SIGKILL

@@ -33,7 +33,7 @@ def twin(*arguments: object) -> subprocess.CompletedProcess[str]:
         [sys.executable, "-m", "service", *(str(argument) for argument in arguments)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=280,
         check=False,
     )
 

@@ -42,7 +42,7 @@ def test_a_second_service_with_a_directory_of_its_own_is_refused(
             [sys.executable, "-m", "service", "serve", "-c", str(configuration)],
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=280,
             check=False,
         )
     assert second.returncode == 2, second.stderr

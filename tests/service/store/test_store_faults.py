@@ -38,7 +38,7 @@ def test_a_killed_writer_loses_nothing_that_it_acknowledged(
     for _ in range(batches_before_the_kill):
         acknowledged = int(writer.stdout.readline())
     writer.send_signal(signal.SIGKILL)
-    rest, _ = writer.communicate(timeout=60)
+    rest, _ = writer.communicate(timeout=180)
     acknowledged = int(rest.split()[-1]) if rest.split() else acknowledged
 
     with Store.open("", tmp_path) as store:
@@ -76,7 +76,7 @@ def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
             store.write_samples([Sample("a", f"c{t % 3}", t, 1.0, 192, t) for t in times])
             store.save_asset_state("a", {"number": number})
         stop.set()
-        assert all(reader.result(timeout=60) > 0 for reader in readers)
+        assert all(reader.result(timeout=180) > 0 for reader in readers)
     assert store.load_asset_state("a") == {"number": batches - 1}
     assert len(store.read_samples("a", None, 0, 2**62, 10**6)) == batches * size
 

@@ -189,7 +189,7 @@ def test_a_store_that_may_not_be_written_is_refused(tmp_path: Path, there_before
         "try: Store.open('', pathlib.Path(sys.argv[1]))\n"
         "except StoreError as error: print(error)\n"
     )
-    said, _ = python(code, str(data_dir)).communicate(timeout=60)
+    said, _ = python(code, str(data_dir)).communicate(timeout=180)
     assert said.startswith(f"store {data_dir}/{FILE_NAME}: ")
     assert "may" in said
     assert said.count("\n") == 1
@@ -205,7 +205,7 @@ def test_programs_that_start_together_make_one_store(tmp_path: Path) -> None:
         "    store.write_samples([Sample('a', 'x', int(sys.argv[2]), 1.0, 192, 0)])\n"
     )
     programs = [python(code, str(tmp_path), str(number)) for number in range(4)]
-    results = [program.communicate(timeout=60)[0] for program in programs]
+    results = [program.communicate(timeout=180)[0] for program in programs]
     assert results == [""] * 4
     with Store.open("", tmp_path) as store:
         assert len(store.read_samples("a", None, 0, 10, 10)) == 4
@@ -231,7 +231,7 @@ def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_
             prefix="p", sha256="h", role="viewer", created_us=1, expires_us=None
         )
         assert store.find_api_key("h") == key
-    first.communicate(timeout=60)
+    first.communicate(timeout=180)
     lock_data_directory(tmp_path).close()
 
 
@@ -240,7 +240,7 @@ def test_a_killed_service_leaves_no_lock(tmp_path: Path) -> None:
     assert first.stdout is not None
     first.stdout.readline()
     first.send_signal(signal.SIGKILL)
-    first.communicate(timeout=60)
+    first.communicate(timeout=180)
     with lock_data_directory(tmp_path) as lock:
         with pytest.raises(DataDirectoryInUseError, match=rf"process {os.getpid()}"):
             lock_data_directory(tmp_path)
