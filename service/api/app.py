@@ -8,7 +8,6 @@ from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.middleware import Middleware
-from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 import service.dashboard
 from service.api.access import make_door
@@ -20,6 +19,7 @@ from service.api.middleware import (
     Gunzip,
     JsonBodies,
     LastResort,
+    Packing,
     SecurityHeaders,
 )
 from service.api.problems import install_handlers
@@ -46,9 +46,6 @@ from service.security import AuditTrail, Authenticator
 
 API_PREFIX = "/api/v1"
 _DASHBOARD = Path(service.dashboard.__file__).parent / "static"
-# A little is sent sooner than packed; the first levels pack nearly as well as the last.
-_PACKED_FROM_BYTES = 4096
-_PACKED_LEVEL = 4
 _DESCRIPTION = """
 Digital twin of rolling bearings: measurements, estimated node temperatures, forecasts with
 intervals, identification and alarms.
@@ -102,12 +99,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         },
         middleware=[
             Middleware(SecurityHeaders),
-            Middleware(
-                GZipMiddleware,
-                minimum_size=_PACKED_FROM_BYTES,
-                compresslevel=_PACKED_LEVEL,
-                exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, measurements.PARQUET),
-            ),
+            Middleware(Packing, excluded=(measurements.PARQUET,)),
             Middleware(LastResort),
             Middleware(AtTheDoor, door=make_door(authenticator, trail)),
             Middleware(SnapshotShortcut, snapshots=snapshots, assets=context.assets),

@@ -3,10 +3,11 @@
 import re
 import traceback
 import zlib
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Final
 
 import structlog
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
@@ -60,6 +61,12 @@ _ADDED_HEADERS: Final = {
     for api in (False, True)
 }
 
+# Those who poll a snapshot every second get a little sooner than packed; a page of fifty small
+# files is a quarter lighter packed. The first levels pack nearly as well as the last.
+_API_PACKED_FROM_BYTES = 4 * KIB
+_PAGE_PACKED_FROM_BYTES = 1 * KIB
+_PACKED_LEVEL = 4
+
 _log = structlog.get_logger(__name__)
 
 Door = Callable[[Request], Awaitable[None]]
@@ -89,6 +96,35 @@ class SecurityHeaders:
             await send(message)
 
         await self.app(scope, receive, send_with_headers)
+
+
+class Packing:
+    """Send answers packed to those who can unpack them.
+
+    Parameters
+    ----------
+    app
+        What lies behind.
+    excluded : sequence of str
+        Content types that are packed already.
+    """
+
+    def __init__(self, app: ASGIApp, excluded: Sequence[str]) -> None:
+        def packing(from_bytes: int) -> GZipMiddleware:
+            return GZipMiddleware(
+                app,
+                minimum_size=from_bytes,
+                compresslevel=_PACKED_LEVEL,
+                exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, *excluded),
+            )
+
+        self._api = packing(_API_PACKED_FROM_BYTES)
+        self._page = packing(_PAGE_PACKED_FROM_BYTES)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on and pack the answer."""
+        of_api = scope["type"] == "http" and scope["path"].startswith("/api/")
+        await (self._api if of_api else self._page)(scope, receive, send)
 
 
 class LastResort:
