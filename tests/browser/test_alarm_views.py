@@ -132,6 +132,30 @@ def test_out_of_service_and_back(screen: Screen, hot: dict[str, Any], problems: 
     assert problems == []
 
 
+def test_what_is_not_there_is_shelved_and_taken_out_before_it_comes(
+    screen: Screen, problems: list[str]
+) -> None:
+    page = screen("alarms", "engineer")
+    page.get_by_text("Watched, not there now").click()
+    # By its text: once it has been there, the condition that is watched on is another one.
+    row = page.locator(".al", has_text=re.compile("Inner ring over alarm"))
+    expect(row).to_have_attribute("data-state", "NORM")
+    row.get_by_role("button", name=re.compile("^Shelve")).click()
+    page.get_by_label("For how many minutes").fill("480")
+    page.get_by_label("Reason").fill("hot air is blown at it")
+    page.get_by_role("dialog").get_by_role("button", name="Shelve", exact=True).click()
+    expect(row).to_have_attribute("data-state", "SHLVD")
+    row.get_by_role("button", name=re.compile("^Unshelve")).click()
+    expect(row).to_have_attribute("data-state", "NORM")
+    row.get_by_role("button", name=re.compile("^Out of service")).click()
+    page.get_by_label("Reason").fill("sensor is replaced")
+    page.get_by_role("button", name="Take out of service").click()
+    expect(row).to_have_attribute("data-state", "OOSRV")
+    row.get_by_role("button", name=re.compile("^Return to service")).click()
+    expect(row).to_have_attribute("data-state", "NORM")
+    assert problems == []
+
+
 def test_a_viewer_sees_the_alarm_and_cannot_answer_it(screen: Screen, hot: dict[str, Any]) -> None:
     page = screen(f"operator/{BEARING}", "viewer")
     button = row(page, hot).get_by_role("button", name=re.compile("^Acknowledge"))

@@ -22,10 +22,11 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
     assert plant.service is not None
     plant.service.process.send_signal(signal.SIGSTOP)
     try:
-        expect(page.locator("#lost")).to_contain_text("The service does not answer")
+        expect(page.locator("#lost")).to_contain_text("No answer from the service")
         expect(page.locator("body")).to_have_class(re.compile("away"))
         expect(now).to_have_text("Unknown")
         expect(page.locator(".clock")).to_have_text(re.compile("old"))
+        expect(page.locator("#banner")).to_contain_text("Alarms unknown")
         assert page.locator("main").evaluate("(main) => main.inert")
         page.get_by_role("button", name="12 h").focus()
         assert page.evaluate("document.activeElement === document.body")
@@ -34,5 +35,6 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
         plant.service.process.send_signal(signal.SIGCONT)
     page.evaluate("document.querySelector('#lost .btn')?.click()")  # it may be back by itself
     expect(page.locator("#lost")).to_be_empty()
+    expect(page.locator("#banner")).to_contain_text("No active alarms")
     expect(now).to_have_text(re.compile("Safe|At rest"))
     assert not page.locator("main").evaluate("(main) => main.inert")

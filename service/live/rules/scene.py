@@ -17,6 +17,8 @@ _LABELS = {
     "ambient_c": "Ambient",
     "speed_rpm": "Speed",
     "load_n": "Load",
+    "speed_setpoint_rpm": "Speed set-point",
+    "load_setpoint_n": "Load set-point",
 }
 _RUNNING_KINDS = frozenset({"rate of rise", "twin difference", "twin residual"})
 

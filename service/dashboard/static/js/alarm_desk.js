@@ -28,7 +28,7 @@ const ACTIONS = {
   },
   comment: {
     text: 'Comment…', role: 'operator', failure: 'Comment not kept',
-    applies: () => true,
+    applies: (alarm) => alarm.state !== 'NORM',
     ask: (alarm) => asComment(askReason({
       title: `Comment: ${alarm.message}`, text: 'For those who look at this alarm after you.',
       label: 'Comment (goes to the journal)', action: 'Keep comment',

@@ -11,25 +11,31 @@ import { currentSession, logInFromAddress, logOut, showLogin } from './login.js'
 import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
 
-// Views are fetched when they are first shown, so that the first of them is there at once.
+// Views are fetched when they are first shown, so that the first of them is there at once; `style`
+// is the style sheet of a view that has one of its own.
 const VIEWS = {
   fleet: {
     title: 'Fleet', from: 'viewer', load: async () => (await import('./views/fleet.js')).FleetView,
+    style: 'css/fleet.css',
   },
   operator: {
     title: 'Operator', from: 'viewer', load: async () => (await import('./views/operator.js')).OperatorView,
   },
   whatif: {
     title: 'What-if', from: 'operator', load: async () => (await import('./views/whatif.js')).WhatIfView,
+    style: 'css/whatif.css',
   },
   envelope: {
     title: 'Envelope', from: 'viewer', load: async () => (await import('./views/envelope.js')).EnvelopeView,
+    style: 'css/envelope.css',
   },
   engineer: {
     title: 'Engineer', from: 'engineer', load: async () => (await import('./views/engineer.js')).EngineerView,
+    style: 'css/engineer.css',
   },
   history: {
     title: 'History', from: 'viewer', load: async () => (await import('./views/history.js')).HistoryView,
+    style: 'css/history.css',
   },
   alarms: {
     title: 'Alarms', from: 'viewer', load: async () => (await import('./views/alarms.js')).AlarmsView,
@@ -71,7 +77,8 @@ const page = {
   wish: null, // a point that one view hands over to another: { speed_rpm, load_n }
 };
 
-const header = new Header(find('#top'), {
+const jobBox = h('div', { id: 'jobstrip' });
+const header = new Header(find('#top'), jobBox, {
   chooseAsset: (id) => page.openAsset(id, viewName() === 'fleet' ? 'operator' : viewName()),
   switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
   logOut: async () => {
@@ -82,7 +89,7 @@ const header = new Header(find('#top'), {
 });
 const strip = new LostStrip(find('#lost'), () => live.stream?.tryNow());
 const banner = new Banner(find('#banner'), desk);
-const jobs = new JobStrip(find('#jobstrip'));
+const jobs = new JobStrip(jobBox);
 
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
@@ -96,7 +103,9 @@ async function showView() {
   view?.destroy();
   view = null;
   const asked = readHash().view;
-  if (VIEWS[asked] && asked !== name) notify(refusal(VIEWS[asked].from));
+  if (VIEWS[asked] && asked !== name) {
+    notify(refusal(VIEWS[asked].from) || 'There is one asset only: this is its page.');
+  }
   put(main).className = `v-${name}`;
   document.body.dataset.view = name;
   const tabs = Object.entries(VIEWS).filter(([key]) => key !== 'fleet' || several());
@@ -110,7 +119,7 @@ async function showView() {
   const mine = latest;
   let View;
   try {
-    View = await VIEWS[name].load();
+    View = await fetchView(name);
   } catch {
     put(main, h('p', { class: 'panel waiting' }, 'This view cannot be fetched from the service.'));
     return;
@@ -120,9 +129,32 @@ async function showView() {
   updateFrame();
 }
 
+/** The class of a view, once its style sheet is there too. */
+async function fetchView(name) {
+  const { load, style } = VIEWS[name];
+  const [View] = await Promise.all([load(), style && fetchStyle(style)]);
+  return View;
+}
+
+const styles = new Map();
+
+function fetchStyle(href) {
+  if (!styles.has(href)) {
+    styles.set(href, new Promise((resolve, reject) => {
+      const forget = (event) => {
+        styles.delete(href);
+        event.target.remove();
+        reject(new Error(`no ${href}`));
+      };
+      document.head.append(h('link', { rel: 'stylesheet', href, onload: resolve, onerror: forget }));
+    }));
+  }
+  return styles.get(href);
+}
+
 /** Have every view at hand before the service may be away. */
 function fetchOthers() {
-  for (const { load, from } of Object.values(VIEWS)) if (may(from)) load().catch(() => {});
+  for (const [name, { from }] of Object.entries(VIEWS)) if (may(from)) fetchView(name).catch(() => {});
 }
 
 /** Show what the address asks for. */

@@ -1,14 +1,20 @@
 // The worst active alarm; the bar keeps its place when there is none, so that nothing jumps.
 import { refuse } from './alarm_list.js';
 import {
-  byUrgency, detailText, isAside, isShown, needsAcknowledge, raisedMs, symbol, worst,
+  byUrgency, detailText, isAside, needsAcknowledge, raisedMs, symbol, worst,
 } from './alarms.js';
 import { h, put, setText } from './dom.js';
 import { dayOrTime, joined, timeElement } from './format.js';
 import { icon } from './icons.js';
-import { isDistrust } from './readings.js';
+import { isActive, isDistrust } from './readings.js';
 
-const isQuiet = (alarm) => isShown(alarm) && !isAside(alarm);
+/** Why there is no telling whether an alarm is there, or ''. */
+function ignorance(feeds) {
+  const states = feeds.map((feed) => feed.store.state);
+  if (states.some(({ link }) => link.status === 'away')) return 'the service does not answer';
+  const waiting = states.some(({ link, alarmsKnown }) => link.status !== 'live' || !alarmsKnown);
+  return waiting ? 'asking the service' : '';
+}
 
 export class Banner {
   constructor(box, desk) {
@@ -43,12 +49,15 @@ export class Banner {
       button.hidden = !alarm || (name === 'acknowledge' && !needsAcknowledge(alarm));
       if (alarm) refuse(button, this.desk.refusal(name, alarm));
     }
-    const look = alarm ? [alarm.id, alarm.state, alarm.priority].join() : 'quiet';
-    if (look !== this.look) this.changeLook(alarm);
+    const unknown = ignorance(feeds);
+    const blind = all.some((one) => isActive(one) && isDistrust(one));
+    const look = alarm ? [alarm.id, alarm.state, alarm.priority].join()
+      : ['quiet', unknown, blind].join();
+    if (look !== this.look) this.changeLook(alarm, unknown, blind);
     this.look = look;
     if (!alarm) {
-      setText(this.message, all.some((one) => isQuiet(one) && isDistrust(one))
-        ? 'No limit alarms' : 'No active alarms');
+      setText(this.message, unknown ? `Alarms unknown: ${unknown}`
+        : blind ? 'No limit alarms; what has no data cannot raise one' : 'No active alarms');
       setText(this.detail, '');
       put(this.since);
       this.sinceKey = null;
@@ -56,9 +65,9 @@ export class Banner {
     }
     const now = live(alarm);
     const asset = named ? `${alarm.asset}: ` : '';
-    setText(this.message,
-      joined(`${asset}${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
-    setText(this.detail, `${alarm.predicted ? ', ' : '  '}${detailText(alarm, now)}`);
+    setText(this.message, joined(`${unknown ? 'LAST KNOWN ' : ''}${asset}`
+      + `${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
+    setText(this.detail, unknown ? '' : `${alarm.predicted ? ', ' : '  '}${detailText(alarm, now)}`);
     this.updateSince(alarm, dayOrTime(raisedMs(alarm), now.nowMs), look);
   }
 
@@ -79,11 +88,12 @@ export class Banner {
     this.more.hidden = !this.more.textContent;
   }
 
-  changeLook(alarm) {
+  changeLook(alarm, unknown, blind) {
     delete this.box.dataset.p;
     if (!alarm) {
-      this.box.className = 'banner quiet';
-      put(this.symbol, icon('ok')).className = '';
+      this.box.className = `banner quiet${unknown ? ' unknown' : ''}`;
+      const calm = icon(blind ? 'none' : 'ok');
+      put(this.symbol, unknown ? icon('bad', 'current') : calm).className = '';
       return;
     }
     this.box.className = `banner${alarm.predicted ? ` pred pr${alarm.priority}` : ''}`;

@@ -60,6 +60,7 @@ export class AssetFeed {
   /** What a service that was started anew had said before is void. */
   meetAnew(epoch) {
     this.epoch = epoch;
+    this.store.set('alarmsKnown', false);
     this.store.set('forecast', null);
     this.store.set('nodes', null);
     this.store.set('jobs', new Map());
@@ -74,7 +75,7 @@ export class AssetFeed {
     const [state, forecast, alarms] = await Promise.all([
       call(path('/state')), this.firstForecast(), callPages('/alarms', { asset: this.assetId }),
     ]);
-    this.store.set('alarms', new Map(alarms.filter(isShown).map((alarm) => [alarm.id, alarm])));
+    this.takeAlarms(alarms);
     newer.forEach((alarm) => applyAlarm(this.store, alarm));
     if (this.newerAlarms === newer) this.newerAlarms = null;
     this.takeState(state);
@@ -98,6 +99,12 @@ export class AssetFeed {
     this.clock.setRate(asset.clock_rate);
     this.history ??= new History(this.assetId, pastChannels(asset));
     this.store.set('asset', asset);
+  }
+
+  /** All alarms that there are. */
+  takeAlarms(alarms) {
+    this.store.set('alarmsKnown', true);
+    this.store.set('alarms', new Map(alarms.filter(isShown).map((alarm) => [alarm.id, alarm])));
   }
 
   takeAlarm(alarm) {

@@ -110,6 +110,34 @@ export function overSpan(fan, name, limits, fromMs, toMs) {
   return result;
 }
 
+const LET_RISE_K = 0.5; // of the upper bound, before it may be said that a span only cools
+
+/**
+ * A span that begins with the median over the warning limit, brings it below and makes nothing
+ * worse: { fromC, belowMs, surelyMs } with the times from which the median and the 97.5 % bound
+ * stay below (the latter null when not within the span). Null for any other span.
+ */
+export function coolsBelow(fan, name, limit, fromMs, toMs) {
+  const { q50, q975 } = fan.bands[name];
+  const inside = fan.times.map((_, i) => i)
+    .filter((i) => fan.times[i] >= fromMs && fan.times[i] <= toMs);
+  const first = inside[0];
+  if (inside.length < 2 || q50[first] < limit) return null;
+  const rise = Math.max(...inside.map((i) => q975[i])) - q975[first];
+  const belowMs = staysBelow(fan.times, q50, limit, inside);
+  if (rise > LET_RISE_K || belowMs === null) return null;
+  return { fromC: q50[first], belowMs, surelyMs: staysBelow(fan.times, q975, limit, inside) };
+}
+
+/** When values that begin above a limit are below it for good, null if they are not at the end. */
+function staysBelow(times, values, limit, inside) {
+  const last = inside.findLast((i) => values[i] >= limit);
+  if (last === undefined) return times[inside[0]];
+  if (last === inside.at(-1)) return null;
+  const share = (values[last] - limit) / (values[last] - values[last + 1]);
+  return between(times[last], times[last + 1], share);
+}
+
 /** Time to a limit counted from now: { probability, median, earliest } in seconds or null. */
 export function timeToLimit(forecast, name, level, nowMs) {
   const told = forecast?.time_to_limit?.[name]?.[level];

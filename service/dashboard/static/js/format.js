@@ -33,7 +33,7 @@ function ownName(channel) {
 export const isNumber = (value) => typeof value === 'number' && Number.isFinite(value);
 
 export const fixed = (value, digits = 1) =>
-  isNumber(value) ? value.toFixed(digits).replace('-', '−') : '–';
+  isNumber(value) ? value.toFixed(digits).replace(/^-(?=0\.?0*$)/, '').replace('-', '−') : '–';
 
 /** Three significant figures without an exponent, as parameters need. */
 export function significant(value) {
@@ -44,6 +44,9 @@ export function significant(value) {
   }
   return String(Number(value.toPrecision(3))).replace('-', '−');
 }
+
+/** 1 window, 2 windows. */
+export const counted = (count, noun) => `${count} ${noun}${count === 1 ? '' : 's'}`;
 
 export const celsius = (value) => [fixed(value), unit('°C')];
 

@@ -18,8 +18,8 @@ function sourceAge(source, clock) {
 }
 
 export class Header {
-  /** actions: { chooseAsset(id), switchTheme(), logOut() } */
-  constructor(box, actions) {
+  /** actions: { chooseAsset(id), switchTheme(), logOut() }; jobs: the box of the job strip */
+  constructor(box, jobs, actions) {
     this.tabs = h('nav', { class: 'tabs', 'aria-label': 'Views' });
     this.asset = h('div', { class: 'asset' });
     this.sources = h('div', { class: 'conn', role: 'group', 'aria-label': 'Sources' });
@@ -29,7 +29,7 @@ export class Header {
     this.actions = actions;
     this.menu = this.createMenu();
     put(box, h('div', { class: 'brand' }, logo(), h('span', {}, 'Bearing Twin')), this.asset,
-      this.tabs, h('div', { class: 'sp' }), this.sources, this.menu, this.clock);
+      this.tabs, h('div', { class: 'sp' }, jobs), this.sources, this.menu, this.clock);
   }
 
   createMenu() {
@@ -142,7 +142,7 @@ export function lostState(state, clock, whole = false) {
     const { sinceMs, nextTryMs } = state.link;
     const waitS = Math.max(0, Math.ceil((nextTryMs - Date.now()) / 1000));
     return {
-      title: 'The service does not answer', ageS: (Date.now() - sinceMs) / 1000,
+      title: 'No answer from the service', ageS: (Date.now() - sinceMs) / 1000,
       text: 'Everything on this page is of the past.',
       aside: waitS ? `next try in ${waitS} s` : 'trying …',
     };
@@ -233,6 +233,7 @@ const ENDINGS = {
 
 export function jobText(job) {
   if (job.status !== 'running') return `Re-identification ${ENDINGS[job.status]?.(job) ?? ''}`;
+  if (!job.evaluations) return 'Re-identification begins';
   return `Re-identification: ${job.evaluations} evaluations, `
     + `best fitness ${significant(job.best_fitness)}`;
 }
@@ -255,6 +256,7 @@ export class JobStrip {
     if (!job) return;
     const share = Math.round((job.progress ?? 0) * 100);
     setText(this.text, jobText(job));
+    this.box.title = jobText(job);
     setText(this.share, job.status === 'running' ? `${share} %` : '');
     this.bar.hidden = job.status !== 'running';
     this.bar.setAttribute('aria-valuenow', share);

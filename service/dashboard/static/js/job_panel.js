@@ -2,7 +2,7 @@
 import { assetPath, call } from './api.js';
 import { ConvergenceChart } from './convergence.js';
 import { h, put, setText } from './dom.js';
-import { dayTime, fixed, milliseconds, significant, spanText, timeElement } from './format.js';
+import { counted, dayTime, fixed, milliseconds, significant, spanText, timeElement } from './format.js';
 import { icon } from './icons.js';
 import { gateList } from './models.js';
 
@@ -287,7 +287,7 @@ export class JobPanel {
         h('td', { class: 'nw' }, timeElement(ms, dayTime(ms))),
         h('td', {}, `${job.method}, seed ${fixed(job.seed, 0)}`,
           job.budget ? `, budget ${job.budget}` : ''),
-        h('td', { class: 'nw' }, `${job.windows.length} windows`),
+        h('td', { class: 'nw' }, counted(job.windows.length, 'window')),
         h('td', {}, job.requested_by),
         h('td', { class: job.status === 'failed' ? 'b' : null, title: job.error ?? '' }, made,
           job.attempts > 1 && `, attempt ${job.attempts}`),

@@ -1,5 +1,4 @@
 // Keeps every asset's store in step with the service: one stream for all of them.
-import { isShown } from './alarms.js';
 import { call, callPages } from './api.js';
 import { AssetFeed } from './feed.js';
 import { milliseconds } from './format.js';
@@ -98,10 +97,9 @@ export class Live {
   /** Alarms of the assets that nobody looks at. */
   async loadOthers() {
     if (this.feeds.size < 2) return;
-    const alarms = (await callPages('/alarms', {})).filter(isShown);
+    const alarms = await callPages('/alarms', {});
     for (const [id, feed] of this.feeds) {
-      const own = alarms.filter((alarm) => alarm.asset === id);
-      if (!feed.depth) feed.store.set('alarms', new Map(own.map((alarm) => [alarm.id, alarm])));
+      if (!feed.depth) feed.takeAlarms(alarms.filter((alarm) => alarm.asset === id));
     }
   }
 

@@ -1,6 +1,8 @@
 // Tables about model versions: parameters with intervals, scores, what the data inform.
 import { h } from './dom.js';
-import { channelName, dayTime, fixed, isNumber, milliseconds, significant, spanText } from './format.js';
+import {
+  channelName, counted, dayTime, fixed, isNumber, milliseconds, significant, spanText,
+} from './format.js';
 import { icon } from './icons.js';
 
 const VERDICTS = { informed: 'chip on', weak: 'chip', 'prior only': 'chip dot' };
@@ -53,7 +55,7 @@ export function parameterTable(left, right) {
     ]);
     const { unit: unitText, description } = known[0];
     const hasUnit = unitText && !['1', '-'].includes(unitText);
-    return h('tr', {}, h('td', { class: 'pn' }, description ?? plainName(name),
+    return h('tr', {}, h('td', { class: 'pn' }, description?.replace('W/m2K', 'W/(m²·K)') ?? plainName(name),
       h('span', { class: 'u' }, description ? plainName(name) : '',
         hasUnit ? `, ${unitText}` : '')), cells);
   });
@@ -91,7 +93,7 @@ function scoreRows(model) {
 export function scoreTable(models) {
   const rows = models.flatMap(scoreRows);
   if (!rows.length) {
-    return h('p', { class: 's mut' }, 'No scores: neither version has been tested on unseen data.');
+    return h('p', { class: 's mut' }, 'No scores yet: nothing was tested on unseen data.');
   }
   const naive = [...new Set(rows.flatMap((row) => Object.keys(row.naive)))];
   const other = (value, own, note) => h('td', { class: value < own ? 'r lose' : 'r' },
@@ -144,7 +146,7 @@ export function combinationList(model) {
 export function windowList(model) {
   const windows = model.windows ?? [];
   if (!windows.length) return h('p', { class: 's mut' }, `v${model.version}: learned from nothing.`);
-  return h('div', {}, h('p', { class: 's b' }, `v${model.version}: ${windows.length} windows`),
+  return h('div', {}, h('p', { class: 's b' }, `v${model.version}: ${counted(windows.length, 'window')}`),
     h('table', {}, h('tbody', {}, windows.map((window) => {
       const [start, end] = [milliseconds(window.start), milliseconds(window.end)];
       return h('tr', {}, h('td', { class: 'nw' }, dayTime(start)),

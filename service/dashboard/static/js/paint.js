@@ -104,9 +104,11 @@ export function paintNow(plot, nowS, tag) {
   const width = context.measureText(tag).width + 12 * ratio;
   const height = size * 1.65;
   const aside = bbox.width / ratio < 560 ? width / 2 - ratio : 0;
+  const room = bbox.left + bbox.width - width;
+  const left = Math.max(bbox.left, Math.min(x + aside - width / 2, room));
   context.fillStyle = token('--ink');
-  context.fillRect(x + aside - width / 2, bbox.top, width, height);
-  write(context, tag, x + aside, bbox.top + height / 2,
+  context.fillRect(left, bbox.top, width, height);
+  write(context, tag, left + width / 2, bbox.top + height / 2,
     { size, strong: true, colour: token('--bg'), align: 'center', base: 'middle' });
 }
 

@@ -52,5 +52,6 @@ export const emptyAsset = () => ({
   nodes: null, // latest state message
   forecast: null,
   alarms: new Map(),
+  alarmsKnown: false, // whether the service has told its alarms since it was started
   jobs: new Map(),
 });

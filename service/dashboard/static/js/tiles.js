@@ -113,6 +113,13 @@ export function nextStepTile(answer, { nowMs, alone, planned }) {
       timeElement(wholeMinute(fromMs))];
   const point = [bold(`${fixed(step.speed_rpm, 0)} rpm`), `, ${fixed(step.load_n, 0)} N, `,
     spanText(step.duration_s)];
+  if (answer.cools) {
+    return tile({
+      look: LOOKS[answer.priority], label: 'Is the next step safe', title,
+      symbol: aheadSymbol(answer.priority), ...coolingWords(answer),
+      small: [`${lower(answer.cools.sensor)}: `, ...point, alone && h('b', { class: 'bt' }, ', twin alone')],
+    });
+  }
   return tile({
     look: LOOKS[answer.priority], label: 'Is the next step safe', title,
     symbol: aheadSymbol(answer.priority), word: WORDS[answer.word], figure: percent(peak.warning),
@@ -122,12 +129,31 @@ export function nextStepTile(answer, { nowMs, alone, planned }) {
   });
 }
 
+/**
+ * Over the limit already, and on the way down: the step is not what brings the danger, and the
+ * figure is how long it lasts.
+ */
+function coolingWords({ cools, fromMs }) {
+  const { sensor, limits, fromC, belowMs, surelyMs } = cools;
+  return {
+    word: 'Not safe yet', figure: h('span', {}, spanNodes((belowMs - fromMs) / 1000)),
+    note: `then below ${limits.warning} °C`,
+    why: [[bold(`cools from ${fixed(fromC)} °C`), ', below by ', timeElement(belowMs),
+      surelyMs !== null && [', 97.5 % by ', timeElement(surelyMs)]]],
+    small: lower(sensor),
+  };
+}
+
 /** Is a whole profile safe? `answer` is that of `answerNextStep` over its whole length. */
 export function profileTile(answer) {
   const { peak } = answer;
-  return tile({
+  const common = {
     look: LOOKS[answer.priority], label: 'Is this profile safe', title: 'This profile',
-    symbol: aheadSymbol(answer.priority), word: WORDS[answer.word],
+    symbol: aheadSymbol(answer.priority),
+  };
+  if (answer.cools) return tile({ ...common, ...coolingWords(answer) });
+  return tile({
+    ...common, word: WORDS[answer.word],
     why: [joined(`${percent(peak.warning)} over ${peak.limits.warning} °C, `
       + `${percent(peak.alarm)} over ${peak.limits.alarm} °C`)],
   });

@@ -1,5 +1,5 @@
 // The three answers. Pure functions: readings, limits and forecast in, a verdict out.
-import { overSpan, timeToLimit } from './forecast.js';
+import { coolsBelow, overSpan, timeToLimit } from './forecast.js';
 
 /** Shares of forecast members: the words change at these. */
 export const THRESHOLDS = { atRisk: 0.05, notSafe: 0.5, alarm: 0.2 };
@@ -81,7 +81,23 @@ export function answerNextStep({ forecast, fan, steps, limits, nowMs }) {
       + 1e-6 * (peak.high - peak.limits.warning));
   if (!worst) return { word: 'no forecast' };
   const priority = priorityFor(worst.warning, worst.alarm);
-  return { word: wordFor(worst.warning), priority, held, step, fromMs, toMs, peak: worst };
+  const cools = cooling(fan, Object.keys(known).map((sensor) =>
+    ({ sensor, limits: known[sensor], ...assess(sensor, known[sensor]) })), fromMs, toMs);
+  return { word: wordFor(worst.warning), priority, held, step, fromMs, toMs, peak: worst, cools };
+}
+
+/**
+ * Over the limit only because it begins there: what `coolsBelow` says of the sensor that takes
+ * longest, or null when any sensor is likely to pass its limit in another way.
+ */
+function cooling(fan, peaks, fromMs, toMs) {
+  const over = peaks.filter((peak) => peak.warning >= THRESHOLDS.atRisk)
+    .map(({ sensor, limits }) => ({
+      sensor, limits, found: coolsBelow(fan, sensor, limits.warning, fromMs, toMs),
+    }));
+  if (!over.length || over.some(({ found }) => !found)) return null;
+  const { sensor, limits, found } = over.toSorted((a, b) => b.found.belowMs - a.found.belowMs)[0];
+  return { sensor, limits, ...found };
 }
 
 /** How long until a limit? Over the warning already, the alarm limit is asked for. */

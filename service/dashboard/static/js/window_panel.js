@@ -1,6 +1,6 @@
 // Which windows the next identification learns from: all of them, or those chosen by hand.
 import { h, put, setText } from './dom.js';
-import { dayTime, milliseconds, spanText, timeElement } from './format.js';
+import { counted, dayTime, milliseconds, spanText, timeElement } from './format.js';
 import { isUsed, overlaps, pointText, windowOf, WindowTimeline } from './windows.js';
 
 const key = (look, text) => h('span', { class: 'key' }, h('i', { class: look }), text);
@@ -113,7 +113,7 @@ export class WindowPanel {
     }
     const latest = this.chosen().reverse();
     put(this.table, latest.length > 0 && h('details', { class: 's' },
-      h('summary', {}, `${latest.length} windows`),
+      h('summary', {}, counted(latest.length, 'window')),
       h('table', {},
         h('thead', {}, h('tr', {}, ['From', 'Length', 'Operating points', 'Score', '']
           .map((text) => h('th', {}, text)))),

@@ -1,6 +1,6 @@
 // Low-risk windows on a time axis: what may be learned from, what was, and what is chosen by hand.
 import { h, put, s } from './dom.js';
-import { dayTime, fixed, hourMinute, milliseconds, spanText } from './format.js';
+import { counted, dayTime, fixed, hourMinute, milliseconds, spanText } from './format.js';
 
 const HEIGHT = 140;
 const BASE = 102;
@@ -65,7 +65,7 @@ export class WindowTimeline {
     const focused = document.activeElement?.closest?.('.wtl [data-window]')?.dataset.window;
     put(this.box, s('svg', {
       viewBox: `0 0 ${this.width} ${HEIGHT}`, role: 'group', class: byHand ? 'byhand' : null,
-      'aria-label': `${windows.length} low-risk windows over ${spanText(this.span / 1000)}`,
+      'aria-label': `${counted(windows.length, 'low-risk window')} over ${spanText(this.span / 1000)}`,
     },
     this.timeMarks(),
     this.highRiskBoxes(minutes, region), this.speedLine(minutes),

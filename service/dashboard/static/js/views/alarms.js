@@ -6,6 +6,7 @@ import { h, put, setText } from '../dom.js';
 import { channelName, fixed } from '../format.js';
 import { JournalPanel } from '../journal_panel.js';
 import { liveDetail } from '../situation.js';
+import { WatchedPanel } from '../watched_panel.js';
 
 const COUNT_EVERY_MS = 10000;
 const FLOOD = 10;
@@ -22,13 +23,15 @@ export class AlarmsView {
     this.list = new AlarmList(list, page.desk, {
       chosen: this.chosen, onChoice: () => this.update(), withAsset: this.several,
     });
+    this.watched = new WatchedPanel(page);
     this.statistics = h('dl', { class: 'stats' });
     this.frequent = h('ol', { class: 'freq' });
     this.journal = new JournalPanel(page);
     put(box, h('h1', { class: 'vh' }, 'Alarms'),
       h('section', { class: 'panel p-alist' },
         h('header', {}, h('h2', {}, 'Alarms'), this.count, h('span', { class: 'sp' }),
-          h('label', { class: 'chk' }, this.all, 'all to acknowledge'), this.bulk), list),
+          h('label', { class: 'chk' }, this.all, 'all to acknowledge'), this.bulk), list,
+        this.watched.element),
       h('section', { class: 'panel p-stat' },
         h('header', {}, h('h2', {}, 'How many')), this.statistics,
         h('h3', {}, 'Most frequent, last 24 h'), this.frequent),
@@ -61,6 +64,7 @@ export class AlarmsView {
     const waiting = this.waiting();
     for (const id of this.chosen) if (!waiting.some((alarm) => alarm.id === id)) this.chosen.delete(id);
     this.list.update(alarms, (alarm) => live.get(alarm.asset));
+    this.watched.leaveOut(alarms);
     setText(this.count, summary(alarms));
     setText(this.bulk, this.chosen.size ? `Acknowledge ${this.chosen.size} chosen`
       : 'Acknowledge chosen');
@@ -72,6 +76,7 @@ export class AlarmsView {
     const key = [...alarms.values()].map((alarm) => [alarm.id, alarm.state, alarm.since, alarm.comment].join()).join();
     if (this.key !== undefined && key !== this.key) {
       this.journal.refresh();
+      this.watched.refresh();
       this.countAlarms();
     }
     this.key = key;

@@ -55,14 +55,15 @@ export class EnvelopeView {
 
   createMap() {
     this.title = h('h2', {}, 'Safe operating envelope');
-    this.note = h('p', { class: 's mut', role: 'status' }, 'The twin computes the envelope …');
+    this.note = h('p', { class: 's mut', role: 'status' },
+      'The twin computes the envelope: every speed and load, held until steady …');
     this.sensorChoice = h('span', { class: 'seg' });
     this.modeChoice = h('span', { class: 'seg' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
     this.mapBox = h('div', { class: 'map' });
     this.distrust = h('p', { class: 'distrust', role: 'alert', hidden: true },
       icon('bad'), ' The model is not trusted: nothing on this map may be relied on.');
-    return h('section', { class: 'panel p-map' },
+    return h('section', { class: 'panel p-map loading' },
       h('header', {}, this.title, h('span', { class: 'sp' }), this.sensorChoice, this.modeChoice),
       this.distrust, this.problem, this.mapBox, this.note);
   }
@@ -78,6 +79,7 @@ export class EnvelopeView {
       if (!this.answer) setText(this.note, 'It is asked for again and again.');
       return;
     }
+    this.mapBox.parentElement.classList.remove('loading');
     this.show();
   }
 

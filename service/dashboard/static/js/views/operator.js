@@ -162,6 +162,7 @@ export class OperatorView {
     const name = `twin v${model.version}`;
     if (model.trusted === false) return `${name}, not trusted: no forecast`;
     if (now.alone) return `${name} runs without data`;
+    if (!this.page.store.get('history')) return `${name}, the past is being fetched …`;
     const parts = [name];
     const residual = this.residual(now.nowMs);
     if (isNumber(residual)) parts.push(`rms residual of the last hour ${fixed(residual, 2)} K`);
