@@ -225,6 +225,16 @@ async def test_parquet_gives_the_whole_span_in_one_file(world: Any) -> None:
     assert table.schema.metadata[b"unit:t_inner_ring_c"].decode() == "°C"
 
 
+async def test_the_small_files_of_the_page_come_packed(world: Any) -> None:
+    """A page is many of them; an answer of that size that is polled is sooner sent as it is."""
+    client = world.client("viewer")
+    module = await client.get("/js/dom.js")
+    assert module.headers["content-encoding"] == "gzip"
+    assert 1024 <= len(module.content) < 4096
+    answer = await client.get("/api/v1/alarms/statistics")
+    assert "content-encoding" not in answer.headers
+
+
 async def test_a_long_answer_comes_packed_and_in_pieces(world: Any) -> None:
     world.write("bench-1", "t_inner_ring_c", START_US, [60.0 + n for n in range(2500)])
     client = world.client("viewer")

@@ -19,8 +19,10 @@ export const isShown = (alarm) => alarm.state in STATES;
 /** Put aside by somebody or by design: shown in grey, never counted. */
 export const isAside = (alarm) => ['SHLVD', 'DSUPR', 'OOSRV'].includes(alarm.state);
 
+// Data that are lost outweigh all; once they are back, what was over a limit does.
+const weight = (alarm) => (isDistrust(alarm) ? (isActive(alarm) ? 0 : 9) : alarm.priority);
 const rank = (alarm) =>
-  stateOf(alarm).rank * 100 + (alarm.predicted ? 10 : 0) + (isDistrust(alarm) ? 0 : alarm.priority);
+  stateOf(alarm).rank * 100 + (alarm.predicted ? 10 : 0) + weight(alarm);
 /** When it was raised; an alarm that was put aside before it ever came has no such time. */
 export const raisedMs = (alarm) => milliseconds(alarm.raised_at ?? alarm.since);
 const newest = (alarm) => -raisedMs(alarm) / 1e15;
