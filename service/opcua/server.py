@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -63,13 +63,14 @@ class TagServer:
         self._assets = assets
         self._shown: dict[ua.NodeId, Mapping[str, Any]] = {}
         self._guards = {name: Guard("opcua_update", name) for name in assets}
+        self._door = Guard("opcua_close", "")
 
     async def run(self) -> None:
         """Keep the variables up to date, and revoked keys out, until cancelled."""
-        while True:
-            await asyncio.sleep(PERIOD_S)
-            await self.update()
-            await self.put_out()
+        # Side by side: keys are looked up in the store, and its troubles must not delay a tag.
+        async with asyncio.TaskGroup() as group:
+            group.create_task(_repeat(self.update))
+            group.create_task(_repeat(self.put_out))
 
     async def update(self) -> None:
         """Write what has changed since the last time; a tag that is new gets its variable."""
@@ -90,9 +91,10 @@ class TagServer:
             if session is None or await self._users.may_stay(session.user):
                 continue
             _log.info("opcua_closed", peer=str(client.peer_name), reason="key no longer valid")
-            await session.close_session()
             if client.transport is not None:
                 client.transport.close()
+            with self._door():
+                await session.close_session()
 
     async def add_objects(self) -> None:
         """Make the object of every asset."""
@@ -122,6 +124,12 @@ class TagServer:
                 ),
             )
         self._shown[node_id] = {}
+
+
+async def _repeat(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    while True:
+        await asyncio.sleep(PERIOD_S)
+        await work()
 
 
 def _data_value(shown: Mapping[str, Any]) -> ua.DataValue:
