@@ -35,6 +35,15 @@ export const isNumber = (value) => typeof value === 'number' && Number.isFinite(
 export const fixed = (value, digits = 1) =>
   isNumber(value) ? value.toFixed(digits).replace(/^-(?=0\.?0*$)/, '').replace('-', '−') : '–';
 
+const WIDE_K = 3; // half of a 95 % interval that is said beside its mean
+const NORMAL_95 = 1.96;
+
+/** An estimate in °C; whole degrees with ± where the twin does not know it better. */
+export function estimated(mean, std) {
+  const half = NORMAL_95 * std;
+  return isNumber(mean) && half >= WIDE_K ? `${fixed(mean, 0)} ±${fixed(half, 0)}` : fixed(mean);
+}
+
 /** Three significant figures without an exponent, as parameters need. */
 export function significant(value) {
   if (!isNumber(value)) return '–';

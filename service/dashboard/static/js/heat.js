@@ -26,5 +26,5 @@ export function heatLegend() {
         RAMP.map((value) => h('i', {}, value === RAMP.at(-1) ? `${value} °C` : String(value))))),
     h('div', { class: 'skeys' },
       h('span', { class: 'key' }, sensor, 'measured'),
-      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated')));
+      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated, ± 95 %')));
 }

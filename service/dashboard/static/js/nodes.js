@@ -1,6 +1,6 @@
 // The nodes of a network of one's own: nothing is known of its shape, so they are shown as tiles.
 import { h, put, setText } from './dom.js';
-import { channelName, fixed } from './format.js';
+import { channelName, estimated, fixed } from './format.js';
 import { heatLegend, heatOf } from './heat.js';
 
 export class NodeTiles {
@@ -11,15 +11,17 @@ export class NodeTiles {
   }
 
   /**
-   * nodes: { name: estimate °C }, measured: { name: { value, usable } } of measured points (which
-   * need not be nodes), alerts: { name: { priority, predicted } }, stale: all is of the past.
+   * nodes: { name: estimate °C }, spreads: { name: its standard deviation in K },
+   * measured: { name: { value, usable } } of measured points (which need not be nodes),
+   * alerts: { name: { priority, predicted } }, stale: all is of the past.
    */
-  update({ nodes, measured, alerts, stale }) {
+  update({ nodes, spreads, measured, alerts, stale }) {
     const names = [...new Set([...Object.keys(measured), ...Object.keys(nodes)])];
     this.grid.classList.toggle('stale', stale);
     for (const name of names) {
       if (!this.tiles.has(name)) this.tiles.set(name, this.createTile(name));
-      this.updateTile(this.tiles.get(name), nodes[name], measured[name], alerts[name]);
+      const estimate = { mean: nodes[name], text: estimated(nodes[name], spreads[name]) };
+      this.updateTile(this.tiles.get(name), estimate, measured[name], alerts[name]);
     }
   }
 
@@ -33,10 +35,10 @@ export class NodeTiles {
   }
 
   updateTile({ element, heat, value, twin }, estimate, measured, alert) {
-    const shown = measured?.value ?? estimate;
-    setText(value, fixed(shown));
-    const both = measured && Number.isFinite(estimate);
-    setText(twin, both ? `twin ${fixed(estimate)}` : measured ? 'measured' : 'estimated');
+    const shown = measured?.value ?? estimate.mean;
+    setText(value, measured ? fixed(shown) : estimate.text);
+    const both = measured && Number.isFinite(estimate.mean);
+    setText(twin, both ? `twin ${estimate.text}` : measured ? 'measured' : 'estimated');
     value.className = measured ? (measured.usable ? 'me' : 'st') : 'es';
     element.className = [measured?.usable === false && 'gone', alert && `a${alert.priority}`,
       alert?.predicted && 'ahead'].filter(Boolean).join(' ');

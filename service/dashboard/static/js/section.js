@@ -1,7 +1,7 @@
 // The bearing and its housing: upper half in section, lower half in outside view (drafting
 // convention), with the 13 nodes and the air. Greys say hot; only a limit brings a hue.
 import { h, put, s, setText } from './dom.js';
-import { fixed, NODE_NAMES } from './format.js';
+import { estimated, fixed, NODE_NAMES } from './format.js';
 import { heatLegend, heatOf } from './heat.js';
 
 const INNER_RING = 'M300 254H420V200H392A40 40 0 0 1 328 200H300Z';
@@ -85,11 +85,14 @@ export class Section {
   }
 
   /**
-   * nodes: { number: °C }, measured: { number: { value, usable } }, alerts: { 2 or 4:
-   * { priority, predicted } }, stale: the whole picture is of the past.
+   * nodes: { number: °C }, spreads: { number: standard deviation in K },
+   * measured: { number: { value, usable } }, alerts: { 2 or 4: { priority, predicted } },
+   * stale: the whole picture is of the past.
    */
-  update({ nodes, measured, alerts, stale }) {
-    for (let node = 1; node <= 14; node += 1) this.updateNode(node, nodes[node], measured[node]);
+  update({ nodes, spreads, measured, alerts, stale }) {
+    for (let node = 1; node <= 14; node += 1) {
+      this.updateNode(node, nodes[node], spreads[node], measured[node]);
+    }
     this.svg.classList.toggle('stale', stale);
     put(this.hatches, Object.entries(OUTLINES).filter(([node]) => measured[node]?.usable === false)
       .map(([, d]) => s('path', { d, fill: 'url(#distrust)' })));
@@ -102,10 +105,10 @@ export class Section {
       + `outer ring ${say(2)} degrees Celsius.`);
   }
 
-  updateNode(node, estimate, measured) {
+  updateNode(node, estimate, spread, measured) {
     const value = measured?.value ?? estimate;
     const figureText = this.svg.querySelector(`[data-figure="${node}"]`);
-    setText(figureText, fixed(value));
+    setText(figureText, measured ? fixed(value) : estimated(value, spread));
     const look = measured ? (measured.usable ? 'me' : 'st') : 'es';
     figureText.setAttribute('class', `v ${look}`);
     const heat = heatOf(value);

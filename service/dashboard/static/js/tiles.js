@@ -13,6 +13,9 @@ const calm = () => icon('ok', 'filled', '.8em');
 const nothing = () => icon('none', 'filled', '.8em');
 const lower = (sensor) => channelName(sensor).toLowerCase();
 
+/** No sensor is behind what is said. */
+const twinAlone = () => h('b', { class: 'bt' }, 'twin alone');
+
 /** Figures and their units stay on one line, however deep the parts are nested. */
 function keep(part) {
   if (typeof part === 'string') return joined(part);
@@ -114,10 +117,11 @@ export function nextStepTile(answer, { nowMs, alone, planned }) {
   const point = [bold(`${fixed(step.speed_rpm, 0)} rpm`), `, ${fixed(step.load_n, 0)} N, `,
     spanText(step.duration_s)];
   if (answer.cools) {
+    const words = coolingWords(answer);
     return tile({
       look: LOOKS[answer.priority], label: 'Is the next step safe', title,
-      symbol: aheadSymbol(answer.priority), ...coolingWords(answer),
-      small: [`${lower(answer.cools.sensor)}: `, ...point, alone && h('b', { class: 'bt' }, ', twin alone')],
+      symbol: aheadSymbol(answer.priority), ...words, why: [...words.why, point],
+      small: [words.small, alone && [', ', twinAlone()]],
     });
   }
   return tile({
@@ -125,7 +129,7 @@ export function nextStepTile(answer, { nowMs, alone, planned }) {
     symbol: aheadSymbol(answer.priority), word: WORDS[answer.word], figure: percent(peak.warning),
     note: `over ${peak.limits.warning} °C`, why: [point],
     small: [`${lower(peak.sensor)} peak ${fixed(peak.median)} °C, 95 % `,
-      `${fixed(peak.low)} … ${fixed(peak.high)}`, alone && h('b', { class: 'bt' }, ', twin alone')],
+      `${fixed(peak.low)} … ${fixed(peak.high)}`, alone && [', ', twinAlone()]],
   });
 }
 
@@ -169,7 +173,7 @@ export function peakTile({ peak }, planned) {
 }
 
 /** How long until a limit? */
-export function timeToLimitTile(answer, { nowMs }) {
+export function timeToLimitTile(answer, { nowMs, alone }) {
   const label = 'Time to limit';
   const { sensor, limits, level, asked, alarm, peak, endS } = answer;
   if (answer.word === 'none') {
@@ -178,6 +182,7 @@ export function timeToLimitTile(answer, { nowMs }) {
       figure: percent(asked.probability), note: `over ${limits[level]} °C`,
       why: [`within the forecast, until ${hourMinute(nowMs + endS * 1000)}`,
         [`${lower(sensor)} peak ${fixed(peak.median)} °C, 97.5 % below ${fixed(peak.high)} °C`]],
+      small: alone && twinAlone(),
     });
   }
   const crosses = asked.median !== null;
@@ -196,5 +201,6 @@ export function timeToLimitTile(answer, { nowMs }) {
     symbol: aheadSymbol(answer.priority),
     word: crosses ? spanNodes(asked.median) : ['from ', spanNodes(first)],
     figure: percent(asked.probability), note: 'probability', why: [what, more[0]].filter(Boolean),
+    small: alone && twinAlone(),
   });
 }

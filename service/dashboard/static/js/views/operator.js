@@ -192,12 +192,15 @@ export class OperatorView {
   bearingNodes(now) {
     const { state } = this.page.store;
     const nodes = {};
+    const spreads = {};
     const measured = {};
     const measure = (node, channel) => {
       if (state.tags[channel]) measured[node] = readChannel(state, this.page.clock, channel);
     };
     NODE_NAMES.forEach((_, i) => {
-      nodes[i + 1] = state.nodes?.nodes?.[`t_node_${i + 1}_c`]?.mean_c ?? null;
+      const estimate = state.nodes?.nodes?.[`t_node_${i + 1}_c`];
+      nodes[i + 1] = estimate?.mean_c ?? null;
+      spreads[i + 1] = estimate?.std_c ?? 0;
       measure(i + 1, `t_node_${i + 1}_c`);
     });
     measure(14, 'ambient_c');
@@ -207,7 +210,7 @@ export class OperatorView {
       const priority = this.alertOf(now, now.readings.find((one) => one.sensor === sensor));
       if (priority) alerts[node] = priority;
     }
-    return { nodes, measured, alerts };
+    return { nodes, spreads, measured, alerts };
   }
 
   /** What the tiles show, by name. */
@@ -221,6 +224,7 @@ export class OperatorView {
     const nodes = Object.keys(state.nodes?.nodes ?? {});
     return {
       nodes: byName([...new Set([...nodes, ...temperatures])], estimate),
+      spreads: byName(nodes, (name) => state.nodes.nodes[name].std_c),
       measured: byName(temperatures, (name) => readChannel(state, this.page.clock, name)),
       alerts: Object.fromEntries(alerts.filter(([, alert]) => alert)),
     };
