@@ -63,7 +63,7 @@ export const celsius = (value) => [fixed(value), unit('°C')];
 export function percent(probability) {
   if (!isNumber(probability)) return '–';
   if (probability < 0.005) return '< 1 %';
-  if (probability > 0.995) return '> 99 %';
+  if (probability >= 0.995) return '> 99 %';
   return `${Math.round(probability * 100)} %`;
 }
 
