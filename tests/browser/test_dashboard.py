@@ -13,6 +13,8 @@ pytestmark = [pytest.mark.browser, pytest.mark.wires]
 
 RATE = 60.0
 WAIT_MS = 60_000  # on a busy machine a service takes its time to start
+# What the browser itself says of a connection that broke off, whatever was on its way.
+BROKEN = "WebSocket|ERR_CONNECTION|ERR_INCOMPLETE_CHUNKED_ENCODING"
 
 expect.set_options(timeout=WAIT_MS)
 
@@ -254,5 +256,5 @@ def test_service_away_is_said_and_the_page_comes_back(
     expect(words.first).to_have_text(re.compile("Safe|At rest"))
     before = page.locator(".clock").inner_text()
     wait_until(lambda: page.locator(".clock").inner_text() != before, 30, "a clock that runs")
-    # Only the broken connection itself may have been complained about.
-    assert [text for text in problems if not re.search("WebSocket|ERR_CONNECTION", text)] == []
+    # Only the broken connection itself may have been complained about, not by the page.
+    assert [text for text in problems if not re.search(BROKEN, text)] == []

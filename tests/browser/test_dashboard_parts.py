@@ -438,6 +438,20 @@ def test_what_the_page_asks_for_is_there() -> None:
     assert [name for name in wanted if not (static_directory() / name).is_file()] == []
 
 
+def test_an_answer_that_breaks_off_is_no_answer(parts: Page) -> None:
+    told = run(
+        parts,
+        "const { call } = await import('/js/api.js');"
+        "const broken = new ReadableStream({ start: (c) => c.error(new TypeError('cut')) });"
+        "const { fetch } = window;"
+        "window.fetch = async () => new Response(broken);"
+        "try { await call('/assets'); return null; }"
+        "catch (error) { return [error.constructor.name, error.status, error.message]; }"
+        "finally { window.fetch = fetch; }",
+    )
+    assert told == ["ApiError", 0, "the service does not answer"]
+
+
 def test_vendored_parts_come_with_their_licences() -> None:
     static = static_directory()
     assert "MIT License" in (static / "vendor/uPlot-LICENSE.txt").read_text()

@@ -19,8 +19,8 @@ async function describe(response) {
   }
 }
 
-/** Ask the service; gives the response where it is no refusal. Options as those of `call`. */
-async function ask(path, options) {
+/** Ask the service and `read` its answer where it is no refusal. Options as those of `call`. */
+async function ask(path, options, read) {
   const { method = 'GET', body, query = {}, headers = {}, timeoutMs = 15000, signal } = options;
   const parameters = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) {
@@ -28,9 +28,9 @@ async function ask(path, options) {
   }
   const address = `${PREFIX}${path}${parameters.size ? `?${parameters}` : ''}`;
   const limits = [AbortSignal.timeout(timeoutMs), ...(signal ? [signal] : [])];
-  let response;
+  let refusal;
   try {
-    response = await fetch(address, {
+    const response = await fetch(address, {
       method,
       credentials: 'same-origin',
       cache: 'no-store',
@@ -38,12 +38,14 @@ async function ask(path, options) {
       body: body ? JSON.stringify(body) : undefined,
       signal: AbortSignal.any(limits),
     });
+    // The service may also fall silent in the middle of its answer.
+    if (response.ok) return await read(response);
+    refusal = new ApiError(response.status, await describe(response));
   } catch (error) {
     if (signal?.aborted) throw error;
     throw new ApiError(0, 'the service does not answer');
   }
-  if (!response.ok) throw new ApiError(response.status, await describe(response));
-  return response;
+  throw refusal;
 }
 
 /**
@@ -52,13 +54,13 @@ async function ask(path, options) {
  * options: method, body (an object), query (values may be arrays), headers, signal, timeoutMs.
  */
 export async function call(path, options = {}) {
-  const text = await (await ask(path, options)).text();
+  const text = await ask(path, options, (response) => response.text());
   return text ? JSON.parse(text) : null;
 }
 
 /** A file that the service makes, as a Blob. */
-export const fetchFile = async (path, options = {}) =>
-  (await ask(path, { timeoutMs: 120000, ...options })).blob();
+export const fetchFile = (path, options = {}) =>
+  ask(path, { timeoutMs: 120000, ...options }, (response) => response.blob());
 
 /** Like `call`, but null where there is nothing (404). */
 export async function callOptional(path, options) {
