@@ -180,7 +180,7 @@ export function timeToLimitTile(answer, { nowMs, alone }) {
     return tile({
       label, title: 'Time to limit', symbol: calm(), word: 'None',
       figure: percent(asked.probability), note: `over ${limits[level]} °C`,
-      why: [`within the forecast, until ${hourMinute(nowMs + endS * 1000)}`,
+      why: [`to ${level} ${limits[level]} °C until ${hourMinute(nowMs + endS * 1000)}`,
         [`${lower(sensor)} peak ${fixed(peak.median)} °C, 97.5 % below ${fixed(peak.high)} °C`]],
       small: alone && twinAlone(),
     });
