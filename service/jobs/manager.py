@@ -203,9 +203,9 @@ class IdentificationJobs:
         if job is None or job.asset != asset_id:
             return None
         document = job_json(job, self._told.get(job_id), convergence=True)
-        if job.model_version is None or document["convergence"]:
+        if job.model_version is None:
             return document
-        # Told before the service was started: what came of the job has kept it.
+        # What came of the job has its whole course; what was told last ends somewhat before.
         version = await anyio.to_thread.run_sync(
             self._store.model_version, asset_id, job.model_version
         )
