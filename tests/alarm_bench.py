@@ -22,6 +22,33 @@ HOT = AlarmCondition(
 )
 COLD = replace(HOT, active=False, value=80.0)
 UNKNOWN = replace(HOT, active=None, value=None)
+STORED = Alarm(
+    id="one",
+    asset="a",
+    kind="measured limit",
+    channel="t_inner_ring_c",
+    level="alarm",
+    state="UNACK",
+    priority=1,
+    message="too hot",
+    predicted=False,
+    raised_at_us=100,
+    since_us=100,
+    returned_at_us=None,
+    acknowledged_at_us=None,
+    acknowledged_by=None,
+    value=106.5,
+    limit_value=105.0,
+    unit="°C",
+    lead_time_s=None,
+    probability=None,
+    present=True,
+    latched=False,
+    shelved_until_us=None,
+    shelved_by=None,
+    suppressed_reason=None,
+    comment=None,
+)
 
 
 class HandClock:

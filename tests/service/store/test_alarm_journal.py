@@ -3,40 +3,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from alarm_bench import STORED as ALARM
 from alembic import command
 from sqlalchemy import create_engine
 from sqlalchemy.exc import IntegrityError
 
 from service.store import Alarm, AlarmTransition, JournalFilter, Store, migrations
 from service.store.opening import FILE_NAME
-
-ALARM = Alarm(
-    id="one",
-    asset="a",
-    kind="measured limit",
-    channel="t_inner_ring_c",
-    level="alarm",
-    state="UNACK",
-    priority=1,
-    message="too hot",
-    predicted=False,
-    raised_at_us=100,
-    since_us=100,
-    returned_at_us=None,
-    acknowledged_at_us=None,
-    acknowledged_by=None,
-    value=106.5,
-    limit_value=105.0,
-    unit="°C",
-    lead_time_s=None,
-    probability=None,
-    present=True,
-    latched=False,
-    shelved_until_us=None,
-    shelved_by=None,
-    suppressed_reason=None,
-    comment=None,
-)
 
 
 def line(time_us: int, alarm: Alarm = ALARM) -> AlarmTransition:

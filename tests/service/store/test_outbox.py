@@ -13,44 +13,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from alarm_bench import STORED
 from processes import wait_until
 
-from service.store import Alarm, AlarmChange, AlarmTransition, AuditEntry, Outbox, Store
+from service.store import AlarmChange, AlarmTransition, AuditEntry, Outbox, Store
 from service.store.opening import FILE_NAME
 from service.store.outbox import FILE_NAME as OUTBOX_FILE
 
 PATIENCE_S = 30.0
-ALARM = Alarm(
-    id="first",
-    asset="a",
-    kind="measured limit",
-    channel="t_inner_ring_c",
-    level="alarm",
-    state="UNACK",
-    priority=1,
-    message="Inner ring over 105 °C",
-    predicted=False,
-    raised_at_us=7,
-    since_us=7,
-    returned_at_us=None,
-    acknowledged_at_us=None,
-    acknowledged_by=None,
-    value=106.0,
-    limit_value=105.0,
-    unit="°C",
-    lead_time_s=None,
-    probability=None,
-    present=True,
-    latched=False,
-    shelved_until_us=None,
-    shelved_by=None,
-    suppressed_reason=None,
-    comment=None,
-)
 
 
 def change(time_us: int, state: str = "UNACK", alarm_id: str = "first") -> AlarmChange:
-    alarm = replace(ALARM, id=alarm_id, state=state, since_us=time_us)
+    alarm = replace(STORED, id=alarm_id, state=state, since_us=time_us)
     line = AlarmTransition(
         alarm_id,
         "a",
