@@ -53,6 +53,43 @@ class ErrorModel:
         return self.total_k / ErrorModel().total_k
 
 
+@dataclass(frozen=True, slots=True)
+class RunawayLimits:
+    """From where on a thermal runaway counts as not excluded.
+
+    The defaults are those of a grease-lubricated bearing. It runs away for reasons that no network
+    here contains (preload by the growing inner ring, starved grease), so limits stand in for them.
+
+    Parameters
+    ----------
+    hot_c
+        Upper edge (97.5 %) of a forecast in degC.
+    load_factor
+        Load ahead over the largest trained one.
+    lost_c
+        A member in which any sensor passes this temperature in degC has run away: no grease
+        survives it.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not a finite number, the factor is below 1 or ``lost_c`` below ``hot_c``.
+    """
+
+    hot_c: float = 100.0
+    load_factor: float = 1.5
+    lost_c: float = 130.0
+
+    def __post_init__(self) -> None:
+        for name in ("hot_c", "load_factor", "lost_c"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number")
+        if self.load_factor < 1.0:
+            raise ValueError(f"load_factor is {self.load_factor}, expected at least 1")
+        if self.lost_c < self.hot_c:
+            raise ValueError(f"lost_c is {self.lost_c}, expected at least hot_c = {self.hot_c}")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkModel:
     """A network and its parameters, compiled, ready to simulate.
@@ -71,6 +108,9 @@ class NetworkModel:
         What is left between a sensor and the model.
     reference_point
         A usual operating point, speed in rpm and load in N.
+    runaway
+        From where on a runaway counts as not excluded; None for a machine without a bearing's
+        friction, of which only a simulation that fails has run away.
     """
 
     name: str
@@ -79,6 +119,12 @@ class NetworkModel:
     compiled: CompiledNetwork
     errors: ErrorModel = field(default=ErrorModel(), kw_only=True)
     reference_point: tuple[float, float] = field(default=(4000.0, 2650.0), kw_only=True)
+    runaway: RunawayLimits | None = field(default=RunawayLimits(), kw_only=True)
+
+    @property
+    def lost_c(self) -> float:
+        """Temperature in degC above which a sensor has run away; infinite without limits."""
+        return np.inf if self.runaway is None else self.runaway.lost_c
 
     @property
     def node_names(self) -> tuple[str, ...]:

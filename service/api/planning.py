@@ -51,7 +51,7 @@ class SensorMaps(_Answer):
 
 
 class RunawayMap(_Answer):
-    """Thermal runaway: beyond 130 °C, or without a steady state."""
+    """Thermal runaway: beyond the limit (130 °C of a bearing), or without a steady state."""
 
     probability: Matrix = Field(description="Share of the members that run away.")
     not_excluded: list[list[bool]] = Field(

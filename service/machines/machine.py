@@ -60,6 +60,7 @@ class Machine:
             section.name,
             errors=section.error_model(),
             reference_point=(section.reference.speed_rpm, section.reference.load_n),
+            runaway=section.runaway_limits(),
         )
 
     def to_dict(self) -> dict[str, Any]:

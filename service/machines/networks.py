@@ -11,6 +11,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    FiniteFloat,
     PositiveFloat,
     ValidationError,
     model_validator,
@@ -29,7 +30,7 @@ from service.machines.network_values import (
     positive,
 )
 from twin_core.network import CompiledNetwork, Network, Node, Sensor, compile_network
-from twin_core.network_model import ErrorModel
+from twin_core.network_model import ErrorModel, RunawayLimits
 from twin_core.parameters import ParameterSet
 
 BEARING_14 = "bearing-14"
@@ -81,6 +82,20 @@ class ReferenceSection(Section):
     load_n: PositiveFloat = 2650.0
 
 
+class RunawaySection(Section):
+    """From where on a runaway counts as not excluded; the defaults are a bearing's."""
+
+    hot_c: FiniteFloat = RunawayLimits().hot_c
+    load_factor: Annotated[FiniteFloat, Field(ge=1.0)] = RunawayLimits().load_factor
+    lost_c: FiniteFloat = RunawayLimits().lost_c
+
+    @model_validator(mode="after")
+    def _lost_is_hot(self) -> Self:
+        if self.lost_c < self.hot_c:
+            raise ValueError(f"lost_c = {self.lost_c:g}: expected at least hot_c = {self.hot_c:g}")
+        return self
+
+
 class NetworkSection(Section):
     """A thermal network of the user's own."""
 
@@ -94,6 +109,7 @@ class NetworkSection(Section):
     )
     errors: ErrorSection = ErrorSection()
     reference: ReferenceSection = ReferenceSection()
+    runaway: RunawaySection | None = None
 
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Self:
@@ -162,6 +178,12 @@ class NetworkSection(Section):
     def error_model(self) -> ErrorModel:
         """Return the error model."""
         return ErrorModel(**self.errors.model_dump())
+
+    def runaway_limits(self) -> RunawayLimits | None:
+        """Return the limits given, or a bearing's where the heat is a bearing's friction."""
+        if self.runaway is not None:
+            return RunawayLimits(**self.runaway.model_dump())
+        return None if self.source.kind == "linear" else RunawayLimits()
 
     def compiled(self) -> CompiledNetwork:
         """Return the network as flat arrays; raises ValueError as `network` does."""

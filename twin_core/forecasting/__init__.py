@@ -2,7 +2,6 @@
 
 from twin_core.forecasting.ensemble import (
     QUANTILE_LEVELS,
-    RUNAWAY_C,
     Exceedance,
     Forecast,
     forecast,
@@ -25,7 +24,6 @@ from twin_core.forecasting.naive import (
 __all__ = [
     "NAIVE_KINDS",
     "QUANTILE_LEVELS",
-    "RUNAWAY_C",
     "Exceedance",
     "Fit",
     "Forecast",

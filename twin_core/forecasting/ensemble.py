@@ -33,9 +33,6 @@ from twin_core.simulation import (
 FloatArray = NDArray[np.float64]
 
 QUANTILE_LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
-RUNAWAY_C = 130.0
-"""A member in which any sensor passes this temperature has run away: no grease survives it."""
-
 DEVIATION_K = 0.25
 LOAD_DEVIATION = 0.04
 """What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in
@@ -91,7 +88,8 @@ class Forecast:
     sensors
         Names of the members' last axis.
     runaway_probability
-        Share of the members in which a sensor passes 130 degC or the simulation fails.
+        Share of the members that run away: a sensor passes the temperature of the model's limits
+        (of a bearing 130 degC), or the simulation fails.
     labels
         What must be said with this forecast; see `twin_core.forecasting.labels`.
     """
@@ -260,7 +258,7 @@ def forecast(
     gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
     gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
     quantiles = _quantiles(ordered)
-    runaway = failed | np.any(readings > RUNAWAY_C, axis=(1, 2))
+    runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
     return Forecast(
@@ -271,7 +269,12 @@ def forecast(
         sensors=sensors,
         runaway_probability=probability,
         labels=forecast_labels(
-            posterior, profile, float(np.max(upper)), probability, _untaught(parameters, posterior)
+            posterior,
+            profile,
+            float(np.max(upper)),
+            probability,
+            _untaught(parameters, posterior),
+            model.runaway,
         ),
     )
 

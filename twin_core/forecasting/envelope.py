@@ -3,8 +3,8 @@
 For every point of a grid the machine is held there from its present state, by every member of an
 ensemble over the parameter posterior, the present state and what the model leaves out. From the
 members follow the steady temperature with its interval, and when and how probably each limit is
-passed on the way. A point where a member has no steady state, or a sensor beyond 130 degC, counts
-as run away in that member.
+passed on the way. A point where a member has no steady state, or a sensor beyond the model's limit
+(of a bearing 130 degC), counts as run away in that member.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,6 @@ from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_dr
 from twin_core.forecasting.ensemble import (
     DEVIATION_K,
     LOAD_DEVIATION,
-    RUNAWAY_C,
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
     SENSOR_WHITE_K,
@@ -188,7 +187,7 @@ def envelope(
     table = np.full((len(sensors), most + 1), np.inf)
     for row, name in enumerate(sensors):
         table[row, : len(limits.get(name, ()))] = limits.get(name, ())
-    table[:, most] = RUNAWAY_C
+    table[:, most] = model.lost_c
     cells = np.tile(speeds, loads.size), np.repeat(loads, speeds.size)
     beyond = _beyond_load(cells[1], posterior.trained.load_n_max)
 
@@ -222,7 +221,7 @@ def envelope(
     lasting = np.where(np.isfinite(steady), steady, _CEILING_C)
     deviation = slow[:, None] * slow_k(np.maximum(np.median(lasting, axis=0) - ambient_c, 0.0))
     readings = np.where(np.isfinite(steady), steady + deviation + offset[:, None], _CEILING_C)
-    away = np.any((readings > RUNAWAY_C) | np.isfinite(crossing[..., most]), axis=2)
+    away = np.any((readings > model.lost_c) | np.isfinite(crossing[..., most]), axis=2)
     shape = (loads.size, speeds.size)
     quantiles = np.quantile(readings + noise[:, None], ENVELOPE_LEVELS, axis=0)
     probability = np.mean(away, axis=0)
@@ -247,7 +246,7 @@ def envelope(
         },
         runaway_probability=probability.reshape(shape),
         runaway_not_excluded=runaway_not_excluded(
-            posterior, cells[1], hottest, probability
+            posterior, cells[1], hottest, probability, model.runaway
         ).reshape(shape),
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.identification.posterior import Posterior
+from twin_core.network_model import RunawayLimits
 from twin_core.operating_points import STANDING_RPM
 from twin_core.simulation import OperatingProfile
 
@@ -21,9 +22,8 @@ RUNAWAY = "runaway not excluded"
 
 # Of the model `default`; a model without them is judged by its data alone.
 _LOAD_EXPONENT, _SPEED_EXPONENT = "b", "p"
+BEARING_LIMITS = RunawayLimits()
 _BEYOND = 1.1
-_LOAD_STEP = 1.5
-_HOT_C = 100.0
 _RUNAWAY_PROBABILITY = 0.005
 
 
@@ -33,6 +33,7 @@ def forecast_labels(
     hottest_c: float,
     runaway_probability: float,
     untaught: Collection[str] = (),
+    limits: RunawayLimits | None = BEARING_LIMITS,
 ) -> tuple[str, ...]:
     """Labels of a forecast.
 
@@ -48,6 +49,8 @@ def forecast_labels(
         Share of the members that run away.
     untaught
         Names of the parameters about which the data say nothing (verdict ``"prior only"``).
+    limits
+        The model's, from where on a runaway is not excluded; None for none.
 
     Returns
     -------
@@ -57,8 +60,9 @@ def forecast_labels(
         loads and the data hold a single load, or hold several and yet left the exponent of load
         where the prior had it: a second load stage is needed. ``"speed law from prior only"``
         likewise for speeds.
-        ``"runaway not excluded"`` when the upper edge passes 100 degC, a load beyond 1.5 times the
-        trained one lies ahead, or members run away.
+        ``"runaway not excluded"`` when the upper edge passes the limits' temperature (of a bearing
+        100 degC), a load beyond the limits' factor (of a bearing 1.5) of the trained one lies
+        ahead, or members run away.
     """
     trained = posterior.trained
     running = np.abs(profile.speed_rpm) >= STANDING_RPM
@@ -74,7 +78,7 @@ def forecast_labels(
         one_speed = trained.distinct_speeds < 2 or _SPEED_EXPONENT in untaught
         if one_speed and speed_rpm > _BEYOND * trained.speed_rpm_max:
             labels.append(SPEED_LAW)
-    if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability)):
+    if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability, limits)):
         labels.append(RUNAWAY)
     return tuple(labels)
 
@@ -84,6 +88,7 @@ def runaway_not_excluded(
     load_n: ArrayLike,
     hottest_c: ArrayLike,
     runaway_probability: ArrayLike,
+    limits: RunawayLimits | None = BEARING_LIMITS,
 ) -> NDArray[np.bool_]:
     """Tell where a thermal runaway cannot be excluded; see `forecast_labels`.
 
@@ -94,7 +99,12 @@ def runaway_not_excluded(
     load_n, hottest_c, runaway_probability
         Heaviest load, highest upper edge of any sensor and share of the members that run away;
         arrays of one shape, or scalars.
+    limits
+        The model's; None for none: then only members that run away count.
     """
-    heavy = posterior.identified & (np.asarray(load_n) > _LOAD_STEP * posterior.trained.load_n_max)
-    hot = np.asarray(hottest_c) > _HOT_C
-    return np.asarray(heavy | hot | (np.asarray(runaway_probability) > _RUNAWAY_PROBABILITY))
+    away = np.asarray(np.asarray(runaway_probability) > _RUNAWAY_PROBABILITY)
+    if limits is None:
+        return away
+    most_n = limits.load_factor * posterior.trained.load_n_max
+    heavy = posterior.identified & (np.asarray(load_n) > most_n)
+    return np.asarray(heavy | (np.asarray(hottest_c) > limits.hot_c) | away)

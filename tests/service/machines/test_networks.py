@@ -14,14 +14,19 @@ from service.configuration import SettingsError, describe
 from service.machines.machine import Machine
 from service.machines.networks import NetworkSection, read_network
 from service.settings import load_settings
+from twin_core.forecasting import forecast
+from twin_core.forecasting.envelope import envelope
+from twin_core.forecasting.labels import RUNAWAY
+from twin_core.identification import prior_posterior
 from twin_core.network import EdgeKind
+from twin_core.network_model import RunawayLimits
 from twin_core.networks.simple_5 import (
     AMBIENT_C,
     simple_5_model,
     simple_5_profile,
     target_values,
 )
-from twin_core.simulation import simulate, steady_state
+from twin_core.simulation import OperatingProfile, simulate, steady_state
 
 ROOT = Path(__file__).parents[3]
 GEARBOX = ROOT / "deploy" / "networks" / "gearbox.toml"
@@ -157,6 +162,7 @@ def test_the_friction_laws_of_bearings_heat_a_network_too(source: str, count: in
     document["source"] = tomllib.loads(source) | {"shares": [{"node": "t_a_c"}]}
     model = Machine("default", None, NetworkSection.model_validate(document)).build()
     assert model.compiled.friction_coefficient.size == count
+    assert model.runaway == RunawayLimits()
     slow, fast = (steady_state(model, [1.0], n, 2650.0, 20.0) for n in (1500.0, 3000.0))
     assert (fast > slow + 0.1).all()
     assert (slow > 20.0).all()
@@ -285,3 +291,34 @@ def test_what_the_document_on_networks_shows_is_valid() -> None:
     assert NetworkSection.model_validate(tomllib.loads(whole[0])) == read_network(GEARBOX)
     for block in blocks:
         tomllib.loads(block)
+
+
+def _hot(text: str, folder: Path) -> tuple[bool, bool]:
+    """Whether a forecast and an envelope at 300 degC exclude no runaway."""
+    file = folder / "forge.toml"
+    file.write_text(text)
+    model = built(file)
+    ambient_c = 300.0
+    start, spread = np.full(3, ambient_c), 0.01 * np.eye(3)
+    profile = OperatingProfile(
+        np.array([0.0, 60.0, 600.0]), np.full(3, 1500.0), np.full(3, 3000.0), np.full(3, ambient_c)
+    )
+    posterior = prior_posterior(model)
+    made = forecast(model, posterior, start, spread, 0.0, profile, members=20)
+    found = envelope(
+        model, posterior, start, spread, 0.0, ambient_c, [1500.0], [3000.0], {}, members=20
+    )
+    return RUNAWAY in made.labels, bool(found.runaway_not_excluded[0, 0])
+
+
+def test_limits_of_a_runaway_are_a_bearings_own(tmp_path: Path) -> None:
+    """A hot machine without a bearing's friction has not run away, unless its file says so."""
+    gearbox = GEARBOX.read_text()
+    assert _hot(gearbox, tmp_path) == (False, False)
+    assert _hot(gearbox + "\n[runaway]\n", tmp_path) == (True, True)
+    limits = "\n[runaway]\nhot_c = 600\nlost_c = 700\n"
+    assert _hot(gearbox + limits, tmp_path) == (False, False)
+    section = NetworkSection.model_validate(tomllib.loads(gearbox + limits))
+    assert section.runaway_limits() == RunawayLimits(600.0, 1.5, 700.0)
+    with pytest.raises(ValidationError, match="lost_c = 130: expected at least hot_c = 600"):
+        NetworkSection.model_validate(tomllib.loads(gearbox + "\n[runaway]\nhot_c = 600\n"))

@@ -15,6 +15,7 @@ from twin_core.forecasting.labels import (
 )
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import build_model
+from twin_core.network_model import RunawayLimits
 from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import OperatingProfile
 
@@ -81,3 +82,16 @@ def test_before_any_identification() -> None:
 def test_load_on_a_standing_machine_teaches_and_threatens_nothing() -> None:
     posterior = trained_at((1500, 2650), (4200, 2650))
     assert forecast_labels(posterior, ahead(0.0, 9000.0), 50.0, 0.0) == ()
+
+
+def test_the_limits_of_a_runaway_are_the_networks() -> None:
+    posterior = trained_at((1500, 2650), (4200, 3300))
+    heavier = ahead(4200.0, 9000.0)
+    assert RUNAWAY in forecast_labels(posterior, heavier, 140.0, 0.0)
+    assert forecast_labels(posterior, heavier, 140.0, 0.0, limits=None) == ()
+    assert forecast_labels(posterior, heavier, 140.0, 0.01, limits=None) == (RUNAWAY,)
+    wide = RunawayLimits(hot_c=155.0, load_factor=4.0, lost_c=180.0)
+    assert forecast_labels(posterior, heavier, 154.0, 0.0, limits=wide) == ()
+    assert forecast_labels(posterior, heavier, 156.0, 0.0, limits=wide) == (RUNAWAY,)
+    with pytest.raises(ValueError, match=r"lost_c is 90\.0, expected at least hot_c = 100\.0"):
+        RunawayLimits(lost_c=90.0)
