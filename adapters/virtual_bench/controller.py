@@ -115,6 +115,24 @@ class Controller:
         self._steps = [*self._steps[:kept], Step("tripped", math.inf, 0.0, 0.0, "low")]
         self._compile()
 
+    def postpone_high_risk(self, begin_s: float, end_s: float) -> None:
+        """Let a high-risk step that would begin within a span begin one second after it.
+
+        The step before it lasts so much longer; all that follows begins as much later.
+
+        Parameters
+        ----------
+        begin_s, end_s : float
+            The span in process seconds since the start, its begin excluded.
+        """
+        for index, step in enumerate(self._steps[:-1]):
+            if step.risk == "high" and begin_s < self._starts[index] <= end_s:
+                delay_s = end_s + 1.0 - self._starts[index]
+                later = [start + delay_s for start in self._starts[index:]]
+                self._starts = [*self._starts[:index], *later]
+                self._compile()
+                return
+
     def true_point(
         self, time_s: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -56,6 +56,11 @@ class LiveBench:
         The bench; default the calibrated one for the scenario's bearing.
     sensors : SensorParameters, optional
         Sensor errors.
+
+    Attributes
+    ----------
+    hold : bool
+        While it is set, no high-risk step begins: the step before it goes on.
     """
 
     def __init__(
@@ -79,6 +84,7 @@ class LiveBench:
         self._load = LineSensor(seed, 2, errors.load_sd_n)
         self._seconds = 0
         self.time_s = 0.0
+        self.hold = False
         self._truth: list[tuple[float, ...]] = []
         self._note_truth(start_c, 0.0)
 
@@ -89,6 +95,9 @@ class LiveBench:
         while self._seconds < end:
             # pieces end at whole truth periods, where thermostat and truth are looked at
             until = min(end, (self._seconds // TRUTH_PERIOD_S + 1) * TRUTH_PERIOD_S)
+            if self.hold:
+                # Up to one second later: what is read until then is still of the step before.
+                self.controller.postpone_high_risk(self._seconds, until + 1.0)
             self._step(until)
 
     def _step(self, until: int) -> None:

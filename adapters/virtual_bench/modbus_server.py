@@ -27,6 +27,7 @@ OVER_RANGE = 32767
 STATUS_BITS = {"wire break": 1 << 0, "short circuit": 1 << 1, "over-range": 1 << 2}
 
 START_COIL = 0
+HOLD_COIL = 1
 
 _READ_HOLDING = 3
 _READ_INPUT = 4
@@ -173,6 +174,11 @@ class BenchModbusServer:
             if function == _WRITE_COIL and address == START_COIL:
                 if values and values[0]:
                     self._start_scenario()
+                return None
+            if function == _WRITE_COIL and address == HOLD_COIL:
+                if values is not None:  # None: the library's own second call, after the write
+                    self._bench.advance(self._now_s())
+                    self._bench.hold = bool(values[0])
                 return None
             if function != _READ_HOLDING:
                 return ExcCodes.ILLEGAL_FUNCTION

@@ -30,8 +30,19 @@ def demo(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
     duration_s: Annotated[
-        float | None, typer.Option(help="Stop after so many wall seconds.", min=1)
+        float | None, typer.Option(help="Stop after this many wall seconds.", min=1)
     ] = None,
+    stay: Annotated[
+        bool,
+        typer.Option("--stay", help="Keep the page after the last stage, also without a terminal."),
+    ] = False,
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait/--no-wait",
+            help="Let the bench wait before a high-risk stage until the identification has ended.",
+        ),
+    ] = True,
     seed: Annotated[int, typer.Option(help="Seed of the virtual bench.")] = 0,
 ) -> None:
     """Watch the twin do its job: a virtual bench, real Modbus and CAN, the whole service.
@@ -51,7 +62,17 @@ def demo(
         pass
     console = Console(stderr=as_json, highlight=False)
     try:
-        document = asyncio.run(_demo(rate, port, headless, duration_s, seed, console))
+        document = asyncio.run(
+            _demo(
+                rate,
+                port,
+                stay or (not headless and sys.stdin.isatty()),
+                wait,
+                duration_s,
+                seed,
+                console,
+            )
+        )
     except DemoError as error:
         sys.stderr.write(f"bearing-twin: {error}\n")
         raise typer.Exit(error.status) from error
@@ -65,7 +86,8 @@ def demo(
 async def _demo(
     rate: float,
     port: int,
-    headless: bool,
+    stay: bool,
+    wait: bool,
     duration_s: float | None,
     seed: int,
     console: "Console",
@@ -81,9 +103,16 @@ async def _demo(
         minutes, seconds = divmod(int(time.monotonic() - began), 60)
         console.print(f"[dim]{minutes:02d}:{seconds:02d}[/dim]  {line}", soft_wrap=True)
 
-    def at_the_end(document: dict[str, Any]) -> bool:
+    def at_the_end(document: dict[str, Any]) -> None:
         print_account(document, console)
-        return not headless and sys.stdin.isatty() and bool(document["complete"])
 
-    watch = Watch(stop, duration_s)
-    return await run(rate=rate, port=port, seed=seed, watch=watch, tell=tell, at_the_end=at_the_end)
+    return await run(
+        rate=rate,
+        port=port,
+        seed=seed,
+        watch=Watch(stop, duration_s),
+        wait=wait,
+        stay=stay,
+        tell=tell,
+        at_the_end=at_the_end,
+    )

@@ -60,8 +60,8 @@ class Process:
         status = self._process.returncode
         if status == 2 and lines:
             return DemoError(lines[-1].removeprefix("bearing-twin: "), status)
-        last = lines[-1] if lines else "without a word"
-        return DemoError(f"the {self._name} ended with status {status}: {last}")
+        last = f": {lines[-1]}" if lines else ""
+        return DemoError(f"the {self._name} ended with status {status}{last}")
 
 
 @contextlib.asynccontextmanager

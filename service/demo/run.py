@@ -1,10 +1,11 @@
-"""One run of the demo: virtual bench and service as processes, the story told and scored."""
+"""One run of the demo: virtual bench and service as processes, its stages reported and scored."""
 
 import asyncio
 import contextlib
 import json
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +21,8 @@ from service.settings import load_settings
 from service.store import Store
 
 SCENARIO = "demo"
+START_COIL = 0
+HOLD_COIL = 1
 
 Result = TypeVar("Result")
 
@@ -49,6 +52,10 @@ class Watch:
     def add(self, process: Process) -> None:
         """Watch over one more process."""
         self._processes.append(process)
+
+    def remove(self, process: Process) -> None:
+        """Let a process end without ending the demo."""
+        self._processes.remove(process)
 
     async def until_done(self, work: Awaitable[Result]) -> Result:
         """Return what the work gives.
@@ -86,8 +93,10 @@ async def run(
     port: int,
     seed: int,
     watch: Watch,
+    wait: bool,
+    stay: bool,
     tell: Callable[[str], None],
-    at_the_end: Callable[[dict[str, Any]], bool],
+    at_the_end: Callable[[dict[str, Any]], None],
 ) -> dict[str, Any]:
     """Run the demo and return its document.
 
@@ -101,10 +110,14 @@ async def run(
         Of the virtual bench.
     watch : Watch
         Says when to stop.
+    wait : bool
+        Whether the bench waits before a high-risk stage until the identification has ended.
+    stay : bool
+        Whether service and page stay up after the last stage until the demo is to stop.
     tell : callable
         Takes one line for the person who watches.
     at_the_end : callable
-        Gets the document while all is still up; true keeps the page until the demo is to stop.
+        Gets the document while service and page are still up.
 
     Raises
     ------
@@ -116,7 +129,9 @@ async def run(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bearing-twin-demo-")))
         try:
             await watch.until_done(_prepare(folder, tell))
-            bench = await watch.until_done(_start_bench(stack, folder, rate, seed, watch))
+            bench_process, bench = await watch.until_done(
+                _start_bench(stack, folder, rate, seed, watch)
+            )
             address, key = await watch.until_done(
                 _start_service(stack, folder, bench, rate, port, watch)
             )
@@ -124,17 +139,25 @@ async def run(
             client = await stack.enter_async_context(
                 httpx2.AsyncClient(base_url=address, headers={"X-API-Key": key}, timeout=30)
             )
-            story = Story(client, find_scenario(SCENARIO), tell)
+            hold = partial(set_coil, bench, HOLD_COIL) if wait else None
+            story = Story(client, find_scenario(SCENARIO), tell, hold)
             await watch.until_done(story.ready())
-            tell("The twin follows the standing machine; the bench starts its profile.")
-            await watch.until_done(press_start(bench))
-            await watch.until_done(story.follow())
+            tell("The twin follows the machine at standstill; the bench starts its profile.")
+            await watch.until_done(set_coil(bench, START_COIL, True))
+            try:
+                await watch.until_done(story.follow())
+            except DemoError as error:
+                if not (stay and bench_process.ended):
+                    raise
+                watch.remove(bench_process)
+                tell(f"{error}. The service goes on without its data.")
         except _Interrupted:
             pass
         if story is None:
             return NOTHING_YET
         document = await story.account()
-        if at_the_end(document):
+        at_the_end(document)
+        if stay:
             tell("The page stays up; Ctrl-C ends the demo.")
             with contextlib.suppress(_Interrupted):
                 await watch.until_done(asyncio.Event().wait())
@@ -158,7 +181,8 @@ async def _prepare(folder: Path, tell: Callable[[str], None]) -> None:
 
 async def _start_bench(
     stack: contextlib.AsyncExitStack, folder: Path, rate: float, seed: int, watch: Watch
-) -> dict[str, Any]:
+) -> tuple[Process, dict[str, Any]]:
+    """Start the virtual bench; its process and where it listens."""
     arguments = (
         "virtual-bench", "--scenario", SCENARIO, "--rate", f"{rate:g}", "--seed", str(seed),
         "--modbus-port", "0", "--can-port", "0", "--truth", str(folder / "truth.csv"),
@@ -168,8 +192,7 @@ async def _start_bench(
         running("virtual bench", arguments, folder / "bench.log")
     )
     watch.add(process)
-    bench: dict[str, Any] = json.loads(process.first_line)
-    return bench
+    return process, json.loads(process.first_line)
 
 
 async def _start_service(
@@ -192,11 +215,17 @@ async def _start_service(
     return process.first_line, key
 
 
-async def press_start(bench: dict[str, Any]) -> None:
-    """Press the start button of the bench controller: a coil, as a SCADA system would."""
+async def set_coil(bench: Mapping[str, Any], coil: int, value: bool) -> None:
+    """Set a coil of the bench controller, as a SCADA system would.
+
+    Raises
+    ------
+    DemoError
+        If the controller refuses it.
+    """
     async with AsyncModbusTcpClient(
         bench["modbus"]["host"], port=bench["modbus"]["port"], timeout=3
     ) as modbus:
-        answer = await modbus.write_coil(0, True, device_id=2)
+        answer = await modbus.write_coil(coil, value, device_id=2)
         if answer.isError():
-            raise DemoError(f"the bench did not take the start command: {answer}")
+            raise DemoError(f"the bench refused coil {coil} = {value}: {answer}")

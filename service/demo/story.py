@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
 import httpx2
@@ -24,6 +24,8 @@ from service.demo.score import (
 
 LOOK_EVERY_WALL_S = 0.4
 READY_WALL_S = 60.0
+#: The longest wait before a high-risk stage: a service that never identifies must not end the demo.
+HOLD_WALL_S = 600.0
 MODBUS_CHANNELS = (
     "t_inner_ring_c",
     "t_outer_ring_c",
@@ -47,14 +49,23 @@ class Story:
         What the bench runs.
     tell : callable
         Takes one line for the person who watches.
+    hold : callable, optional
+        Sets whether the bench waits before a high-risk stage; without it the bench never waits.
     """
 
     def __init__(
-        self, client: httpx2.AsyncClient, scenario: Scenario, tell: Callable[[str], None]
+        self,
+        client: httpx2.AsyncClient,
+        scenario: Scenario,
+        tell: Callable[[str], None],
+        hold: Callable[[bool], Awaitable[None]] | None = None,
     ) -> None:
         self._client = client
         self._scenario = scenario
         self._tell = tell
+        self._hold = hold
+        self._held: bool | None = None
+        self._waits_since_wall_s: float | None = None
         self._forecasts: list[KeptForecast] = []
         self._stages: list[Stage] = []
         self._told_models: set[int] = set()
@@ -93,12 +104,47 @@ class Story:
         await self._keep_forecast()
         await self._tell_models_and_jobs()
         await self._tell_alarms()
+        await self._hold_bench(tags)
         if tags["phase"]["value"] is None:
             return None
         phase = int(tags["phase"]["value"])
         if phase != self._phase():
             await self._enter(phase, tags)
         return phase
+
+    async def _hold_bench(self, tags: Mapping[str, Any]) -> None:
+        """Let no high-risk stage begin before the twin has learned from the stages before it."""
+        if self._hold is None:
+            return
+        wanted = await self._identification_is_due()
+        if not wanted or not self._waits(tags):
+            self._waits_since_wall_s = None
+        elif self._waits_since_wall_s is None:
+            self._waits_since_wall_s = time.monotonic()
+            self._tell("The bench waits with the next stage until the identification has ended.")
+        elif time.monotonic() - self._waits_since_wall_s > HOLD_WALL_S:
+            wanted = False
+        if wanted != self._held:
+            await self._hold(wanted)
+            self._held = wanted
+
+    async def _identification_is_due(self) -> bool:
+        """Whether a job runs, none has ended yet, or the forecast is of an older version."""
+        jobs = (await self._get(f"/api/v1/assets/{ASSET}/identifications"))["items"]
+        if not jobs or any(job["status"] in ("queued", "running") for job in jobs):
+            return True
+        models = (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]
+        active = [model["version"] for model in models if model["status"] == "active"]
+        return not self._forecasts or self._forecasts[-1].model_version not in active
+
+    def _waits(self, tags: Mapping[str, Any]) -> bool:
+        """Whether a high-risk stage is next and its time has come."""
+        phase = self._phase()
+        following = self._scenario.steps[phase : phase + 1]
+        if not phase or not following or following[0].risk == "low" or not tags["phase"]["time"]:
+            return False
+        lasted_s = (from_rfc3339(tags["phase"]["time"]) - self._stages[-1].start_us) / 1e6
+        return lasted_s > self._scenario.steps[phase - 1].duration_s
 
     def _phase(self) -> int:
         return len(self._stages)
@@ -113,8 +159,8 @@ class Story:
                     last.name, last.risk, last.speed_rpm, last.load_n, last.start_us, start_us
                 )
             if number > len(self._scenario.steps):
-                self._tell("The profile is over; the machine stands.")
-                self._stages.append(Stage("standing", "low", 0.0, 0.0, start_us, None))
+                self._tell("The profile is over; the machine is at standstill.")
+                self._stages.append(Stage("standstill", "low", 0.0, 0.0, start_us, None))
                 return
             step = self._scenario.steps[number - 1]
             self._stages.append(

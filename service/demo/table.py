@@ -1,5 +1,6 @@
 """The demo's account as a table for people."""
 
+from datetime import datetime
 from typing import Any
 
 from rich.console import Console
@@ -27,19 +28,24 @@ def print_account(document: dict[str, Any], console: Console) -> None:
     for stage in document["stages"]:
         if stage["forecast_made_at"]:
             console.print(
-                f"{stage['name']}: began at {stage['start'][11:19]}, forecast made at "
-                f"{stage['forecast_made_at'][11:19]} by model {stage['forecast_model_version']}."
+                f"{stage['name']}: began at {_local(stage['start'])}, forecast made at "
+                f"{_local(stage['forecast_made_at'])} by model {stage['forecast_model_version']}."
             )
     for stage in document["stages"]:
         warning = stage["warning"]
         if warning["forecast_limit_at"]:
             reached = warning["measured_limit_at"]
             console.print(
-                f"{stage['name']}: limit announced at {warning['forecast_limit_at'][11:19]}, "
-                + (f"reached at {reached[11:19]}" if reached else "not reached")
+                f"{stage['name']}: limit announced at {_local(warning['forecast_limit_at'])}, "
+                + (f"reached at {_local(reached)}" if reached else "not reached")
             )
     samples = document["samples"]
     console.print(f"Good samples stored: {samples['modbus']} by Modbus, {samples['can']} by CAN.")
+
+
+def _local(time: str) -> str:
+    """Time of day with its zone, as the page shows it."""
+    return datetime.fromisoformat(time).astimezone().strftime("%H:%M:%S %Z")
 
 
 def _figure(value: float | None) -> str:

@@ -15,6 +15,27 @@ def compiled_kernels() -> None:
     subprocess.run([sys.executable, "-m", "service", "warm-up"], check=True, timeout=560)
 
 
+def test_the_bench_waits_for_the_identification_however_fast_the_clock_runs() -> None:
+    """Five hours of low-risk stages pass in 20 s, sooner than an identification ends."""
+    demo = subprocess.run(
+        [
+            sys.executable, "-m", "service", "demo", "--headless", "--json", "--port", "0",
+            "--rate", "1000",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=560,
+        check=False,
+    )  # fmt: skip
+    assert demo.returncode == 0, demo.stderr[-3000:]
+    document = json.loads(demo.stdout)
+    assert document["complete"] is True
+    identified = {model["version"] for model in document["model_versions"] if model["activated"]}
+    for stage in document["stages"]:
+        assert stage["forecast_model_version"] in identified, demo.stderr[-3000:]
+        assert stage["forecast_made_at"] < stage["start"]
+
+
 def test_a_demo_cut_short_ends_cleanly_with_its_document() -> None:
     demo = subprocess.run(
         [

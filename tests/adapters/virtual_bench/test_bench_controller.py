@@ -73,6 +73,25 @@ def test_plan_counts_down_and_moves_up() -> None:
     assert len(later.plan) == 2
 
 
+def test_a_high_risk_step_is_postponed_and_a_low_risk_step_is_not() -> None:
+    controller = _controller(_REST, _RUN, _LOAD, _RUN)
+    controller.postpone_high_risk(90.0, 110.0)  # the low-risk step at 100 s
+    assert controller.state(100.0).phase == 2
+    controller.postpone_high_risk(299.0, 320.0)  # the high-risk step at 300 s
+    assert controller.state(320.0).phase == 2
+    assert [(row.duration_s, row.load_n) for row in controller.state(320.0).plan] == [
+        (1, 2000.0),
+        (300, 3000.0),
+        (200, 2000.0),
+    ]
+    assert controller.state(321.0).phase == 3
+    controller.postpone_high_risk(321.0, 400.0)  # it has begun: nothing stops it
+    assert controller.state(400.0).phase == 3
+    assert controller.state(621.0).phase == 4
+    speed, load = controller.true_point(np.array([320.0]))
+    assert (speed[0], load[0]) == (3000.0, pytest.approx(2000.0, abs=100.0))
+
+
 def test_standstill_after_the_end() -> None:
     state = _controller(_REST, _RUN, _LOAD).state(10_000.0)
     assert (state.phase, state.run_state) == (4, RunState.FINISHED)

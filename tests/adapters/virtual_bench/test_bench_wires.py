@@ -414,7 +414,7 @@ async def test_bench_waits_for_its_start_button(tmp_path: Path) -> None:
             controller = _client(where, 2)
             time.sleep(0.3)
             assert elapsed(controller) == 0
-            assert not controller.write_single_coil(1, True)  # there is no other button
+            assert not controller.write_single_coil(2, True)  # there are two buttons only
             controller.write_single_coil(0, False)
             time.sleep(0.1)
             assert elapsed(controller) == 0
@@ -431,6 +431,30 @@ async def test_bench_waits_for_its_start_button(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert float(rows[0]["time_s"]) == 0.0
     assert int(rows[0]["wall_time_us"]) >= ready_us + 400_000
+
+
+async def test_hold_button_delays_the_high_risk_step_until_it_is_released() -> None:
+    process_s = 0.0
+    async with _polled("rapid-acceleration", lambda: process_s) as where:
+
+        def look() -> None:
+            nonlocal process_s
+            controller = _client(where, 2)
+            assert controller.write_single_coil(1, True)
+            for second in range(0, 600, 7):
+                process_s = float(second)
+                assert _read(controller, True, 0, 1) == [1]
+            assert _plan(_read(controller, True, 100, 96))[0][0] in (1, 2)
+            assert controller.write_single_coil(1, False)
+            process_s += 3.0
+            assert _read(controller, True, 0, 1) == [2]
+            assert _plan(_read(controller, True, 100, 96))[0][0] in range(3590, 3601)
+            # the next high-risk step is not held, now that the button is released
+            process_s += 3600.0 + 1200.0
+            assert _read(controller, True, 0, 1) == [4]
+            controller.close()
+
+        await asyncio.to_thread(look)
 
 
 async def test_host_name_listens_on_one_address() -> None:
