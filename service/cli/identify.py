@@ -229,7 +229,7 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
             f"{row['low']:.4g} … {row['high']:.4g}",
             row["unit"],
             f"{row['informed_share']:.0%}",
-            row["verdict"],
+            row["verdict"] + (f", at its {row['at_bound']} bound" if row["at_bound"] else ""),
             row["description"],
         )
     console.print(table)
@@ -253,6 +253,11 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
             kind.replace("_", " "), *("–" if cell is None else f"{cell:.2f}" for cell in cells)
         )
     console.print(errors)
+    for check in found.gates.checks:
+        if check.passed:
+            console.print(f"Passed: {check.detail}", soft_wrap=True)
+    for warning in found.warnings:
+        console.print(f"Warning: {warning}", soft_wrap=True, markup=False)
     console.print(f"Model: {out}", soft_wrap=True)
 
 

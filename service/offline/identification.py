@@ -7,6 +7,7 @@ from typing import Any, get_args
 import numpy as np
 
 from service.machines.machine import Machine
+from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, minute_rows, revolutions_at
 from service.offline.tables import Recording
@@ -18,7 +19,9 @@ from twin_core.identification import (
     IdentificationWindow,
     Progress,
     identify,
+    prior_posterior,
 )
+from twin_core.identification.gates import GateReport, judge
 from twin_core.identification.identify import Method
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.searching import Search
@@ -30,6 +33,8 @@ from twin_core.windows import MinuteData, is_at_rest
 _FEWEST_ROWS = 3
 _LEAST_BUDGET = 25
 _COLD_K = 3.0
+# A naive forecast must be better by more than this before it is spoken of.
+_TIE_K = 0.25
 
 
 class UnusableDataError(ValueError):
@@ -61,6 +66,9 @@ class Identified:
         Simulations of the data set.
     windows, rows
         How many contiguous spans and rows were used.
+    gates
+        What would be asked of it before it may forecast in the service, with the prior's parameters
+        in place of an active model: fit, ranges, residuals, predictions of what a fit had not seen.
     """
 
     model: IdentifiedModel
@@ -72,6 +80,31 @@ class Identified:
     evaluations: int
     windows: int
     rows: int
+    gates: GateReport
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to look at before the model is relied upon, one line each."""
+        found = [
+            f"{name} = {row['value']:.4g} {row['unit']} lies on its {row['at_bound']} bound: the "
+            "bound gives this value, the data would have it further out; unless the bound is a "
+            "physical one, widen it or change the network"
+            for name, row in self.parameters.items()
+            if row["at_bound"]
+        ]
+        found += [
+            f"gate not passed: {check.detail}" for check in self.gates.checks if not check.passed
+        ]
+        for test, by_kind in self.gates.naive.items():
+            own = self.gates.scores[test]["nested_rms_k"]
+            kind, best = _best_naive(by_kind)
+            if best is not None and (own is None or own > best + _TIE_K):
+                shown = "failed" if own is None else f"{own:.2f} K rms"
+                found.append(
+                    f"{test}: the naive forecast {kind.replace('_', ' ')} is better, {best:.2f} K "
+                    f"rms; the model, without having seen it: {shown}"
+                )
+        return found
 
     @property
     def identifiability(self) -> dict[str, Any]:
@@ -102,6 +135,8 @@ class Identified:
             "naive": self.naive_k,
             "windows": self.windows,
             "rows": self.rows,
+            "gates": self.gates.to_dict(),
+            "warnings": self.warnings,
         } | ({} if view is None else {"paper_view": view})
 
 
@@ -229,8 +264,13 @@ def identify_recording(
         # All input has been checked: what is left is that no simulation holds on these data.
         raise FailedFitError(f"{recording.name}: {error}") from error
     if result.status != "converged":
-        hint = f"; see --model {REDUCED_NAME}" if model.name == "paper" else ""
-        raise FailedFitError(f"{recording.name}: failed fit: {result.reason}{hint}")
+        more = f"; see --model {REDUCED_NAME}" if model.name == "paper" else ""
+        if machine.network is not None:
+            more = f"; {hint(model, data, result, procedure.loss)}"
+        raise FailedFitError(f"{recording.name}: failed fit: {result.reason}{more}")
+    report = judge(
+        model, data, result, active=prior_posterior(model), seed=seed, loss=procedure.loss
+    )
     rms_by_sensor = dict(result.posterior.train_rms_k)
     return Identified(
         model=IdentifiedModel(
@@ -244,6 +284,7 @@ def identify_recording(
         evaluations=result.evaluations,
         windows=len(data.windows),
         rows=sum(window.minutes.size for window in data.windows),
+        gates=report,
     )
 
 
@@ -319,6 +360,21 @@ def _total_rms(data: IdentificationData, rms_by_sensor: Mapping[str, float]) -> 
         squares += known * rms_k**2
         count += known
     return float(np.sqrt(squares / count))
+
+
+def _best_naive(
+    by_kind: Mapping[str, Mapping[str, float | None]],
+) -> tuple[str, float | None]:
+    """Kind and rms, over all sensors, of the naive forecast that is best at a test."""
+    errors = {}
+    for kind, by_sensor in by_kind.items():
+        known = [rms_k for rms_k in by_sensor.values() if rms_k is not None]
+        if known:
+            errors[kind] = float(np.sqrt(np.mean(np.square(known))))
+    if not errors:
+        return "", None
+    best = min(errors, key=lambda kind: errors[kind])
+    return best, errors[best]
 
 
 def _naive_rms(windows: list[MinuteData]) -> dict[str, dict[str, float | None]]:

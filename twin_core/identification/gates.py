@@ -21,6 +21,7 @@ from twin_core.identification.problem import (
     first_measurements,
     profile_of,
 )
+from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import OperatingPoint, alike_points, new_points
@@ -136,6 +137,7 @@ def judge(
     *,
     active: Posterior,
     seed: int = 0,
+    loss: Loss = "linear",
     cancelled: Callable[[], bool] | None = None,
 ) -> GateReport:
     """Decide whether an identification's result may become the active model.
@@ -146,8 +148,8 @@ def judge(
         The candidate and what it was identified from.
     active
         Posterior of the active model, of the same model structure.
-    seed
-        For the nested fits.
+    seed, loss
+        For the nested fits; the loss is that of the candidate's own.
     cancelled
         Asked during the nested fits.
 
@@ -157,13 +159,14 @@ def judge(
         When ``cancelled`` says so.
     """
     active.check(model)
-    checks = [_fit(result), _ranges(model, result), _structure(model, data, result)]
+    checks = [_fit(result), _ranges(model, result), _structure(model, data, result, loss)]
     scores: dict[str, Any] = {"train_rms_k": dict(result.posterior.train_rms_k)}
     naive: dict[str, Any] = {}
     for test in prediction_tests(data):
         by_kind = naive_rms([window.minutes for window in test.training.windows], test.rows)
         change_k = _total(error for error in by_kind["persistence"].values() if error is not None)
-        check = _prediction(model, test, result.posterior, active, change_k, seed, cancelled)
+        nested_z = _nested(model, test, seed, loss, cancelled)
+        check = _prediction(model, test, nested_z, result.posterior, active, change_k)
         checks.append(check)
         scores[test.name] = dict(check.values)
         naive[test.name] = by_kind
@@ -308,20 +311,41 @@ def _known(rows: MinuteData, row: int) -> dict[str, float]:
     return {name: value for name, value in readings.items() if np.isfinite(value)}
 
 
+def _nested(
+    model: ThermalModel,
+    test: PredictionTest,
+    seed: int,
+    loss: Loss,
+    cancelled: Callable[[], bool] | None,
+) -> FloatArray | None:
+    """Coordinates (p,) fitted without the test's part; None where no simulation holds."""
+    try:
+        nested = identify(
+            model,
+            test.training,
+            method="refine",
+            seed=seed,
+            samples=0,
+            loss=loss,
+            cancelled=cancelled,
+        )
+    except ValueError:
+        return None
+    return nested.posterior.z
+
+
 def _prediction(
     model: ThermalModel,
     test: PredictionTest,
+    nested_z: FloatArray | None,
     candidate: Posterior,
     active: Posterior,
     change_k: float,
-    seed: int,
-    cancelled: Callable[[], bool] | None,
 ) -> GateCheck:
     """Compare both models on one test; ``change_k`` is the rms error of persistence there."""
-    nested = identify(
-        model, test.training, method="refine", seed=seed, samples=0, cancelled=cancelled
-    )
-    own = _total(predict_rows(model, nested.posterior.z, test).values())
+    own = float("inf")
+    if nested_z is not None:
+        own = _total(predict_rows(model, nested_z, test).values())
     theirs = _total(predict_rows(model, active.z, test).values())
     full = _total(predict_rows(model, candidate.z, test).values())
     known = active.trained.operating_points
@@ -333,7 +357,8 @@ def _prediction(
         passed = own <= theirs - _BETTER_K or (varied and own <= _TIE_FACTOR * theirs + _TIE_K)
     detail = (
         f"{test.name}: {test.point.speed_rpm:.0f} rpm {test.point.load_n:.0f} N predicted with "
-        f"{own:.2f} K rms without having seen it, active model {theirs:.2f} K"
+        f"{own:.2f} K rms without having seen it, "
+        f"{'active model' if active.identified else 'prior parameters'} {theirs:.2f} K"
         + (" (which has seen it)" if seen else "")
     )
     return GateCheck(
@@ -385,10 +410,10 @@ def _ranges(model: ThermalModel, result: IdentificationResult) -> GateCheck:
 
 
 def _structure(
-    model: ThermalModel, data: IdentificationData, result: IdentificationResult
+    model: ThermalModel, data: IdentificationData, result: IdentificationResult, loss: Loss
 ) -> GateCheck:
     """Lag-1 autocorrelation of the whitened residuals; wrong only where they are large as well."""
-    problem = IdentificationProblem(model, data)
+    problem = IdentificationProblem(model, data, loss=loss)
     unknowns = result.unknowns
     if unknowns.size != problem.unknown_count:
         raise ValueError("the result belongs to other data than those given")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, dist
 
 FloatArray = NDArray[np.float64]
 
+# As near to a bound as this, in standard deviations of the prior, a parameter lies on it.
+_ON_BOUND_Z = 0.02
 # An operating point must have lasted this long to have taught anything.
 _TAUGHT_S = 1200.0
 
@@ -133,6 +135,18 @@ class Posterior:
         """What the data say about each parameter, by posterior over prior standard deviation."""
         return [verdict(float(ratio)) for ratio in self.std]
 
+    def at_bound(self, model: ThermalModel) -> list[Literal["lower", "upper"] | None]:
+        """Which bound of its range each parameter lies on, as a rule none.
+
+        Such a value is the bound's, whatever the verdict says: the data would have it further out.
+        """
+        low = self.z <= model.parameters.z_lower + _ON_BOUND_Z
+        high = self.z >= model.parameters.z_upper - _ON_BOUND_Z
+        return [
+            "lower" if lower else "upper" if upper else None
+            for lower, upper in zip(low, high, strict=True)
+        ]
+
     def identifiability(self, model: ThermalModel) -> Identifiability:
         """Return the combinations of parameters that the data inform, and those they do not.
 
@@ -153,6 +167,7 @@ class Posterior:
         """Return value, unit, 95 % interval, verdict and informed share of every parameter.
 
         The informed share is how much of the prior's variance the data have taken away, 0 to 1.
+        ``at_bound`` is ``"lower"`` or ``"upper"`` where the value lies on a bound, else None.
 
         Raises
         ------
@@ -172,11 +187,17 @@ class Posterior:
                 "low": float(low[k]),
                 "high": float(high[k]),
                 "verdict": said,
+                "at_bound": bound,
                 "informed_share": float(shares[k]),
                 "description": parameter.description,
             }
-            for k, (parameter, said) in enumerate(
-                zip(model.parameters.parameters, self.verdicts(), strict=True)
+            for k, (parameter, said, bound) in enumerate(
+                zip(
+                    model.parameters.parameters,
+                    self.verdicts(),
+                    self.at_bound(model),
+                    strict=True,
+                )
             )
         }
 
