@@ -13,7 +13,6 @@ from typing import Any
 
 import anyio.to_thread
 import structlog
-import uvicorn
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.drivers import Driver, SourceHealth
@@ -47,6 +46,7 @@ from service.store import (
     lock_database,
 )
 from service.upkeep import keep_up
+from service.web_server import serve_web
 from service.wiring import Wiring, is_loopback, wire
 
 HEALTH_EVERY_WALL_S = 1.0
@@ -280,18 +280,8 @@ class Service:
             self.spool.close()
 
     async def _web(self, listener: socket.socket, tls: ssl.SSLContext | None) -> None:
-        config = uvicorn.Config(
-            self.app,
-            log_config=None,
-            access_log=False,
-            timeout_graceful_shutdown=2,
-            server_header=False,
-            ws_per_message_deflate=False,
-            ws_max_size=64 * 1024,
-            ssl_context_factory=None if tls is None else lambda config, default: tls,
-        )
-        server = _Server(config)
-        serving = asyncio.create_task(server.serve(sockets=[listener]))
+        server, doorway = serve_web(self.app, listener, tls)
+        serving = asyncio.create_task(server.serve(sockets=[doorway]))
         try:
             await asyncio.shield(serving)
         finally:
@@ -322,15 +312,6 @@ class Service:
                     _cancel_sources_again()
             with contextlib.suppress(asyncio.CancelledError):
                 await task
-
-
-class _Server(uvicorn.Server):
-    """uvicorn without its signal handling: the service stops as one whole."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Any:
-        """Leave the signals to the service."""
-        yield
 
 
 def _cancel_sources_again() -> None:

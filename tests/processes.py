@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -59,13 +59,23 @@ def wait_until(
 
 
 class Command:
-    """One ``bearing-twin`` process; its first line of output says that it listens."""
+    """One ``bearing-twin`` process; its first line of output says that it listens.
 
-    def __init__(self, arguments: list[str], log: Path) -> None:
+    Parameters
+    ----------
+    arguments
+        Of the command.
+    log
+        Where its standard error goes.
+    under
+        A program that starts it, with its arguments: ``("prlimit", "--nofile=1024:1024")``.
+    """
+
+    def __init__(self, arguments: list[str], log: Path, under: Sequence[str] = ()) -> None:
         self.log = log
         with log.open("ab") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service", *arguments],
+                [*under, sys.executable, "-m", "service", *arguments],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 stdin=subprocess.DEVNULL,

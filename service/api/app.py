@@ -104,6 +104,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(AtTheDoor, door=make_door(authenticator, trail)),
             Middleware(SnapshotShortcut, snapshots=snapshots, assets=context.assets),
             Middleware(JsonBodies),
+            Middleware(BodyLimit),  # of what comes over the wire
             Middleware(Gunzip),
             Middleware(BodyLimit),
             Middleware(Trail, trail=trail),

@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from service.api.access import known_caller
 from service.api.problems import Problem, problem_response
 
 STREAM_PATH = "/api/v1/stream"
@@ -24,7 +25,7 @@ _BODY_BYTES: Final = (
 
 _JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")
 
-#: A small body may hold a very long one: it is unpacked in pieces, each counted.
+#: A small body may hold a very long one: it is decompressed in pieces, each counted.
 _UNPACKED_BYTES = 64 * KIB
 
 
@@ -234,9 +235,10 @@ class BodyLimit:
 
 
 class Gunzip:
-    """Unpack a body that came with ``Content-Encoding: gzip``, piece by piece.
+    """Decompress a body that came with ``Content-Encoding: gzip``, piece by piece.
 
-    It stands before `BodyLimit`, which so counts what the body really holds.
+    It stands behind one `BodyLimit`, which counts the compressed bytes, and before another, which
+    counts what the body really holds. For a caller without a key nothing is decompressed.
 
     Parameters
     ----------
@@ -255,9 +257,12 @@ class Gunzip:
         if encoding in ("", "identity"):
             await self.app(scope, receive, send)
             return
-        if encoding != "gzip":
+        known = known_caller(scope) is not None
+        if encoding != "gzip" or not known:
             response = problem_response(
-                415, f"Content-Encoding {encoding!r}, expected gzip or none", scope["path"]
+                415,
+                f"Content-Encoding {encoding!r}, expected {'gzip or none' if known else 'none'}",
+                scope["path"],
             )
             await response(scope, receive, send)
             return
@@ -273,17 +278,28 @@ class Gunzip:
                 if message["type"] != "http.request":
                     return message
                 waiting, ended = message.get("body", b""), not message.get("more_body", False)
+                if waiting and unpacker.eof:
+                    raise _too_much_behind()
             try:
                 body = unpacker.decompress(waiting, _UNPACKED_BYTES)
             except zlib.error as error:
                 raise Problem(400, f"the body is not gzip: {error}") from None
             waiting = unpacker.unconsumed_tail
+            if unpacker.unused_data:
+                raise _too_much_behind()
             more = bool(waiting) or not ended
             if not (more or unpacker.eof):
                 raise Problem(400, "the body is not gzip: it ends too early")
             return {"type": "http.request", "body": body, "more_body": more}
 
         await self.app(scope, receive_unpacked, send)
+
+
+def _too_much_behind() -> Problem:
+    return Problem(
+        400,
+        "the body goes on after the end of its gzip member, expected one member and nothing after",
+    )
 
 
 class JsonBodies:

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import zlib
 from typing import Any
 
 import pytest
@@ -143,6 +144,27 @@ async def test_a_gzip_body_is_as_good_as_a_plain_one(world: Any) -> None:
     assert response.json()["accepted"] == 5000
 
 
+async def test_compressed_bytes_count_too(world: Any) -> None:
+    """Empty blocks give nothing: a body of them would never be too long."""
+    deflate = zlib.compressobj(wbits=zlib.MAX_WBITS | 16)
+    packed = deflate.compress(b" ") + b"".join(
+        deflate.flush(zlib.Z_FULL_FLUSH) or b"\x00\x00\x00\xff\xff" for _ in range(1_000_000)
+    )
+    response = await push_packed(world, packed + deflate.flush())
+    assert response.status_code == 413
+
+
+async def test_nothing_is_decompressed_for_a_caller_without_a_key(world: Any) -> None:
+    for path in ("/api/v1/session", PATH):
+        response = await world.client().post(
+            path,
+            content=gzip.compress(b"{}"),
+            headers={"Content-Type": "application/json", "Content-Encoding": "gzip"},
+        )
+        assert response.status_code in (401, 415), response.text
+        assert (path == PATH) == (response.status_code == 401)
+
+
 async def test_a_bomb_is_refused_as_what_it_holds(world: Any) -> None:
     response = await push_packed(world, gzip.compress(b" " * 50_000_000))
     assert response.status_code == 413
@@ -154,6 +176,10 @@ async def test_a_bomb_is_refused_as_what_it_holds(world: Any) -> None:
         (b"plain", "gzip", 400),
         (gzip.compress(b'{"samples": []}', mtime=0)[:-9], "gzip", 400),
         (b"", "gzip", 400),
+        # Whatever follows the one member would never be counted as part of the body.
+        (gzip.compress(b'{"samples": []}', mtime=0) + b"0", "gzip", 400),
+        (gzip.compress(b'{"samples": []}', mtime=0) + bytes(1_000_000), "gzip", 400),
+        (gzip.compress(b'{"samples"', mtime=0) + gzip.compress(b": []}", mtime=0), "gzip", 400),
         (b"plain", "br", 415),
     ],
 )
