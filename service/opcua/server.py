@@ -8,25 +8,27 @@ subscribes; what it sees is at most `PERIOD_S` behind.
 import asyncio
 import contextlib
 import logging
+import math
 import socket
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import anyio
 import structlog
 from asyncua import Server, ua
-from asyncua.crypto.cert_gen import setup_self_signed_certificate
-from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from service.api.context import AssetTwin
 from service.configuration import SettingsError
 from service.live.guard import Guard
+from service.opcua.certificate import load_certificate
 from service.opcua.codes import status_code, unit_id
-from service.opcua.users import KeyedServer, KeyUsers
+from service.opcua.sessions import KeyedServer
+from service.opcua.users import KeyUsers
+from service.opcua.wire import BoundedServer
 from service.security import AuditTrail, Authenticator
 from service.settings import OpcUaSection
 from service.wiring import is_loopback
@@ -52,17 +54,26 @@ class TagServer:
         Whose tags are shown.
     users
         Who may read them.
+
+    Attributes
+    ----------
+    server : asyncua.Server
+        The library's.
+    refused : int
+        Writes that the library has refused so far; each is tried again.
     """
 
     def __init__(
         self, server: Server, namespace: int, assets: Mapping[str, AssetTwin], users: KeyUsers
     ) -> None:
-        self._server = server
+        self.server = server
+        self.refused = 0
         self._users = users
         self._namespace = namespace
         self._assets = assets
         self._shown: dict[ua.NodeId, Mapping[str, Any]] = {}
-        self._guards = {name: Guard("opcua_update", name) for name in assets}
+        # One for each tag: the others go on when one cannot be shown.
+        self._guards: dict[ua.NodeId | str, Guard] = {}
         self._door = Guard("opcua_close", "")
 
     async def run(self) -> None:
@@ -75,18 +86,34 @@ class TagServer:
     async def update(self) -> None:
         """Write what has changed since the last time; a tag that is new gets its variable."""
         for name, asset in self._assets.items():
-            with self._guards[name]():
+            with self._guard(name, name):
                 for tag, shown in asset.snapshot()["tags"].items():
                     node_id = ua.NodeId(f"{name}/{tag}", self._namespace)
-                    if node_id not in self._shown:
-                        await self._add(name, node_id, tag, shown["unit"])
-                    if self._shown.get(node_id) != shown:
-                        await self._server.write_attribute_value(node_id, _data_value(shown))
-                        self._shown[node_id] = shown
+                    with self._guard(node_id, f"{name}/{tag}"):
+                        await self._show(name, node_id, tag, shown)
+
+    async def _show(
+        self, asset: str, node_id: ua.NodeId, tag: str, shown: Mapping[str, Any]
+    ) -> None:
+        if node_id not in self._shown:
+            await self._add(asset, node_id, tag, shown["unit"])
+        if self._shown[node_id] == shown:
+            return
+        # The server's own method says nothing of a write that was refused.
+        status = await self.server.iserver.aspace.write_attribute_value(
+            node_id, ua.AttributeIds.Value, _data_value(shown)
+        )
+        if not status.is_good():
+            self.refused += 1
+            raise ua.UaError(f"the library refuses {shown}: {status.name}")
+        self._shown[node_id] = shown
+
+    def _guard(self, what: ua.NodeId | str, name: str) -> AbstractContextManager[None]:
+        return self._guards.setdefault(what, Guard("opcua_update", name))()
 
     async def put_out(self) -> None:
         """End the connections whose key opens nothing any more."""
-        for client in list(self._server.bserver.clients if self._server.bserver else ()):
+        for client in list(self.server.bserver.clients if self.server.bserver else ()):
             session = client.processor.session if client.processor else None
             if session is None or await self._users.may_stay(session.user):
                 continue
@@ -100,12 +127,12 @@ class TagServer:
         """Make the object of every asset."""
         for name in self._assets:
             node_id = ua.NodeId(name, self._namespace)
-            await self._server.nodes.objects.add_object(
+            await self.server.nodes.objects.add_object(
                 node_id, ua.QualifiedName(name, self._namespace)
             )
 
     async def _add(self, asset: str, node_id: ua.NodeId, tag: str, unit: str) -> None:
-        parent = self._server.get_node(ua.NodeId(asset, self._namespace))
+        parent = self.server.get_node(ua.NodeId(asset, self._namespace))
         variable = await parent.add_variable(
             node_id,
             ua.QualifiedName(tag, self._namespace),
@@ -133,18 +160,19 @@ async def _repeat(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
 
 
 def _data_value(shown: Mapping[str, Any]) -> ua.DataValue:
-    value = shown["value"]
-    variant = (
-        ua.Variant(None, ua.VariantType.Null)
-        if value is None
-        else ua.Variant(float(value), ua.VariantType.Double)
-    )
-    return ua.DataValue(
-        variant,
+    number = shown["value"]
+    has_value = number is not None and math.isfinite(number)
+    value = ua.DataValue(
+        ua.Variant(float(number), ua.VariantType.Double) if has_value else None,
         StatusCode=ua.StatusCode(status_code(shown["quality"])),
         SourceTimestamp=datetime.fromisoformat(shown["time"]),
         ServerTimestamp=datetime.now(UTC),
     )
+    if not has_value:
+        # Absent, not empty: the library takes an empty value for one of the wrong type, and
+        # refuses it beside a good status ("good and none": not within the horizon).
+        object.__setattr__(value, "Value", None)
+    return value
 
 
 def check_port(section: OpcUaSection) -> None:
@@ -179,7 +207,7 @@ async def serve_tags(
     """Listen, and show the tags as they are now.
 
     On a loopback address anybody may read; elsewhere a key is asked for as password (any user
-    name), and the connection may be encrypted with a certificate of the service's own.
+    name), and the connection is encrypted with a certificate of the service's own.
 
     Parameters
     ----------
@@ -202,7 +230,7 @@ async def serve_tags(
     check_port(section)
     local = is_loopback(urlsplit(section.endpoint).hostname or "")
     users = KeyUsers(authenticator, trail, anonymous=local)
-    server = Server(iserver=KeyedServer(users))
+    server = BoundedServer(KeyedServer(users), encrypted=not local)
     server.application_type = ua.ApplicationType.Server
     server.product_uri = NAMESPACE
     server.manufacturer_name = "Bearing Twin"
@@ -211,17 +239,13 @@ async def serve_tags(
     await server.init()
     await server.set_application_uri(APPLICATION_URI)
     server.set_endpoint(section.endpoint)
-    tokens: list[type] = [ua.UserNameIdentityToken]
-    policies = [ua.SecurityPolicyType.NoSecurity]
     if local:
-        tokens.append(ua.AnonymousIdentityToken)
+        server.set_identity_tokens([ua.UserNameIdentityToken, ua.AnonymousIdentityToken])
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     else:
-        folder = data_dir / "opcua"
-        await anyio.Path(folder).mkdir(mode=0o700, exist_ok=True)
-        await _load_certificate(server, folder)
-        policies.append(ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt)
-    server.set_identity_tokens(tokens)
-    server.set_security_policy(policies)
+        await load_certificate(server, data_dir / "opcua", APPLICATION_URI)
+        server.set_identity_tokens([ua.UserNameIdentityToken])
+        server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
     build = version("bearing-twin")
     await server.set_build_info(
         NAMESPACE, server.manufacturer_name, server.name, build, build, datetime.now()
@@ -232,19 +256,3 @@ async def serve_tags(
     async with server:
         _log.info("opcua_listens", endpoint=section.endpoint, anonymous=local)
         yield tags
-
-
-async def _load_certificate(server: Server, folder: Path) -> None:
-    """Load the service's own certificate; made when there is none, and anew before it ends."""
-    key, certificate = folder / "private-key.pem", folder / "certificate.der"
-    host = socket.gethostname()
-    await setup_self_signed_certificate(
-        key,
-        certificate,
-        APPLICATION_URI,
-        host,
-        [ExtendedKeyUsageOID.SERVER_AUTH],
-        {"commonName": f"Bearing Twin on {host}", "organizationName": "Bearing Twin"},
-    )
-    await server.load_certificate(certificate)
-    await server.load_private_key(key)

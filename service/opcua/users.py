@@ -8,8 +8,6 @@ import structlog
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
-from asyncua.server.internal_server import InternalServer
-from asyncua.server.internal_session import InternalSession
 
 from service.security import AuditTrail, Authenticator, guesses
 from service.security.keys import key_prefix
@@ -99,34 +97,3 @@ class KeyUsers:
         except StoreUnavailableError:
             return True  # the store cannot tell; whoever was let in stays
         return principal is not None and principal.role in VIEWER
-
-
-class KeyedServer(InternalServer):  # type: ignore[misc]
-    """The library's server, which tells its users from where a session is activated."""
-
-    def __init__(self, users: KeyUsers) -> None:
-        super().__init__(user_manager=users)
-        self._users = users
-
-    def create_session(
-        self, name: Any, user: User | None = None, external: bool = False
-    ) -> InternalSession:
-        """Make a session; the library names those from outside by their peer's address."""
-        if not external:
-            return super().create_session(name, user or User(role=UserRole.Anonymous))
-        return _Session(self._users, self, name)
-
-
-class _Session(InternalSession):  # type: ignore[misc]
-    def __init__(self, users: KeyUsers, server: KeyedServer, peer: tuple[str, int]) -> None:
-        super().__init__(
-            server, server.aspace, server.subscription_service, str(peer), external=True
-        )
-        self._users = users
-        self._address = peer[0]
-
-    def activate_session(
-        self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
-    ) -> ua.ActivateSessionResult:
-        self._users.address = self._address
-        return super().activate_session(params, peer_certificate)

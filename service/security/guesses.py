@@ -30,10 +30,10 @@ async def note_wrong_key(trail: AuditTrail, action: str, address: str, key: str)
 
 
 def _caller(action: str, address: str) -> str:
-    return f"{action} {_site_of(address)}"
+    return f"{action} {site_of(address)}"
 
 
-def _site_of(address: str) -> str:
+def site_of(address: str) -> str:
     """What one caller has for sure: an IPv4 address, or the network of an IPv6 one."""
     try:
         if ipaddress.ip_address(address).version == 4:

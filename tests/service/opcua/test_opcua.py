@@ -3,107 +3,28 @@
 import asyncio
 import contextlib
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
-from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import pytest
 from asyncua import Client, ua
-from processes import free_port
+from opcua_site import BEGAN, WRONG, Asset, Changes, apart, make_client, node_id, read, serving
 
 from adapters.samples import Quality
 from service import outlets
 from service.clock import from_rfc3339
 from service.configuration import SettingsError
 from service.opcua.codes import status_code, unit_id
-from service.opcua.server import serve_tags
-from service.security import AuditTrail, Authenticator, create_key, revoke_key
+from service.security import create_key, revoke_key
 from service.security.authenticator import FAILED_LOGINS_PER_MINUTE
 from service.settings import OpcUaSection, Settings
 from service.store import Outbox, Store
 
-Answer = TypeVar("Answer")
-WRONG = "bt_00000000_" + "A" * 43
-BEGAN = "2026-01-21T08:00:00.000Z"
-
-
-class Asset:
-    """An asset whose tags a test sets."""
-
-    def __init__(self) -> None:
-        self.tags: dict[str, dict[str, Any]] = {}
-        self.tell("t_inner_ring_c", 61.5)
-        self.tell("t_inner_ring_c.time_to_alarm_s", None, unit="s")
-        self.tell("model.version", 3, unit="")
-
-    def tell(
-        self,
-        name: str,
-        value: float | None,
-        quality: int = Quality.GOOD,
-        time: str = BEGAN,
-        unit: str = "°C",
-    ) -> None:
-        self.tags[name] = {"value": value, "unit": unit, "quality": int(quality), "time": time}
-
-    def snapshot(self) -> dict[str, Any]:
-        return {"tags": dict(self.tags)}
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    with Store.open("", tmp_path) as store:
-        yield store
-
-
-@pytest.fixture
-def outbox(store: Store, tmp_path: Path) -> Iterator[Outbox]:
-    with Outbox.open(tmp_path, store) as outbox:
-        yield outbox
-
-
-@asynccontextmanager
-async def serving(
-    asset: Asset, folder: Path, store: Store, outbox: Outbox, host: str = "127.0.0.1"
-) -> AsyncIterator[str]:
-    port = free_port()
-    section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    authenticator, trail = Authenticator(store), AuditTrail(outbox)
-    async with serve_tags(section, {"bench-1": asset}, authenticator, trail, folder) as tags:
-        running = asyncio.create_task(tags.run())
-        try:
-            yield f"opc.tcp://127.0.0.1:{port}/bearing-twin"
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
-
-
-async def apart(work: Callable[[], Coroutine[Any, Any, Answer]]) -> Answer:
-    """Run a client in a thread with an event loop of its own."""
-    return await asyncio.to_thread(lambda: asyncio.run(work()))
-
-
-def node_id(name: str) -> str:
-    return f"ns=2;s=bench-1/{name}"
-
-
-async def read(client: Client, name: str) -> ua.DataValue:
-    return await client.get_node(node_id(name)).read_data_value(raise_on_bad_status=False)
-
-
-class Changes:
-    """Takes a subscription's messages."""
-
-    def __init__(self) -> None:
-        self.values: asyncio.Queue[tuple[Any, int]] = asyncio.Queue()
-
-    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
-        self.values.put_nowait((value, data.monitored_item.Value.StatusCode.value))
-
 
 @pytest.mark.wires
-async def test_tags_are_read_and_subscribed_but_never_written(tmp_path: Path, store: Store) -> None:
+async def test_tags_are_read_and_subscribed_but_never_written(
+    tmp_path: Path, store: Store, outbox: Outbox
+) -> None:
     asset = Asset()
     async with serving(asset, tmp_path, store, outbox) as address:
 
@@ -184,35 +105,20 @@ async def test_clients_come_and_go_and_a_tag_that_is_new_appears(
 
 
 @pytest.mark.wires
-async def test_beyond_loopback_a_key_is_asked_for_and_the_line_may_be_encrypted(
+async def test_beyond_loopback_a_key_is_asked_for_and_the_line_is_encrypted(
     tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
     viewer, gateway = (create_key(store, role).text for role in ("viewer", "gateway"))
     async with serving(Asset(), tmp_path, store, outbox, host="0.0.0.0") as address:
 
-        async def value(password: str | None, encrypted: bool = False) -> Any:
-            client = Client(address)
-            if password is not None:
-                client.set_user("scada")
-                client.set_password(password)
-            if encrypted:
-                # The client's own certificate: any will do.
-                folder = tmp_path / "opcua"
-                await client.set_security_string(
-                    "Basic256Sha256,SignAndEncrypt,"
-                    f"{folder / 'certificate.der'},{folder / 'private-key.pem'}"
-                )
-            async with client:
+        async def value(password: str | None) -> Any:
+            async with await make_client(address, password, encrypted=True) as client:
                 return (await read(client, "t_inner_ring_c")).Value.Value
-
-        def asking(*arguments: Any) -> Awaitable[Any]:
-            return apart(lambda: value(*arguments))
 
         for password in (None, "a wrong key", gateway):
             with pytest.raises(ua.UaStatusCodeError):
-                await asking(password)
-        assert await asking(viewer) == 61.5
-        assert await asking(viewer, True) == 61.5
+                await apart(lambda offered=password: value(offered))
+        assert await apart(lambda: value(viewer)) == 61.5
     assert (tmp_path / "opcua").stat().st_mode & 0o077 == 0
 
 

@@ -1,0 +1,128 @@
+"""An OPC UA server over an asset that a test drives, and clients in an event loop of their own."""
+
+import asyncio
+import tempfile
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from asyncua import Client, ua
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from cryptography.x509.oid import ExtendedKeyUsageOID
+from processes import free_port
+
+from adapters.samples import Quality
+from service.opcua.server import TagServer, serve_tags
+from service.security import AuditTrail, Authenticator
+from service.settings import OpcUaSection
+from service.store import Outbox, Store
+
+Answer = TypeVar("Answer")
+WRONG = "bt_00000000_" + "A" * 43
+BEGAN = "2026-01-21T08:00:00.000Z"
+RING = "t_inner_ring_c"
+
+
+class Asset:
+    """An asset whose tags a test sets."""
+
+    def __init__(self) -> None:
+        self.tags: dict[str, dict[str, Any]] = {}
+        self.tell(RING, 61.5)
+        self.tell(f"{RING}.time_to_alarm_s", None, unit="s")
+        self.tell("model.version", 3, unit="")
+
+    def tell(
+        self,
+        name: str,
+        value: float | None,
+        quality: int = Quality.GOOD,
+        time: str = BEGAN,
+        unit: str = "°C",
+    ) -> None:
+        self.tags[name] = {"value": value, "unit": unit, "quality": int(quality), "time": time}
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"tags": dict(self.tags)}
+
+
+@dataclass
+class Serving:
+    """A running server: where it is, and its inside."""
+
+    address: str
+    tags: TagServer
+
+
+@asynccontextmanager
+async def inside(
+    asset: Any, folder: Path, store: Store, outbox: Outbox, host: str = "127.0.0.1"
+) -> AsyncIterator[Serving]:
+    """Serve an asset's tags; a host that is not loopback asks for keys."""
+    port = free_port()
+    section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
+    authenticator, trail = Authenticator(store), AuditTrail(outbox)
+    async with serve_tags(section, {"bench-1": asset}, authenticator, trail, folder) as tags:
+        running = asyncio.create_task(tags.run())
+        try:
+            yield Serving(f"opc.tcp://127.0.0.1:{port}/bearing-twin", tags)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+
+@asynccontextmanager
+async def serving(
+    asset: Any, folder: Path, store: Store, outbox: Outbox, host: str = "127.0.0.1"
+) -> AsyncIterator[str]:
+    """Serve an asset's tags; gives the address."""
+    async with inside(asset, folder, store, outbox, host) as served:
+        yield served.address
+
+
+async def apart(work: Callable[[], Coroutine[Any, Any, Answer]]) -> Answer:
+    """Run a client in a thread with an event loop of its own."""
+    return await asyncio.to_thread(lambda: asyncio.run(work()))
+
+
+def node_id(name: str) -> str:
+    return f"ns=2;s=bench-1/{name}"
+
+
+async def read(client: Client, name: str) -> ua.DataValue:
+    return await client.get_node(node_id(name)).read_data_value(raise_on_bad_status=False)
+
+
+async def make_client(address: str, key: str | None = None, encrypted: bool = False) -> Client:
+    """Make a client with a key as password, and a certificate of its own where it encrypts."""
+    client = Client(address, timeout=30)
+    if key is not None:
+        client.set_user("scada")
+        client.set_password(key)
+    if encrypted:
+        folder = Path(tempfile.mkdtemp())
+        certificate, private_key = folder / "client.der", folder / "client.pem"
+        await setup_self_signed_certificate(
+            private_key,
+            certificate,
+            client.application_uri,
+            "scada",
+            [ExtendedKeyUsageOID.CLIENT_AUTH],
+            {"commonName": "A SCADA system"},
+        )
+        await client.set_security_string(
+            f"Basic256Sha256,SignAndEncrypt,{certificate},{private_key}"
+        )
+    return client
+
+
+class Changes:
+    """Takes a subscription's messages."""
+
+    def __init__(self) -> None:
+        self.values: asyncio.Queue[tuple[Any, int]] = asyncio.Queue()
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        self.values.put_nowait((value, data.monitored_item.Value.StatusCode.value))
