@@ -111,6 +111,13 @@ class IdentificationSection(Section):
     ladder: Literal["observe", "suggest", "apply"] = "apply"
 
 
+class VerdictSection(Section):
+    """When the next step is called safe."""
+
+    #: Below this probability of exceeding a warning limit within the step.
+    safe_below_probability: float = Field(0.05, gt=0, le=0.5)
+
+
 class ControllerSection(Section):
     """Channels of the bench controller; each is checked by the driver of its source."""
 
@@ -173,6 +180,7 @@ class AssetSection(Section):
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
     alarms: AlarmsSection = AlarmsSection()
+    verdict: VerdictSection = VerdictSection()
 
     @model_validator(mode="before")
     @classmethod

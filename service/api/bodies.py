@@ -56,6 +56,12 @@ class ActiveModel(_Answer):
     identified_at: Time | None
 
 
+class VerdictSettings(_Answer):
+    """When the next step is called safe."""
+
+    safe_below_probability: float = Field(examples=[0.05])
+
+
 class AssetDocument(_Answer):
     """Configuration, health and active model of an asset."""
 
@@ -69,6 +75,10 @@ class AssetDocument(_Answer):
     channels: list[Any]
     health: dict[str, Any]
     active_model: ActiveModel | None
+    ambient_assumed_c: Number = Field(
+        None, description="Taken for the ambient temperature where no channel measures it, °C."
+    )
+    verdict: VerdictSettings | None = None
     controller: dict[str, Any] | None
 
 
@@ -107,6 +117,73 @@ class State(_Answer):
     model_version: int | None
     nodes: dict[str, NodeState]
 
+    missing: list[str] = Field(
+        [],
+        description="Speed, load and ambient that the twin does not know now; with any of them "
+        "the estimate is uncertain.",
+    )
+
+
+# ---------------------------------------------------------------------------- verdict
+class VerdictLimit(_Answer):
+    """The limit that a verdict is about."""
+
+    channel: str = Field(examples=["t_inner_ring_c"])
+    level: Literal["warning", "alarm"]
+    value_c: float = Field(description="The limit itself, °C.", examples=[90])
+
+
+class VerdictOf(_Answer):
+    """One word with what stands behind it."""
+
+    word: Literal["safe", "not safe", "recovering", "unknown"]
+    reasons: list[str] = Field(
+        examples=[["Inner ring over warning 90 °C with 3 % at 6200 rpm, 5500 N"]]
+    )
+    limit: VerdictLimit | None
+    probability: Number = Field(
+        description="That this limit is exceeded; 1 when it is exceeded already.", examples=[0.03]
+    )
+    seconds_to_limit: Number = Field(
+        description="Process seconds until it is exceeded at the earliest (2.5 % of the "
+        "forecasts); null when fewer exceed it."
+    )
+    alarm_probability: Number = Field(
+        None, description="That the alarm limit of the same channel is exceeded."
+    )
+
+
+class TimeToLimit(_Answer):
+    """The limit that is exceeded first along all that is planned.
+
+    Of a channel that is over its warning already it is the alarm limit.
+    """
+
+    limit: VerdictLimit
+    expected: bool = Field(description="Whether it is likelier than what is called safe.")
+    probability: float
+    earliest_s: Number = Field(description="Seconds from now, 2.5 % of the forecasts.")
+    median_s: Number = Field(description="Seconds from now, half of the forecasts.")
+    horizon_s: float = Field(description="How far the forecast looks, seconds from now.")
+
+
+class VerdictDocument(_Answer):
+    """Whether the machine is safe now, and whether its next step is."""
+
+    time: Time
+    now: VerdictOf
+    next_step: VerdictOf = Field(
+        description="Of the next planned step; with none planned, of the present one to its end."
+    )
+    time_to_limit: TimeToLimit | None = Field(
+        description="Null while an input of `next_step` is missing."
+    )
+    missing: list[str] = Field(
+        description="Inputs that are not there: channels, `twin` (it does not run), `limits`, "
+        "`identified model`, `forecast`.",
+        examples=[["speed_rpm"]],
+    )
+
 
 # ---------------------------------------------------------------------------- forecasts
 class Quantiles(_Answer):
@@ -134,6 +211,11 @@ class WhatIf(_Answer):
     nodes: dict[str, Quantiles]
     limits: dict[str, Limits]
     time_to_limit: dict[str, dict[str, Crossing]]
+    missing: list[str] = Field(
+        [],
+        description="Speed, load and ambient that the twin does not know now; with any of them "
+        "the forecast starts from an uncertain state.",
+    )
 
 
 class LiveForecast(WhatIf):

@@ -245,6 +245,9 @@ class AssetTwin(Protocol):
     def state(self) -> Mapping[str, Any]:
         """Return ``{"time", "model_version", "nodes": {name: {"mean_c", "std_c"}}}``."""
 
+    def verdict(self) -> Mapping[str, Any]:
+        """Return the verdict, as `GET /assets/{id}/verdict` shows it."""
+
     def forecast(self) -> Mapping[str, Any] | None:
         """Return the latest live forecast; None before the first."""
 

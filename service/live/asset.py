@@ -19,9 +19,11 @@ from service.live.bus import Bus
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.guard import Guard
+from service.live.judgement import Judgement
 from service.live.planning import Planning
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
+from service.live.verdict import AMBIENT
 from service.live.watch import AlarmWatch
 from service.settings import AssetSection
 from service.wiring import ChannelFacts
@@ -36,6 +38,7 @@ FORECAST_LEAST_WALL_S = 1.0
 MEASUREMENTS_LEAST_WALL_S = 0.25
 SNAPSHOT_WALL_S = 0.1
 STATE_LEAST_WALL_S = 0.5
+VERDICT_EVERY_WALL_S = 5.0
 TWIN_SOURCE = "twin"
 
 _log = structlog.get_logger(__name__)
@@ -102,6 +105,10 @@ class AssetRuntime:
         self._windows = windows
         self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
+        self._judgement = Judgement(
+            settings, self.readings, self.estimate, self._forecasting, alarms, clock
+        )
+        self._blind: list[str] = []
         self._forecast_wanted = asyncio.Event()
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
@@ -161,6 +168,8 @@ class AssetRuntime:
                 }
                 for name, source in self.channels.items()
             ],
+            "ambient_assumed_c": self._judgement.assumed_ambient_c,
+            "verdict": self.settings.verdict.model_dump(),
             "health": {
                 "status": "degraded" if bad else "good",
                 "twin_running": self.running and self.estimate.started,
@@ -221,13 +230,16 @@ class AssetRuntime:
                 self.readings.quality(channel, now_us),
                 rfc3339(sample.time_us) if sample else self._began,
             )
-        tags |= presentation.estimate_tags(self.estimate, self._began)
+        blind = bool(self._judgement.blind)
+        tags |= presentation.estimate_tags(self.estimate, self._began, blind)
         tags |= presentation.forecast_tags(
             self.settings.limits,
             self._forecasting.latest,
             self._forecasting.crossings,
             self._began,
+            blind,
         )
+        tags |= self._judgement.tags(self.verdict())
         tags |= presentation.alarm_tags(self._alarms.active(self.id), self._alarms_changed)
         tags["model.version"] = presentation.tag(
             self.active.version, "", Quality.GOOD, self._switched
@@ -236,11 +248,17 @@ class AssetRuntime:
 
     def state(self) -> Mapping[str, Any]:
         """Mean and standard deviation of the node temperatures."""
-        return presentation.state_json(self.estimate, self._clock.now_us())
+        state = presentation.state_json(self.estimate, self._clock.now_us())
+        return state | {"missing": self._judgement.blind}
+
+    def verdict(self) -> Mapping[str, Any]:
+        """Tell whether the machine is safe now, and whether its next step is."""
+        return self._judgement.document(self.running)
 
     def forecast(self) -> Mapping[str, Any] | None:
         """Return the latest live forecast; None before the first."""
-        return self._forecasting.latest
+        latest = self._forecasting.latest
+        return None if latest is None else latest | {"missing": self._judgement.blind}
 
     async def what_if(
         self,
@@ -249,7 +267,8 @@ class AssetRuntime:
         nodes: Collection[str] | None,
     ) -> Mapping[str, Any]:
         """Forecast a profile from the present state."""
-        return await self._forecasting.what_if(profile, step_s, nodes)
+        answer = await self._forecasting.what_if(profile, step_s, nodes)
+        return {**answer, "missing": self._judgement.blind}
 
     async def envelope(self) -> Mapping[str, Any]:
         """Return the safe operating envelope, of late or computed now."""
@@ -295,6 +314,13 @@ class AssetRuntime:
     # ------------------------------------------------------------------ the running twin
     async def run(self, kept_state: Mapping[str, Any] | None) -> None:
         """Follow the machine until cancelled."""
+        if AMBIENT not in self.facts:
+            _log.warning(
+                "ambient_assumed",
+                asset=self.id,
+                taken="the coldest reading so far",
+                expected=f"a channel {AMBIENT}",
+            )
         if kept_state is not None:
             self._restore(kept_state)
         self.running = True
@@ -303,6 +329,7 @@ class AssetRuntime:
                 tasks.create_task(self._follow())
                 tasks.create_task(self._forecast_live())
                 tasks.create_task(self._tell_measurements())
+                tasks.create_task(self._tell_verdicts())
                 tasks.create_task(self._keep())
         finally:
             self.running = False
@@ -329,13 +356,14 @@ class AssetRuntime:
             with self._watching():
                 self._watch.step(now_us, means, self.estimate.innovations, self._trusted)
             wall_s = time.monotonic()
+            quality = Quality.LAST_USABLE if self._blind else Quality.GOOD
             if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
                 # With the sensors' estimates, so that a chart needs no polling.
-                samples = presentation.samples_json(self.estimate.samples(self.id, now_us))
+                samples = presentation.samples_json(self.estimate.samples(self.id, now_us, quality))
                 self._bus.publish("state", self.id, {**self.state(), "samples": samples})
                 told_wall_s = wall_s
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
-                self._store_samples(self.estimate.samples(self.id, now_us))
+                self._store_samples(self.estimate.samples(self.id, now_us, quality))
                 stored_us = now_us
 
     def _step(self, now_us: int, means: Mapping[str, float]) -> None:
@@ -344,8 +372,10 @@ class AssetRuntime:
             self.estimate.step(now_us, means)
         if self._estimating.failing:
             self.estimate.stop()
-        if self.estimate.started and not had_started:
+        blind = self._judgement.blind
+        if (self.estimate.started and not had_started) or blind != self._blind:
             self._forecast_wanted.set()
+        self._blind = blind
         self._changed()
 
     async def _keep(self) -> None:
@@ -367,7 +397,7 @@ class AssetRuntime:
             await asyncio.sleep(FORECAST_LEAST_WALL_S)
 
     async def _forecast_once(self) -> None:
-        made = await self._forecasting.make()
+        made = await self._forecasting.make(self._judgement.blind)
         if made is not None:
             self._changed()
             self._bus.publish("forecast", self.id, made)
@@ -380,6 +410,21 @@ class AssetRuntime:
                 samples = presentation.samples_json(self._unsent.values())
                 self._unsent = {}
                 self._bus.publish("measurement", self.id, {"samples": samples})
+
+    async def _tell_verdicts(self) -> None:
+        """Send the verdict when it changes, and now and then so that its age can be seen."""
+        told, told_wall_s = None, -VERDICT_EVERY_WALL_S
+        while True:
+            verdict = dict(self.verdict())
+            words = [
+                (verdict[name]["word"], verdict[name]["limit"]) for name in ("now", "next_step")
+            ]
+            news = words, verdict["missing"]
+            wall_s = time.monotonic()
+            if news != told or wall_s - told_wall_s >= VERDICT_EVERY_WALL_S:
+                self._bus.publish("verdict", self.id, verdict)
+                told, told_wall_s = news, wall_s
+            await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
 
     async def _save(self) -> None:
         kept = self.estimate.to_dict()

@@ -19,7 +19,9 @@ from pydantic_core import to_json
 from adapters.drivers import Clock
 from service.clock import rfc3339
 
-MessageType = Literal["measurement", "state", "forecast", "alarm", "job", "health", "heartbeat"]
+MessageType = Literal[
+    "measurement", "state", "verdict", "forecast", "alarm", "job", "health", "heartbeat"
+]
 
 # What goes first when a subscriber is slow; a message of the last tier never goes.
 _TIER: Mapping[MessageType, int] = {
@@ -28,6 +30,7 @@ _TIER: Mapping[MessageType, int] = {
     "state": 0,
     "forecast": 1,
     "health": 1,
+    "verdict": 1,
     "alarm": 2,
     "job": 2,
 }

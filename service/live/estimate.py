@@ -147,8 +147,8 @@ class LiveEstimate:
         self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
 
-    def samples(self, asset: str, now_us: int) -> list[Sample]:
-        """The estimate of every standard sensor as samples for the store."""
+    def samples(self, asset: str, now_us: int, quality: int = Quality.GOOD) -> list[Sample]:
+        """The estimate of every standard sensor as samples for the store, of a given quality."""
         model, temperatures = self.active.model, self.observer.temperatures_c
         return [
             Sample(
@@ -156,7 +156,7 @@ class LiveEstimate:
                 f"{sensor}.twin",
                 self.time_us or now_us,
                 float(model.sensor_row(sensor) @ temperatures),
-                Quality.GOOD,
+                int(quality),
                 now_us,
             )
             for sensor in model.sensor_names

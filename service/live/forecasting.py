@@ -12,6 +12,7 @@ from service.clock import rfc3339
 from service.live import presentation
 from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
 from service.live.estimate import LiveEstimate
+from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
@@ -48,6 +49,8 @@ class Forecasting:
         The latest live forecast as JSON; None before the first.
     crossings : dict
         When it passes which limit, by channel and level.
+    outlook : Outlook or None
+        The same for every step of it; None before the first.
     """
 
     def __init__(
@@ -66,14 +69,21 @@ class Forecasting:
         self.plan: PlannedProfile | None = None
         self.latest: dict[str, Any] | None = None
         self.crossings: dict[str, dict[str, LimitCrossing]] = {}
+        self.outlook: Outlook | None = None
 
     def take_plan(self, plan: PlannedProfile) -> bool:
         """Follow a plan from now on; returns whether it is another one than before."""
         known, self.plan = self.plan, plan
         return known is None or _beyond_times(known) != _beyond_times(plan)
 
-    async def make(self) -> dict[str, Any] | None:
-        """Make the live forecast anew; None when the plan is over and nothing lies ahead."""
+    async def make(self, missing: Sequence[str] = ()) -> dict[str, Any] | None:
+        """Make a new live forecast; None when the plan is over and nothing lies ahead.
+
+        Parameters
+        ----------
+        missing : sequence of str
+            Operating channels without a usable value: no verdict follows from such a forecast.
+        """
         made_us = self._estimate.time_us or self._clock.now_us()
         steps = self.steps_ahead(made_us)
         if not steps:
@@ -87,8 +97,13 @@ class Forecasting:
             "model_version": version,
             "profile": presentation.steps_json(steps),
             "planned": self._has_plan(made_us),
+            "missing": list(missing),
         }
         self.latest, self.crossings = body, crossings
+        self.outlook = None
+        if not missing:
+            outlooks = step_outlooks(result, steps, self._limits)
+            self.outlook = Outlook(made_us, version, outlooks, crossings)
         return body
 
     async def what_if(

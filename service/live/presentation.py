@@ -96,8 +96,20 @@ def forecast_json(
     }
 
 
-def estimate_tags(estimate: LiveEstimate, began: str) -> dict[str, dict[str, Any]]:
-    """Tags ``<name>.twin`` of all sensors and nodes; ``began`` dates them before the first."""
+def estimate_tags(
+    estimate: LiveEstimate, began: str, blind: bool = False
+) -> dict[str, dict[str, Any]]:
+    """Tags ``<name>.twin`` of all sensors and nodes.
+
+    Parameters
+    ----------
+    estimate : LiveEstimate
+        The twin.
+    began : str
+        Dates them before the first estimate.
+    blind : bool
+        Whether the twin does not know the operation: its values are then uncertain.
+    """
     model = estimate.active.model
     names = [*model.sensor_names, *model.node_names]
     if not estimate.started:
@@ -105,9 +117,10 @@ def estimate_tags(estimate: LiveEstimate, began: str) -> dict[str, dict[str, Any
         return {f"{name}.twin": tag(None, "°C", waiting, began) for name in names}
     temperatures = estimate.observer.temperatures_c
     made = rfc3339(estimate.time_us or 0)
+    quality = Quality.LAST_USABLE if blind else Quality.GOOD
     return {
         f"{name}.twin": tag(
-            round(float(model.sensor_row(name) @ temperatures), 3), "°C", Quality.GOOD, made
+            round(float(model.sensor_row(name) @ temperatures), 3), "°C", quality, made
         )
         for name in names
     }
@@ -118,9 +131,15 @@ def forecast_tags(
     forecast: Mapping[str, Any] | None,
     crossings: Mapping[str, Mapping[str, LimitCrossing]],
     began: str,
+    blind: bool = False,
 ) -> dict[str, dict[str, Any]]:
-    """Tags of the forecast's maximum and the times to the limits, for every limited channel."""
+    """Tags of the forecast's maximum and the times to the limits, for every limited channel.
+
+    While the twin does not know the operation (``blind``) they have no value: quality "last
+    known".
+    """
     tags: dict[str, dict[str, Any]] = {}
+    good = Quality.LAST_KNOWN if blind else Quality.GOOD
     for channel in limits:
         maximum, made = None, began
         if forecast is not None and channel in forecast["nodes"]:
@@ -129,16 +148,16 @@ def forecast_tags(
             maximum = max((value for value in medians if value is not None), default=None)
         waiting = Quality.WAITING_FOR_INITIAL_DATA
         tags[f"{channel}.forecast_max"] = tag(
-            maximum, "°C", waiting if maximum is None else Quality.GOOD, made
+            None if blind else maximum, "°C", waiting if maximum is None else good, made
         )
         levels = crossings.get(channel, {})
         for level in ("warning", "alarm"):
             # No time and a good quality: the limit is not passed within the horizon.
             known = level in levels
             tags[f"{channel}.time_to_{level}_s"] = tag(
-                levels[level].median_s if known else None,
+                levels[level].median_s if known and not blind else None,
                 "s",
-                Quality.GOOD if known else waiting,
+                good if known else waiting,
                 made,
             )
     return tags

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import secured
-from service.api.bodies import AssetDocument, AssetList, Snapshot, State
+from service.api.bodies import AssetDocument, AssetList, Snapshot, State, VerdictDocument
 from service.api.deps import Asset, Context, json_response
 from service.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.api.snapshots import Snapshots
@@ -69,3 +69,14 @@ async def get_snapshot(
 async def get_state(asset: Asset) -> Response:
     """Mean and standard deviation of every node, null before the first data."""
     return json_response(asset.state())
+
+
+@router.get(
+    "/{asset_id}/verdict",
+    response_model=VerdictDocument,
+    summary="Safe now, and in the next step?",
+    **secured(VIEWER, 404),
+)
+async def get_verdict(asset: Asset) -> Response:
+    """Give one word each, with reasons; without an input it is `unknown`, and named."""
+    return json_response(asset.verdict())

@@ -59,8 +59,9 @@ async def stream_by_http(
     Messages are `{"type", "seq", "epoch", "asset", "time", "sent_at", "data"}`; `time` is process
     time, `sent_at` wall time. First comes `hello` for each asset (its data are the snapshot, and
     `gap` tells whether messages after `resume` are gone), then what was missed, then `measurement`,
-    `state`, `forecast`, `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that
-    reads slowly loses old measurements, never alarms or jobs.
+    `state`, `verdict` (as `GET …/verdict`, at each change and at least every 5 s), `forecast`,
+    `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that reads
+    slowly loses old measurements, never alarms or jobs.
     """
     raise Problem(
         426,

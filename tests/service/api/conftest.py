@@ -84,6 +84,17 @@ class MemoryTwin:
         nodes = {name: {"mean_c": 60.0, "std_c": float("nan")} for name in NODES}
         return {"time": rfc3339(self.time_us), "model_version": 1, "nodes": nodes}
 
+    def verdict(self) -> Mapping[str, Any]:
+        unknown = {"word": "unknown", "reasons": ["the twin does not run"], "limit": None}
+        unknown |= {"probability": None, "seconds_to_limit": None, "alarm_probability": None}
+        return {
+            "time": rfc3339(self.time_us),
+            "now": unknown,
+            "next_step": unknown,
+            "time_to_limit": None,
+            "missing": ["twin"],
+        }
+
     def forecast(self) -> Mapping[str, Any] | None:
         return self.live_forecast
 

@@ -1,0 +1,128 @@
+"""Makes the verdict of a running asset from what is there at the moment."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from adapters.drivers import Clock
+from adapters.samples import Quality
+from service.alarms import AlarmBook
+from service.clock import rfc3339
+from service.live import presentation, rules
+from service.live.estimate import LiveEstimate
+from service.live.forecasting import Forecasting
+from service.live.outlook import Outlook
+from service.live.readings import Readings
+from service.live.verdict import AMBIENT, CODES, Evidence, judge, missing_operation
+from service.settings import AssetSection
+
+#: A verdict looks ahead with no older forecast; process s, and at least so many wall s.
+FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0
+#: An estimate that was not carried forward for so long does not follow the machine.
+ESTIMATE_MAX_AGE_S, ESTIMATE_MAX_AGE_WALL_S = 60.0, 10.0
+
+
+class Judgement:
+    """The verdict of one asset, and when its words last changed.
+
+    Parameters
+    ----------
+    settings : AssetSection
+        Channels, limits and thresholds.
+    readings : Readings
+        The latest samples.
+    estimate : LiveEstimate
+        The twin.
+    forecasting : Forecasting
+        What lies ahead.
+    book : AlarmBook
+        Knows which limit alarms are there still.
+    clock : Clock
+        Process time.
+    """
+
+    def __init__(
+        self,
+        settings: AssetSection,
+        readings: Readings,
+        estimate: LiveEstimate,
+        forecasting: Forecasting,
+        book: AlarmBook,
+        clock: Clock,
+    ) -> None:
+        self._settings = settings
+        self._readings = readings
+        self._estimate = estimate
+        self._forecasting = forecasting
+        self._book = book
+        self._clock = clock
+        self._told: dict[str, tuple[int, str]] = {}
+
+    def document(self, running: bool) -> dict[str, Any]:
+        """Give the verdict of this moment.
+
+        Parameters
+        ----------
+        running : bool
+            Whether the asset's runtime is at work.
+        """
+        now_us = self._clock.now_us()
+        return {"time": rfc3339(now_us)} | judge(self._evidence(now_us, running))
+
+    def tags(self, document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """Tags of a verdict; their time is when the word last changed.
+
+        Unknown is a good value, too: who takes good values only must not keep an old *safe*.
+        """
+        tags = {}
+        for name in ("now", "next_step"):
+            code = CODES[document[name]["word"]]
+            if self._told.get(name, (None,))[0] != code:
+                self._told[name] = code, document["time"]
+            tags[f"verdict.{name}"] = presentation.tag(code, "", Quality.GOOD, self._told[name][1])
+        return tags
+
+    @property
+    def blind(self) -> list[str]:
+        """Speed, load and ambient that the twin would have to know now and does not."""
+        return missing_operation(self._settings, self._readings, self._clock.now_us())
+
+    @property
+    def assumed_ambient_c(self) -> float | None:
+        """What is taken for the ambient temperature where no channel measures it."""
+        point = self._estimate.point
+        return None if point is None or AMBIENT in self._settings.channels else point.ambient_c
+
+    def _evidence(self, now_us: int, running: bool) -> Evidence:
+        active = self._estimate.active
+        return Evidence(
+            settings=self._settings,
+            readings=self._readings,
+            now_us=now_us,
+            twin_runs=running and self._follows(now_us),
+            identified=active.identified_at_us is not None,
+            outlook=self._outlook(now_us),
+            returning=frozenset(
+                channel
+                for channel in self._settings.limits
+                for level in rules.LEVELS
+                if self._book.is_present((self._settings.id, "measured limit", channel, level))
+            ),
+            assumed_ambient_c=self.assumed_ambient_c,
+        )
+
+    def _follows(self, now_us: int) -> bool:
+        time_us = self._estimate.time_us
+        if not self._estimate.started or time_us is None:
+            return False
+        return abs(now_us - time_us) / 1e6 <= max(
+            ESTIMATE_MAX_AGE_S, ESTIMATE_MAX_AGE_WALL_S * self._clock.rate
+        )
+
+    def _outlook(self, now_us: int) -> Outlook | None:
+        """The latest forecast, unless it is old or of a model that is not the active one."""
+        outlook = self._forecasting.outlook
+        if outlook is None or outlook.model_version != self._estimate.active.version:
+            return None
+        age_s = abs(now_us - outlook.made_us) / 1e6
+        oldest_s = max(FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S * self._clock.rate)
+        return outlook if age_s <= oldest_s else None

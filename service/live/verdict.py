@@ -1,0 +1,358 @@
+"""Is the machine safe now, and is its next step: one rule for page, REST, tags and stream.
+
+*Safe* needs its inputs: good and fresh temperatures, speed and load (ambient too where it is
+configured) and a twin that runs; the next step also needs an identified model and a forecast of
+it. Whatever is missing is named, and the word is then *unknown*. A temperature that is measured
+above its limit needs no other input: it is *not safe* whatever else is missing.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from adapters.samples import meaning
+from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
+from service.live.presentation import LimitCrossing
+from service.live.readings import Readings
+from service.live.rules import label
+from service.settings import AssetSection
+
+Word = Literal["safe", "not safe", "recovering", "unknown"]
+CODES: Mapping[Word, int] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
+"""Values of the tags ``verdict.now`` and ``verdict.next_step``."""
+
+TWIN, IDENTIFIED_MODEL, FORECAST = "twin", "identified model", "forecast"
+"""What can be missing and is no channel."""
+_WHY = {
+    TWIN: "the twin does not run",
+    IDENTIFIED_MODEL: "the model was never identified",
+    FORECAST: "there is no recent forecast of the present model",
+}
+#: Operating channels that every verdict needs.
+OPERATION = ("speed_rpm", "load_n")
+AMBIENT = "ambient_c"
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """The limit that a verdict is about, its level and temperature in degrees Celsius."""
+
+    channel: str
+    level: str
+    value_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One word with what stands behind it.
+
+    Attributes
+    ----------
+    word : str
+        safe, not safe, recovering or unknown.
+    reasons : tuple of str
+        One line each.
+    limit : Limit or None
+        The limit that decides.
+    probability : float or None
+        That it is exceeded; 1 when it is exceeded already.
+    seconds_to_limit : float or None
+        Process seconds until it is exceeded at the earliest (2.5 % of the forecasts).
+    alarm_probability : float or None
+        That the alarm limit of the same channel is exceeded.
+    """
+
+    word: Word
+    reasons: tuple[str, ...]
+    limit: Limit | None = None
+    probability: float | None = None
+    seconds_to_limit: float | None = None
+    alarm_probability: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types."""
+        return {
+            "word": self.word,
+            "reasons": list(self.reasons),
+            "limit": _limit_json(self.limit),
+            "probability": _rounded(self.probability, 4),
+            "seconds_to_limit": _rounded(self.seconds_to_limit, 0),
+            "alarm_probability": _rounded(self.alarm_probability, 4),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a verdict is made from.
+
+    Attributes
+    ----------
+    settings : AssetSection
+        Channels, limits and thresholds.
+    readings : Readings
+        The latest samples.
+    now_us : int
+        Process time.
+    twin_runs : bool
+        Whether the estimate follows the machine now.
+    identified : bool
+        Whether its model was identified.
+    outlook : Outlook or None
+        The forecast, None unless it is recent and of the present model.
+    returning : collection of str
+        Channels with a measured-limit alarm that is there still.
+    assumed_ambient_c : float or None
+        What is taken for the ambient temperature where no channel measures it.
+    """
+
+    settings: AssetSection
+    readings: Readings
+    now_us: int
+    twin_runs: bool
+    identified: bool
+    outlook: Outlook | None
+    returning: frozenset[str] = frozenset()
+    assumed_ambient_c: float | None = None
+
+
+def judged_temperatures(settings: AssetSection) -> list[str]:
+    """Temperatures that a verdict needs: all measured ones with a limit, and standard sensors.
+
+    Where no temperature with a limit is measured, the limited ones are needed all the same: without
+    them nothing can be compared with a limit.
+    """
+    measured = [
+        name
+        for name in settings.channels
+        if name in settings.limits or name in settings.sensor_names
+    ]
+    if any(name in settings.limits for name in measured):
+        return measured
+    return list(dict.fromkeys((*measured, *(settings.limits or settings.sensor_names))))
+
+
+def required_channels(settings: AssetSection) -> list[str]:
+    """Every channel that a verdict needs."""
+    ambient = [AMBIENT] if AMBIENT in settings.channels else []
+    return [*judged_temperatures(settings), *OPERATION, *ambient]
+
+
+def missing_channels(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:
+    """Required channels without a good and fresh value now."""
+    return [
+        name
+        for name in required_channels(settings)
+        if name not in readings.max_age_s or readings.good_value(name, now_us) is None
+    ]
+
+
+def missing_operation(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:
+    """What the twin would have to know of the operation now and does not."""
+    missing = missing_channels(settings, readings, now_us)
+    return [name for name in missing if name in (*OPERATION, AMBIENT)]
+
+
+def judge(evidence: Evidence) -> dict[str, Any]:
+    """Give the verdict as the REST interface shows it, but for its time."""
+    settings = evidence.settings
+    absent = missing_channels(settings, evidence.readings, evidence.now_us)
+    if not settings.limits:
+        absent.append("limits")
+    if not evidence.twin_runs:
+        absent.append(TWIN)
+    absent_ahead = list(absent)
+    if not evidence.identified:
+        absent_ahead.append(IDENTIFIED_MODEL)
+    steps = _steps_ahead(evidence)
+    if not steps:
+        absent_ahead.append(FORECAST)
+    ambient = _assumption(evidence)
+    why = {name: _why(name, evidence) for name in absent_ahead}
+    return {
+        "now": _now(evidence, absent, None if absent_ahead else steps[0], why, ambient),
+        "next_step": _next(evidence, steps, absent_ahead, why, ambient),
+        "time_to_limit": None if absent_ahead else _time_to_limit(evidence),
+        "missing": absent_ahead,
+    }
+
+
+# ------------------------------------------------------------------------------------- now
+def _now(
+    evidence: Evidence,
+    absent: Sequence[str],
+    step: StepOutlook | None,
+    why: Mapping[str, str],
+    ambient: tuple[str, ...],
+) -> dict[str, Any]:
+    exceeded = _exceeded(evidence)
+    lost = tuple(why[name] for name in absent)
+    if exceeded:
+        limit, _ = exceeded[0]
+        reasons = tuple(
+            f"{label(one.channel)} {celsius:.1f} °C, over {one.level} {one.value_c:g} °C"
+            for one, celsius in exceeded
+        )
+        cools = step is not None and all(step.channels[one.channel].cools for one, _ in exceeded)
+        word: Word = "recovering" if cools and limit.level == "warning" else "not safe"
+        if word == "recovering":
+            reasons += ("the present step cools it",)
+        return Verdict(word, reasons + lost, limit, 1.0, 0.0).to_dict()
+    if absent:
+        return Verdict("unknown", lost).to_dict()
+    returning = sorted(evidence.returning & set(evidence.settings.limits))
+    if returning:
+        reasons = tuple(f"{label(name)}: its limit alarm is returning" for name in returning)
+        cools = step is not None and not _rising(step, evidence.settings)
+        return Verdict("recovering" if cools else "not safe", reasons).to_dict()
+    return Verdict("safe", ("all temperatures are below their limits", *ambient)).to_dict()
+
+
+def _exceeded(evidence: Evidence) -> list[tuple[Limit, float]]:
+    """Limits that a good and fresh temperature exceeds, alarms first, then the furthest."""
+    found = []
+    for name, pair in evidence.settings.limits.items():
+        if name not in evidence.readings.max_age_s:
+            continue
+        value_c = evidence.readings.good_value(name, evidence.now_us)
+        if value_c is not None and value_c >= pair.warning:
+            level = "alarm" if value_c >= pair.alarm else "warning"
+            found.append((Limit(name, level, getattr(pair, level)), value_c))
+    return sorted(found, key=lambda one: (one[0].level != "alarm", one[0].value_c - one[1]))
+
+
+# ------------------------------------------------------------------------------------- next step
+def _next(
+    evidence: Evidence,
+    steps: Sequence[StepOutlook],
+    absent: Sequence[str],
+    why: Mapping[str, str],
+    ambient: tuple[str, ...],
+) -> dict[str, Any]:
+    if absent or evidence.outlook is None:
+        return Verdict("unknown", tuple(why[name] for name in absent)).to_dict()
+    # With nothing planned after the present step, the question is about that one, to its end.
+    step = steps[1] if len(steps) > 1 else steps[0]
+    name, worst = _worst(step, evidence.settings)
+    limit = Limit(name, "warning", evidence.settings.limits[name].warning)
+    elapsed_s = (evidence.now_us - evidence.outlook.made_us) / 1e6
+    safe_below = evidence.settings.verdict.safe_below_probability
+    probability = worst.warning.probability
+    word: Word = "safe"
+    if probability >= safe_below:
+        word = "not safe" if _rising(step, evidence.settings) else "recovering"
+    point = f"{step.speed_rpm:.0f} rpm, {step.load_n:.0f} N"
+    reason = (
+        f"{label(name)} over warning {limit.value_c:g} °C with {_percent(probability)} at {point}; "
+        f"upper bound (97.5 %) {worst.upper_c:.1f} °C"
+    )
+    cooling = ("the step begins over the warning and cools below it",)
+    return Verdict(
+        word,
+        (reason, *(cooling if word == "recovering" else ()), *ambient),
+        limit,
+        probability,
+        _seconds_left(worst.warning.earliest_s, elapsed_s),
+        worst.alarm.probability,
+    ).to_dict()
+
+
+def _steps_ahead(evidence: Evidence) -> list[StepOutlook]:
+    """Steps that are not over, if the forecast speaks of every limit."""
+    if evidence.outlook is None:
+        return []
+    elapsed_s = (evidence.now_us - evidence.outlook.made_us) / 1e6
+    steps = [step for step in evidence.outlook.steps if step.end_s > elapsed_s]
+    limits = set(evidence.settings.limits)
+    return steps if limits and all(limits <= set(step.channels) for step in steps) else []
+
+
+def _worst(step: StepOutlook, settings: AssetSection) -> tuple[str, ChannelOutlook]:
+    """Of all limited temperatures the one that most probably exceeds its limit."""
+
+    def rank(item: tuple[str, ChannelOutlook]) -> tuple[float, float, float]:
+        name, channel = item
+        margin_k = channel.upper_c - settings.limits[name].warning
+        return channel.warning.probability, channel.alarm.probability, margin_k
+
+    return max(step.channels.items(), key=rank)
+
+
+def _rising(step: StepOutlook, settings: AssetSection) -> bool:
+    """Whether any temperature may exceed its warning in another way than by beginning above it."""
+    safe_below = settings.verdict.safe_below_probability
+    return any(
+        one.warning.probability >= safe_below and not one.cools for one in step.channels.values()
+    )
+
+
+def _time_to_limit(evidence: Evidence) -> dict[str, Any] | None:
+    """How long until a limit, along all that is planned: of the limit that comes soonest.
+
+    Where the warning is exceeded already, the question is about the alarm limit.
+    """
+    outlook = evidence.outlook
+    if outlook is None or not outlook.steps:
+        return None
+    elapsed_s = (evidence.now_us - outlook.made_us) / 1e6
+    over = {limit.channel for limit, _ in _exceeded(evidence)}
+    asked = [
+        (Limit(name, level, getattr(evidence.settings.limits[name], level)), levels[level])
+        for name, levels in outlook.crossings.items()
+        for level in ("alarm" if name in over else "warning",)
+    ]
+    if not asked:
+        return None
+    safe_below = evidence.settings.verdict.safe_below_probability
+    end_s = outlook.steps[-1].end_s
+
+    def rank(item: tuple[Limit, LimitCrossing]) -> tuple[bool, float, float]:
+        crossing = item[1]
+        soon_s = end_s if crossing.earliest_s is None else crossing.earliest_s
+        return crossing.probability < safe_below, soon_s, -crossing.probability
+
+    limit, crossing = min(asked, key=rank)
+    return {
+        "limit": _limit_json(limit),
+        "expected": crossing.probability >= safe_below,
+        "probability": round(crossing.probability, 4),
+        "earliest_s": _rounded(_seconds_left(crossing.earliest_s, elapsed_s), 0),
+        "median_s": _rounded(_seconds_left(crossing.median_s, elapsed_s), 0),
+        "horizon_s": round(max(end_s - elapsed_s, 0.0)),
+    }
+
+
+# ------------------------------------------------------------------------------------- words
+def _why(name: str, evidence: Evidence) -> str:
+    if name in _WHY:
+        return _WHY[name]
+    if name == "limits":
+        return "no temperature has a limit"
+    if name not in evidence.readings.max_age_s:
+        return f"{label(name)}: no channel is configured"
+    return f"{label(name)}: {meaning(evidence.readings.quality(name, evidence.now_us))}"
+
+
+def _assumption(evidence: Evidence) -> tuple[str, ...]:
+    if evidence.assumed_ambient_c is None:
+        return ()
+    return (f"ambient assumed {evidence.assumed_ambient_c:.0f} °C",)
+
+
+def _seconds_left(at_s: float | None, elapsed_s: float) -> float | None:
+    return None if at_s is None else max(at_s - elapsed_s, 0.0)
+
+
+def _percent(probability: float) -> str:
+    if probability < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+
+
+def _limit_json(limit: Limit | None) -> dict[str, Any] | None:
+    if limit is None:
+        return None
+    return {"channel": limit.channel, "level": limit.level, "value_c": limit.value_c}
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
