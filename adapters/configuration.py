@@ -2,9 +2,18 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, LiteralString, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 
 class ConfigurationError(ValueError):
@@ -16,15 +25,34 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _refuse_unknown_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict) and cls.model_config.get("extra") == "forbid":
-            known = [field.alias or name for name, field in cls.model_fields.items()]
-            for key in data:
-                if key not in known:
-                    raise ValueError(f"unknown key {key!r}; {suggestion(key, known)}")
-        return data
+    def _refuse_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, dict) or cls.model_config.get("extra") != "forbid":
+            return validate(data)
+        known = [field.alias or name for name, field in cls.model_fields.items()]
+        wrong = [
+            _error("unknown_key", f"unknown key {key!r}; {suggestion(key, known)}", (), data)
+            for key in data
+            if key not in known
+        ]
+        if not wrong:
+            return validate(data)
+        # All that is wrong at once: the other keys are checked as well.
+        try:
+            validate({key: value for key, value in data.items() if key in known})
+        except ValidationError as error:
+            wrong += [
+                _error(one["type"], one["msg"], one["loc"], one["input"]) for one in error.errors()
+            ]
+        raise ValidationError.from_exception_data(cls.__name__, wrong)
+
+
+def _error(
+    kind: LiteralString, text: str, place: tuple[int | str, ...], given: Any
+) -> InitErrorDetails:
+    error = PydanticCustomError(kind, "{text}", {"text": text})
+    return InitErrorDetails(type=error, loc=place, input=given)
 
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:

@@ -1,10 +1,12 @@
-"""What every part of the configuration shares: strict sections, TOML files, errors in one line."""
+"""What every part of the configuration shares: strict sections, TOML files, errors in words."""
 
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 EDGE_KINDS = (
     "constant",
@@ -19,7 +21,17 @@ SOURCE_KINDS = ("linear", "palmgren", "two-part")
 
 
 class SettingsError(ValueError):
-    """A configuration that cannot be used; its text is one line for the user."""
+    """A configuration that cannot be used.
+
+    Parameters
+    ----------
+    *lines
+        One line for the user per error.
+    """
+
+    def __init__(self, *lines: str) -> None:
+        self.lines = tuple(" ".join(line.split()) for line in lines)
+        super().__init__("\n".join(self.lines))
 
 
 class Section(BaseModel):
@@ -30,30 +42,59 @@ class Section(BaseModel):
 
 def describe(error: ValidationError, prefix: str = "") -> str:
     """Say in one line which key of a configuration is wrong, its value and what was expected."""
-    first = error.errors()[0]
-    key = prefix
-    for before, part in zip(("", *first["loc"]), first["loc"], strict=False):
+    first, *others = describe_all(error, prefix)
+    return f"{first} (and {len(others)} more)" if others else first
+
+
+def describe_all(error: ValidationError, prefix: str = "") -> list[str]:
+    """Say which keys of a configuration are wrong, one line per error.
+
+    Parameters
+    ----------
+    error
+        What pydantic found.
+    prefix
+        Key of the table that was checked.
+    """
+    errors = error.errors()
+    places = [one["loc"] for one in errors]
+
+    def follows(one: ErrorDetails) -> bool:
+        """Whether it is too short only because its parts are wrong, which are named."""
+        depth = len(one["loc"])
+        return one["type"] == "too_short" and any(
+            len(place) > depth and place[:depth] == one["loc"] for place in places
+        )
+
+    return [line for one in errors if not follows(one) for line in _lines(one, prefix)]
+
+
+def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
+    key, place = prefix, error["loc"]
+    for before, part in zip(("", *place), place, strict=False):
         # A kind in the place of a key is how pydantic tells which of several tables it checked.
         of_table = isinstance(before, int) or before == "source"
         if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS)):
             continue
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
-    message = first["msg"].removeprefix("Value error, ")
-    given = first.get("input")
+    message = error["msg"].removeprefix("Value error, ")
+    given = error.get("input")
     shown = "" if isinstance(given, dict | list | BaseModel) else f" = {given!r}"
-    if first["type"] == "missing":
+    if error["type"] == "missing":
         shown, message = "", "missing; expected a value"
-    if first["type"] == "extra_forbidden":
+    if error["type"] == "extra_forbidden":
         message = "unknown key"
-    if first["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        context = first["ctx"]
+    if error["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        context = error["ctx"]
         shown = f".kind = {context['tag']!r}" if "tag" in context else ".kind"
         kinds = context.get("expected_tags") or ", ".join(
             repr(kind) for kind in (SOURCE_KINDS if "source" in key else EDGE_KINDS)
         )
         message = f"expected one of {kinds}"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{key}{shown}: {message}{more}" if key else f"{message}{more}"
+    # A file that the configuration names has errors of its own, any number of them.
+    cause = error.get("ctx", {}).get("error")
+    for line in cause.lines if isinstance(cause, SettingsError) else [message]:
+        yield f"{key}{shown}: {line}" if key else line
 
 
 def read_toml(file: Path) -> dict[str, Any]:

@@ -24,11 +24,23 @@ def check_outlets(settings: Settings) -> None:
     SettingsError
         One line that names the key and what to do.
     """
+    check_extras(settings)
     if settings.opcua.enabled:
-        _need("asyncua", "opcua")
         from service.opcua.server import check_port
 
         check_port(settings.opcua)
+
+
+def check_extras(settings: Settings) -> None:
+    """Make sure that what is enabled is installed, and that its files can be used.
+
+    Raises
+    ------
+    SettingsError
+        One line that names the key and what to do.
+    """
+    if settings.opcua.enabled:
+        _need("asyncua", "opcua")
     if settings.mqtt.enabled:
         _need("aiomqtt", "mqtt")
         ca_file = _mqtt(settings).ca_file

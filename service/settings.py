@@ -26,9 +26,10 @@ from pydantic_settings import (
     PydanticBaseSettingsSource,
     SettingsConfigDict,
 )
+from pydantic_settings import SettingsError as UnreadableVariableError
 
 from service.alarm_settings import AlarmsSection
-from service.configuration import Section, SettingsError, describe, read_toml
+from service.configuration import Section, SettingsError, describe_all, read_toml
 from service.machines.bearings import BearingSection, bearing_table, with_designation
 from service.machines.networks import BEARING_14, NetworkSection, folder_of_files, network_table
 
@@ -359,7 +360,8 @@ def load_settings(file: Path | None) -> Settings:
     Raises
     ------
     SettingsError
-        If the file cannot be read or a key is wrong; one line that names the key.
+        If the file cannot be read or keys are wrong; one line for each, which names the file and
+        the key.
     """
     document = {} if file is None else read_toml(file)
     base_dir = Path() if file is None else file.parent
@@ -368,7 +370,9 @@ def load_settings(file: Path | None) -> Settings:
     try:
         return Settings(**document, base_dir=base_dir)
     except ValidationError as error:
-        raise SettingsError(where + describe(error)) from error
+        raise SettingsError(*(where + line for line in describe_all(error))) from error
+    except UnreadableVariableError as error:
+        raise SettingsError(f"environment: {error}; expected JSON text") from error
     except TypeError as error:
         raise SettingsError(f"{where}{error}") from error
     finally:

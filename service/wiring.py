@@ -2,7 +2,7 @@
 
 import ipaddress
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,14 @@ from adapters.drivers import (
     Driver,
     DriverSpec,
     PlanBinding,
-    UnknownDriverError,
 )
-from service.configuration import SettingsError, describe
+from service.configuration import SettingsError, describe_all
 from service.ingest.quality import CheckLimits
 from service.settings import AssetSection, Settings
 
 PUSH = "push"
-CONTROLLER_CHANNELS = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
+_CONTROLLED = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
+_PLAN = "plan"
 _DEFAULT_MAX_AGE_S = 10.0
 # A PT100 in a bearing of this size follows with a time constant of seconds, and all the friction
 # heat of its highest speed and load, put into one ring alone, warms that by less than 2 K/s.
@@ -76,68 +76,144 @@ class Wiring:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class AssetTables:
+    """The tables of an asset that the drivers check; ``key`` names it in messages."""
+
+    key: str
+    id: str
+    channels: Mapping[str, dict[str, Any]]
+    controller: Mapping[str, dict[str, Any]]
+
+    @classmethod
+    def of(cls, number: int, asset: AssetSection) -> "AssetTables":
+        """Return those of a checked asset."""
+        controller = {name: getattr(asset.controller, name) for name in (*_CONTROLLED, _PLAN)}
+        given = {name: table for name, table in controller.items() if table is not None}
+        return cls(f"assets[{number}]", asset.id, asset.channels, given)
+
+
 def wire(settings: Settings) -> Wiring:
     """Check every source and channel of a configuration against its driver.
 
     Raises
     ------
     SettingsError
-        One line that names the key, the value and what was expected.
+        One line for each error: names the key, the value and what was expected.
     """
-    try:
-        return _wire(settings)
-    except SettingsError:
-        raise
-    except ConfigurationError as error:
-        raise SettingsError(str(error)) from error
+    assets = [AssetTables.of(number, asset) for number, asset in enumerate(settings.assets)]
+    wiring, errors = wire_what_can_be(dict(enumerate(settings.sources)), assets, settings.base_dir)
+    if errors:
+        raise SettingsError(*errors)
+    return wiring
 
 
-def _wire(settings: Settings) -> Wiring:
-    sources = dict(_sources(settings))
+def wire_what_can_be(
+    sources: Mapping[int, dict[str, Any]], assets: Sequence[AssetTables], base_dir: Path
+) -> tuple[Wiring, list[str]]:
+    """Check every source and channel against its driver, and go on after errors.
+
+    Parameters
+    ----------
+    sources
+        Tables of the sources by their number in the configuration.
+    assets
+        Whose channels and controllers are to be bound.
+    base_dir
+        Where relative paths begin.
+
+    Returns
+    -------
+    Wiring
+        Of all that is right.
+    list of str
+        One line per error.
+    """
+    errors: list[str] = []
+    wired = _sources(sources, base_dir, errors)
     facts: dict[str, dict[str, ChannelFacts]] = {}
-    for number, asset in enumerate(settings.assets):
+    for asset in assets:
         facts[asset.id] = {}
-        for channel, table, key in _channels(asset, f"assets[{number}]"):
-            source_name = _source_name(table, sources, key)
-            if source_name == PUSH:
-                pushed = _validated(MeasuredChannel, table, key)
-                facts[asset.id][channel] = _facts(channel, PUSH, None, pushed)
-                continue
-            source = sources[source_name]
-            config = _validated(source.spec.channel_model, table, key)
-            source.channels.append(ChannelBinding(asset.id, channel, config))
-            facts[asset.id][channel] = _facts(channel, source_name, source.config, config)
-        _wire_plan(asset, f"assets[{number}].controller.plan", sources)
-    for source in sources.values():
-        source.spec.check(source.config, source.channels, source.plans)
-    return Wiring([source for source in sources.values() if source.channels or source.plans], facts)
+        channels = {f"{asset.key}.channels.{name}": table for name, table in asset.channels.items()}
+        channels |= {
+            f"{asset.key}.controller.{name}": asset.controller[name]
+            for name in _CONTROLLED
+            if name in asset.controller
+        }
+        for key, table in channels.items():
+            name = key.rpartition(".")[2]
+            try:
+                found = _wire_channel(asset.id, name, table, key, wired)
+            except SettingsError as error:
+                errors += error.lines
+            else:
+                if found is not None:
+                    facts[asset.id][name] = found
+        if _PLAN in asset.controller:
+            try:
+                _wire_plan(asset, wired)
+            except SettingsError as error:
+                errors += error.lines
+    right = [source for source in wired.values() if source is not None]
+    # Also a source without channels: that its DBC file is missing is an error.
+    for source in right:
+        errors += _check(source)
+        bound = {(one.asset, one.channel) for one in source.channels}
+        for asset_id, known in facts.items():
+            for name in [name for name, one in known.items() if one.source == source.name]:
+                if (asset_id, name) not in bound:
+                    del known[name]
+    return Wiring([one for one in right if one.channels or one.plans], facts), errors
 
 
-def _sources(settings: Settings) -> Iterator[tuple[str, SourceWiring]]:
-    for number, table in enumerate(settings.sources):
-        key = f"sources[{number}]"
-        driver = table.get("driver")
-        if not isinstance(driver, str) or driver not in DRIVERS:
-            error = UnknownDriverError(f"driver = {driver!r}: {suggestion(str(driver), DRIVERS)}")
-            raise SettingsError(f"{key}.{error}")
-        name = table.get("name")
-        if not isinstance(name, str) or not name or name == PUSH:
-            raise SettingsError(f"{key}.name = {name!r}: expected a name other than 'push'")
-        spec = DRIVERS[driver]
-        config = _validated(spec.source_model, table, key, base_dir=settings.base_dir)
-        yield name, SourceWiring(name, spec, config)
+def _sources(
+    tables: Mapping[int, dict[str, Any]], base_dir: Path, errors: list[str]
+) -> dict[str, SourceWiring | None]:
+    """Return the sources by name; None for one with an error, which is noted."""
+    found: dict[str, SourceWiring | None] = {}
+    for number, table in tables.items():
+        name = str(table.get("name"))
+        try:
+            found[name] = _source(f"sources[{number}]", table, base_dir)
+        except SettingsError as error:
+            found[name] = None
+            errors += error.lines
+    return found
 
 
-def _channels(asset: AssetSection, key: str) -> Iterator[tuple[str, dict[str, Any], str]]:
-    for channel, table in asset.channels.items():
-        yield channel, table, f"{key}.channels.{channel}"
-    for channel in CONTROLLER_CHANNELS:
-        table = getattr(asset.controller, channel)
-        if table is not None:
-            yield channel, table, f"{key}.controller.{channel}"
+def _source(key: str, table: dict[str, Any], base_dir: Path) -> SourceWiring:
+    driver = table.get("driver")
+    if not isinstance(driver, str) or driver not in DRIVERS:
+        raise SettingsError(f"{key}.driver = {driver!r}: {suggestion(str(driver), DRIVERS)}")
+    name = table.get("name")
+    if not isinstance(name, str) or not name or name == PUSH:
+        raise SettingsError(f"{key}.name = {name!r}: expected a name other than 'push'")
+    spec = DRIVERS[driver]
+    return SourceWiring(name, spec, _validated(spec.source_model, table, key, base_dir=base_dir))
 
 
-def _source_name(table: dict[str, Any], sources: Mapping[str, SourceWiring], key: str) -> str:
+def _wire_channel(
+    asset: str,
+    name: str,
+    table: dict[str, Any],
+    key: str,
+    sources: Mapping[str, SourceWiring | None],
+) -> ChannelFacts | None:
+    """Bind a channel to its source; None where the source itself has an error."""
+    source_name = _source_name(table, sources, key)
+    if source_name == PUSH:
+        return _facts(name, PUSH, None, _validated(MeasuredChannel, table, key))
+    source = sources[source_name]
+    if source is None:
+        return None
+    config = _validated(source.spec.channel_model, table, key)
+    source.channels.append(ChannelBinding(asset, name, config))
+    return _facts(name, source_name, source.config, config)
+
+
+def _source_name(
+    table: dict[str, Any], sources: Mapping[str, SourceWiring | None], key: str
+) -> str:
     name = table.get("source")
     if name is None:
         raise SettingsError(f"{key}.source: missing; expected the name of a source or 'push'")
@@ -146,16 +222,42 @@ def _source_name(table: dict[str, Any], sources: Mapping[str, SourceWiring], key
     return str(name)
 
 
-def _wire_plan(asset: AssetSection, key: str, sources: Mapping[str, SourceWiring]) -> None:
-    table = asset.controller.plan
-    if table is None:
-        return
+def _wire_plan(asset: AssetTables, sources: Mapping[str, SourceWiring | None]) -> None:
+    table, key = asset.controller[_PLAN], f"{asset.key}.controller.{_PLAN}"
     source_name = _source_name(table, sources, key)
     source = sources.get(source_name)
+    if source is None and source_name in sources:
+        return
     if source is None or source.spec.plan_model is None:
         raise SettingsError(f"{key}.source = {source_name!r}: this source cannot carry a plan")
-    config = _validated(source.spec.plan_model, table, key)
-    source.plans.append(PlanBinding(asset.id, config))
+    source.plans.append(PlanBinding(asset.id, _validated(source.spec.plan_model, table, key)))
+
+
+def _check(source: SourceWiring) -> list[str]:
+    """Let the driver check what is bound to its source; what is wrong is no longer bound."""
+    check, config = source.spec.check, source.config
+    try:
+        check(config, source.channels, source.plans)
+    except ConfigurationError as error:
+        whole = str(error)
+    else:
+        return []
+    # The driver names the first error only. One by one, every channel and plan names its own.
+    errors: list[str] = []
+
+    def is_right(channels: list[ChannelBinding], plans: list[PlanBinding]) -> bool:
+        try:
+            check(config, channels, plans)
+        except ConfigurationError as error:
+            errors.append(str(error))
+            return False
+        return True
+
+    source.channels = [one for one in source.channels if is_right([one], [])]
+    source.plans = [one for one in source.plans if is_right([], [one])]
+    if not errors:  # two that do not go together
+        source.channels, source.plans = [], []
+    return list(dict.fromkeys(errors or [whole]))
 
 
 def _validated(
@@ -164,7 +266,7 @@ def _validated(
     try:
         return model.model_validate(table, context={"base_dir": base_dir} if base_dir else None)
     except ValidationError as error:
-        raise SettingsError(describe(error, key)) from error
+        raise SettingsError(*describe_all(error, key)) from error
 
 
 def _facts(

@@ -163,7 +163,7 @@ def bearing(designation: str) -> Bearing:
         known = ", ".join(sorted(CATALOGUE))
         raise UnknownBearingError(
             f"unknown bearing {designation!r}, expected one of {known} "
-            "(or give its dimensions d, D, B)"
+            "(or give its dimensions bore_mm, outer_mm, width_mm)"
         ) from None
 
 

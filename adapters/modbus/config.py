@@ -2,14 +2,40 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adapters.configuration import MeasuredChannel, StrictModel
 
 Kind = Literal["input", "holding", "coil", "discrete"]
 ValueType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64", "bool"]
 Order = Literal["big", "little"]
-Register = Annotated[int, Field(ge=0, le=65535)]
+LAST_REGISTER = 65535
+# Where the numbers of data sheets begin, which hold the kind in their first digit; five and six
+# digits are both in use.
+DATA_SHEET_FIRST: dict[int, Kind] = {
+    400001: "holding", 300001: "input", 100001: "discrete",
+    40001: "holding", 30001: "input", 10001: "discrete",
+}  # fmt: skip
+
+
+def data_sheet_hint(address: int, kind: Kind | None = None) -> str:
+    """Say what a number of a data sheet is on the wire; empty when it is none."""
+    for first, table in DATA_SHEET_FIRST.items():
+        most = 65536 if first > LAST_REGISTER else 9999
+        if first <= address < first + most:
+            other = "" if table == kind else f', kind = "{table}"'
+            return f"data sheets count from {first}: try register = {address - first}{other}"
+    return ""
+
+
+def _on_the_wire(address: object) -> object:
+    hint = data_sheet_hint(address) if isinstance(address, int) and address > LAST_REGISTER else ""
+    if hint:
+        raise ValueError(f"expected 0 to {LAST_REGISTER}, as on the wire; {hint}")
+    return address
+
+
+Register = Annotated[int, BeforeValidator(_on_the_wire), Field(ge=0, le=LAST_REGISTER)]
 Unit = Annotated[int, Field(ge=0, le=255)]
 
 BIT_KINDS = ("coil", "discrete")

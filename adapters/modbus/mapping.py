@@ -17,6 +17,7 @@ from adapters.modbus.config import (
     ModbusChannel,
     ModbusPlan,
     ModbusSource,
+    data_sheet_hint,
 )
 from adapters.pt100 import fault, temperature_from_resistance
 from adapters.samples import Quality
@@ -233,11 +234,13 @@ class Point:
                 Quality.CONFIG_ERROR, kind, f"{where} cannot be read: illegal function"
             )
         if code == 2:
+            address, table = config.address, config.kind
             if not self.reading.exception and config.status is not None:
-                where = f"status register {config.status.address} (unit {self.unit})"
-            return self._bad(
-                Quality.CONFIG_ERROR, kind, f"{where} does not exist: illegal data address"
-            )
+                address, table = config.status.address, config.status.kind or config.kind
+                where = f"status register {address} (unit {self.unit})"
+            hint = data_sheet_hint(address, table)
+            reason = f"{where} does not exist: illegal data address{hint and '; ' + hint}"
+            return self._bad(Quality.CONFIG_ERROR, kind, reason)
         if code == 3:
             return self._bad(Quality.CONFIG_ERROR, kind, f"{where} refused: illegal data value")
         if code in (4, 7, 8):

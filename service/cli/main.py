@@ -9,6 +9,7 @@ from typer.exceptions import TyperException
 
 from service.cli.bench import virtual_bench
 from service.cli.benchmark import benchmark
+from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.forecast import forecast
@@ -30,6 +31,7 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(serve)
+app.command()(check)
 app.command("virtual-bench")(virtual_bench)
 app.command()(identify)
 app.command()(forecast)
@@ -63,8 +65,8 @@ def main() -> None:
     """Run the command line.
 
     Our own kinds of ValueError, and options that do not fit, are what a user can mend: they end
-    with one line on standard error and exit status 2. Any other exception is a fault of ours and
-    keeps its traceback.
+    with one line per error on standard error and exit status 2. Any other exception is a fault of
+    ours and keeps its traceback.
     """
     try:
         status = app(standalone_mode=False)
@@ -76,10 +78,11 @@ def main() -> None:
     except ValueError as error:
         if type(error).__module__.partition(".")[0] not in _OURS:
             raise
-        _refuse(str(error))
+        _refuse(*getattr(error, "lines", (str(error),)))
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _refuse(message: str) -> NoReturn:
-    sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
+def _refuse(*messages: str) -> NoReturn:
+    for message in messages:
+        sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
     sys.exit(2)

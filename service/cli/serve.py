@@ -5,16 +5,19 @@ import gc
 from pathlib import Path
 from typing import Annotated
 
+import structlog
 import typer
 
 from service.cli.signals import leave_threads_behind, stop_on_signals
 from service.logs import configure_logging
-from service.settings import Settings, load_settings
+from service.settings import Settings
 
 ConfigFile = Annotated[
     Path | None,
     typer.Option("-c", "--config", help="Configuration file (TOML).", dir_okay=False),
 ]
+
+_log = structlog.get_logger(__name__)
 
 
 def serve(config: ConfigFile = None) -> None:
@@ -22,8 +25,13 @@ def serve(config: ConfigFile = None) -> None:
 
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
     """
-    settings = load_settings(config)
+    # Imported here: drivers and store take a second to load, which --help should not pay.
+    from service.checking import load_site
+
+    settings, warnings = load_site(config)
     configure_logging()
+    for warning in warnings:
+        _log.warning("configuration", detail=warning)
     asyncio.run(_serve(settings))
     leave_threads_behind()
 

@@ -13,6 +13,7 @@ from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
 from service.api.context import ProfileStep
+from service.channels import unit_of
 from service.clock import rfc3339
 from service.live import presentation
 from service.live.bus import Bus
@@ -163,7 +164,7 @@ class AssetRuntime:
                 {
                     "name": name,
                     "source": source,
-                    "unit": presentation.unit_of(name),
+                    "unit": unit_of(name),
                     "reason": (name in self.facts and self.readings.reason(name, now_us)) or None,
                 }
                 for name, source in self.channels.items()
@@ -226,7 +227,7 @@ class AssetRuntime:
             sample = self.readings.latest.get(channel)
             tags[channel] = presentation.tag(
                 self.readings.usable_value(channel, now_us),
-                presentation.unit_of(channel),
+                unit_of(channel),
                 self.readings.quality(channel, now_us),
                 rfc3339(sample.time_us) if sample else self._began,
             )

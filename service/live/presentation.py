@@ -219,12 +219,3 @@ def tag(value: float | None, unit: str, quality: int, time: str) -> dict[str, An
         # A scaled register is 24.7, not 24.700000000000003.
         value = round(value, 6) if math.isfinite(value) else None
     return {"value": value, "unit": unit, "quality": int(quality), "time": time}
-
-
-def unit_of(name: str) -> str:
-    """Unit of a channel, from its name."""
-    if name.startswith("speed"):
-        return "rpm"
-    if name.startswith("load"):
-        return "N"
-    return "°C" if name.split(".")[0].endswith("_c") else ""

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from pydantic import Field, PositiveFloat, ValidationError, model_validator
 
-from service.configuration import Section, SettingsError, describe, read_toml
+from service.configuration import Section, SettingsError, describe_all, read_toml
 from twin_core.bearings import Bearing, bearing, bearing_from_dimensions
 
 _LONGEST_NAME = 64
@@ -86,7 +86,7 @@ def named_bearing(name: str, known: Mapping[str, BearingSection]) -> BearingSect
     try:
         return BearingSection.model_validate(with_designation(read_toml(Path(name)), name[:-5]))
     except ValidationError as error:
-        raise SettingsError(f"{name}: {describe(error)}") from error
+        raise SettingsError(*(f"{name}: {line}" for line in describe_all(error))) from error
 
 
 def with_designation(table: Any, name: str) -> Any:

@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from service.configuration import Section, SettingsError, describe, read_toml
+from service.configuration import Section, SettingsError, describe_all, read_toml
 from service.machines.network_edges import EdgeSection
 from service.machines.network_heat import SourceSection
 from service.machines.network_values import (
@@ -213,10 +213,10 @@ def read_network(file: Path) -> NetworkSection:
     Raises
     ------
     SettingsError
-        If it cannot be read or is wrong; one line that names the file and the key.
+        If it cannot be read or is wrong; a line for each error names the file and the key.
     """
     document: dict[str, Any] = {"name": file.stem} | read_toml(file)
     try:
         return NetworkSection.model_validate(document)
     except ValidationError as error:
-        raise SettingsError(f"{file}: {describe(error)}") from error
+        raise SettingsError(*(f"{file}: {line}" for line in describe_all(error))) from error

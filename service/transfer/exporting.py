@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from adapters.tables import load_pyarrow
+from service.channels import unit_of
 from service.clock import rfc3339
 from service.files import replacing
-from service.live.presentation import unit_of
 from service.store import Store
 from service.transfer.errors import TransferError
 from service.transfer.mapping import REQUIRED as ORDER

@@ -12,7 +12,7 @@ import httpx2
 import pytest
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
-COMMANDS = ("demo", "serve", "virtual-bench", "identify", "forecast", "keys", "db")
+COMMANDS = ("demo", "serve", "check", "virtual-bench", "identify", "forecast", "keys", "db")
 
 
 def test_the_version_is_that_of_the_package(cli: Cli) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adapters.samples import Quality
+from service.channels import unit_of
 from service.live import presentation
 from service.live.ahead import Step, operating_profile
 from service.live.estimate import LiveEstimate
@@ -159,4 +160,4 @@ def test_a_tag_shows_numbers_only(value: float | None, shown: float | None) -> N
     ],
 )
 def test_units_follow_from_names(name: str, unit: str) -> None:
-    assert presentation.unit_of(name) == unit
+    assert unit_of(name) == unit

@@ -1,0 +1,118 @@
+"""``bearing-twin check``: what is wrong with a configuration, and what its sources say now."""
+
+import asyncio
+import json
+import sys
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.channels import unit_of
+from service.cli.serve import ConfigFile
+
+if TYPE_CHECKING:
+    from service.checking import Examination
+    from service.probing import Probe
+
+
+def check(
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Check a configuration and read each of its sources once; nothing is stored.
+
+    Lists everything that is wrong, one line each, and the present value of every channel. Exit
+    status 0: all sections are right, every source answers and every channel that is read has a
+    good value; else 2. A serial port can be read only while the service does not run.
+    """
+    # Imported here: the field libraries take a second to load, which --help should not pay.
+    from service.checking import environment_errors, examine, ports_in_use
+    from service.logs import configure_logging
+    from service.probing import probe
+
+    configure_logging("critical")
+    found = examine(config)
+    errors, warnings = list(found.errors), list(found.warnings)
+    where = "" if config is None else f"{config}: "
+    if found.settings is not None:
+        errors += [where + line for line in environment_errors(found.settings)]
+        warnings += [where + line for line in ports_in_use(found.settings)]
+    probed = asyncio.run(probe(found.wiring))
+    errors += [where + line for line in probed.problems]
+    if as_json:
+        typer.echo(json.dumps(_document(config, errors, warnings, probed), allow_nan=False))
+    else:
+        _print(found, probed)
+    for line in errors:
+        sys.stderr.write(f"bearing-twin: {line}\n")
+    for line in warnings:
+        sys.stderr.write(f"bearing-twin: warning: {line}\n")
+    if errors:
+        raise typer.Exit(2)
+
+
+def _document(
+    config: ConfigFile, errors: list[str], warnings: list[str], probed: "Probe"
+) -> dict[str, Any]:
+    return {
+        "file": None if config is None else str(config),
+        "ok": not errors,
+        "errors": errors,
+        "warnings": warnings,
+        "sources": [
+            {"name": one.name, "driver": one.driver, "up": one.up, "detail": one.detail}
+            for one in probed.sources
+        ],
+        "channels": [
+            {
+                "asset": one.asset,
+                "channel": one.channel,
+                "source": one.source,
+                "value": one.value,
+                "unit": unit_of(one.channel),
+                "quality": one.quality,
+                "age_s": one.age_s,
+                "detail": one.detail,
+            }
+            for one in probed.channels
+        ],
+        "plans": [
+            {"asset": one.asset, "source": one.source, "steps": one.steps} for one in probed.plans
+        ],
+    }
+
+
+def _print(found: "Examination", probed: "Probe") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from adapters.samples import meaning
+
+    console = Console()
+    if probed.sources:
+        sources = Table("source", "driver", "answers", "detail")
+        for one in probed.sources:
+            sources.add_row(one.name, one.driver, "yes" if one.up else "no", one.detail)
+        console.print(sources)
+    if probed.channels:
+        values = Table("asset", "channel", "value", "unit", "quality", "age", "source")
+        for channel in probed.channels:
+            quality = channel.quality
+            word = channel.detail if quality is None else meaning(quality) or "good"
+            values.add_row(
+                channel.asset,
+                channel.channel,
+                "-" if channel.value is None else f"{channel.value:.6g}",
+                unit_of(channel.channel),
+                word,
+                "-" if channel.age_s is None else f"{channel.age_s:.1f} s",
+                channel.source,
+            )
+        console.print(values)
+    for plan in probed.plans:
+        steps = "not read" if plan.steps is None else f"{plan.steps} steps ahead"
+        console.print(f"plan of {plan.asset} (source {plan.source}): {steps}")
+    if found.settings is not None and not found.settings.assets:
+        console.print("The configuration has no assets.")
