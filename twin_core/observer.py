@@ -17,7 +17,7 @@ A sensor's error is white noise, quantisation and a part that stays for about a 
 that come every second do not count sixty times.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -58,6 +58,9 @@ _REST_CONTRADICTION_K = 3.0
 _ENSEMBLE_FLOOR_K = 0.5
 _ENSEMBLE_SCATTER = 0.12
 _ENSEMBLE_LEVELS = (0.75, 1.0, 1.3)
+# How long a machine may have been run at a usual point, and at the present one since.
+_PAST_S = 60.0 * np.array([0.0, 15.0, 60.0, 180.0, 600.0])
+_LATELY_S = 60.0 * np.array([0.0, 1.0, 5.0, 30.0])
 
 
 class Innovation(NamedTuple):
@@ -406,6 +409,7 @@ def initial_state(
     speed_rpm: float,
     load_n: float,
     at_rest: bool,
+    past: Sequence[tuple[float, float]] = (),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Temperatures to start an observer with, and how little is known about them.
 
@@ -424,6 +428,11 @@ def initial_state(
         The present operating point.
     at_rest
         Whether the machine stood still long enough to have cooled down.
+    past
+        Speeds in rpm and loads in N that the machine is usually run at. With some of them the
+        state may also be one on the way towards each of these, with the present operating point
+        for the last half hour or less: where the duty varies, a body that follows slowly is not on
+        the way to where a momentary load would lead it.
 
     Returns
     -------
@@ -448,6 +457,14 @@ def initial_state(
         )
     else:
         states = _possible_states(model, values, ambient_c, speed_rpm, load_n)
+        if past:
+            states = np.concatenate(
+                [
+                    _varying_states(model, values, ambient_c, (speed_rpm, load_n), one)
+                    for one in past
+                ]
+                + [states]
+            )
         mean = states.mean(axis=0)
         scatter = _ENSEMBLE_FLOOR_K + _ENSEMBLE_SCATTER * np.abs(mean - ambient_c)
         covariance = np.cov(states, rowvar=False) + np.diag(scatter**2)
@@ -479,6 +496,32 @@ def _possible_states(
     for hot in simulate(model, values, heated, cold, LONG_RUN_IN).temperatures_c[1:]:
         states.append(simulate(model, values, warming, hot, LONG_RUN_IN).temperatures_c)
     rise = np.concatenate(states) - ambient_c
+    result: NDArray[np.float64] = ambient_c + np.concatenate(
+        [level * rise for level in _ENSEMBLE_LEVELS]
+    )
+    return result
+
+
+def _varying_states(
+    model: ThermalModel,
+    values: ArrayLike,
+    ambient_c: float,
+    present: tuple[float, float],
+    past: tuple[float, float],
+) -> NDArray[np.float64]:
+    """States (members, nodes) on the way to a past operating point, then towards the present."""
+    cold = np.full(len(model.node_names), float(ambient_c))
+
+    def path(
+        point: tuple[float, float], times_s: NDArray[np.float64], start: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        speed, load = (np.full(times_s.size, float(value)) for value in point)
+        profile = OperatingProfile(times_s, speed, load, np.full(times_s.size, float(ambient_c)))
+        return simulate(model, values, profile, start, LONG_RUN_IN).temperatures_c
+
+    warm = path(past, _PAST_S, cold)[1:]
+    states = np.concatenate([path(present, _LATELY_S, start) for start in warm])
+    rise = states - ambient_c
     result: NDArray[np.float64] = ambient_c + np.concatenate(
         [level * rise for level in _ENSEMBLE_LEVELS]
     )

@@ -158,6 +158,35 @@ def new_points(
     return [point for point in found if point.duration_s >= min_duration_s]
 
 
+def usual_levels(points: Sequence[OperatingPoint]) -> tuple[tuple[float, float], ...]:
+    """Speed in rpm and load in N of the lighter, the middle and the heavier third of the time.
+
+    Each is the mean over the points of that third, sorted by what a bearing's heat follows.
+    """
+    ordered = sorted(points, key=demand)
+    total_s = sum(point.duration_s for point in ordered)
+    if total_s <= 0.0:
+        return ()
+    ends_s = np.cumsum([point.duration_s for point in ordered])
+    starts_s = ends_s - [point.duration_s for point in ordered]
+    levels = []
+    for third in range(3):
+        low_s, high_s = total_s * third / 3.0, total_s * (third + 1) / 3.0
+        weights = np.clip(np.minimum(ends_s, high_s) - np.maximum(starts_s, low_s), 0.0, None)
+        levels.append(
+            (
+                float(np.average([point.speed_rpm for point in ordered], weights=weights)),
+                float(np.average([point.load_n for point in ordered], weights=weights)),
+            )
+        )
+    return tuple(dict.fromkeys(levels))
+
+
+def demand(point: OperatingPoint) -> float:
+    """Something that grows with the heat of a bearing: speed, and load to a middling exponent."""
+    return float(point.speed_rpm * max(point.load_n, 1.0) ** 0.6)
+
+
 def alike_points(first: OperatingPoint, second: OperatingPoint) -> bool:
     """Tell whether two points are at most 10 % of speed and 8 % of load apart."""
     return alike(first.speed_rpm, second.speed_rpm, NEW_SPEED) and alike(

@@ -83,6 +83,7 @@ def forecast(
         "sensors": result.highest(),
         "labels": list(result.labels),
         "runaway_probability": result.runaway_probability,
+        "initial_state": result.initial_state,
     }
     if as_json:
         typer.echo(json.dumps(document, allow_nan=False))

@@ -1,5 +1,6 @@
 """A forecast from a model file: follow the history, then run the ensemble over the profile."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +9,10 @@ from service.offline.model_file import IdentifiedModel
 from service.offline.rows import MINUTE_S, longest_step_s, mean_from, minute_rows
 from service.offline.tables import FloatArray, PlannedRows, Recording
 from twin_core.forecasting import forecast
+from twin_core.forecasting.ensemble import FOLLOWED_S, course_known
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
+from twin_core.operating_points import usual_levels
 from twin_core.simulation import OperatingProfile, SimulationError, hold_operating_point
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -19,6 +22,8 @@ _LONGEST_GAP_S = 1800.0
 # Every row of the ensemble takes 30 kB and more; with more rows than this, quantiles are
 # interpolated between the minutes.
 _MOST_ROWS = 1500
+# A beginning whose 95 % band is wider than this to each side is spoken of.
+_DOUBTFUL_K = 5.0
 _COLD_OFFSET_K, _COLD_SCATTER_K = 0.3, 0.1
 
 
@@ -44,6 +49,8 @@ class Present:
         Run-in of the grease.
     speed_rpm, load_n, ambient_c
         Operating point that holds until the profile's first row.
+    followed_s
+        For how long the estimate follows a history; infinite for a machine whose state is given.
     """
 
     temperatures_c: FloatArray
@@ -53,6 +60,7 @@ class Present:
     speed_rpm: float
     load_n: float
     ambient_c: float
+    followed_s: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +73,7 @@ class ProfileForecast:
     quantiles: FloatArray
     labels: tuple[str, ...]
     runaway_probability: float
+    initial_state: dict[str, dict[str, float]]
 
     def highest(self) -> dict[str, dict[str, float]]:
         """Return the highest median and 97.5 % quantile of every sensor over the rows."""
@@ -117,7 +126,8 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
         if good.size:
             cold_start = run_in.at_rest and run_in.begins_with(history, minutes)
             turned = run_in.at_start_of(history, minutes)
-            observer = _follow(model, identified.values, good, turned, cold_start)
+            past = usual_levels(identified.posterior.trained.operating_points)
+            observer, since_s = _follow(model, identified.values, good, turned, cold_start, past)
         if observer is None:
             raise UnusableHistoryError(
                 f"{history.name}: no row with speed_rpm, load_n, ambient_c and a temperature in "
@@ -136,6 +146,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
         observer.heat_disturbance_w,
         observer.revolutions,
         *last,
+        followed_s=float(minutes.time_s[-1]) - since_s,
     )
 
 
@@ -145,14 +156,19 @@ def _follow(
     good: MinuteData,
     revolutions: float,
     cold_start: bool,
-) -> Observer | None:
-    """Observer at the last row; None where no temperature came since the last long gap."""
+    past: Sequence[tuple[float, float]],
+) -> tuple[Observer | None, float]:
+    """Observer at the last row, and since when; None where no temperature came since a long gap.
+
+    A machine that began at rest counts as followed since for ever: its state was known then.
+    """
     profile = hold_operating_point(
         OperatingProfile(good.time_s, good.speed_rpm, good.load_n, good.ambient_c)
     )
     counted_s = longest_step_s(good)
     longest_s = max(_LONGEST_GAP_S, counted_s)
     observer: Observer | None = None
+    since_s = float(good.time_s[0])
     for row in range(good.size):
         readings = _readings(good, row)
         point = (
@@ -178,9 +194,11 @@ def _follow(
                 float(profile.speed_rpm[row]),
                 float(profile.load_n[row]),
                 at_rest,
+                past,
             )
+            since_s = -np.inf if at_rest else float(good.time_s[row])
             observer = Observer(model, values, mean, covariance, revolutions)
-    return observer
+    return observer, since_s
 
 
 def _readings(minutes: MinuteData, row: int) -> dict[str, float]:
@@ -202,8 +220,10 @@ def forecast_profile(
         profile,
         disturbance_w=present.disturbance_w,
         operating_point=(present.speed_rpm, present.load_n, present.ambient_c),
+        followed=course_known(present.followed_s),
         members=MEMBERS,
     )
+    state = _initial_state(result.names, result.quantiles[:, 0])
     quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))
     for level, table in enumerate(result.quantiles):
         for name, values in enumerate(table.T):
@@ -213,9 +233,34 @@ def forecast_profile(
         result.names,
         result.sensors,
         quantiles,
-        result.labels,
+        result.labels + _doubtful_state(identified.model, state, present.followed_s),
         result.runaway_probability,
+        state,
     )
+
+
+def _initial_state(names: Sequence[str], quantiles_c: FloatArray) -> dict[str, dict[str, float]]:
+    """Median and half the width of the 95 % band at the beginning, by name."""
+    return {
+        name: {
+            "q50_c": float(quantiles_c[2, column]),
+            "half_width_k": float(quantiles_c[4, column] - quantiles_c[0, column]) / 2.0,
+        }
+        for column, name in enumerate(names)
+    }
+
+
+def _doubtful_state(
+    model: ThermalModel, state: Mapping[str, Mapping[str, float]], followed_s: float
+) -> tuple[str, ...]:
+    """What must be said of a beginning that a short history leaves open: the widest of all."""
+    if followed_s >= FOLLOWED_S:
+        return ()
+    name = max(state, key=lambda one: state[one]["half_width_k"])
+    half_k = state[name]["half_width_k"]
+    if half_k <= _DOUBTFUL_K * max(model.errors.scale, 1.0):
+        return ()
+    return (f"initial state of {name} known to ±{half_k:.0f} K only",)
 
 
 def _profile(present: Present, rows: PlannedRows) -> OperatingProfile:

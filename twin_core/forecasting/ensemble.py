@@ -43,6 +43,8 @@ of its housing tightens the bearing. A deviation by this part of a sensor's rise
 the first start out of standstill on; by that of all sensors' mean rise where it is more, for heat
 that goes another way comes from the hottest part."""
 START_S = 600.0
+FOLLOWED_S = 3600.0
+"""A course that has been followed for this time counts as known."""
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -159,6 +161,7 @@ def forecast(
     *,
     disturbance_w: ArrayLike | None = None,
     operating_point: tuple[float, float, float] | None = None,
+    followed: float = 1.0,
     members: int = 200,
     seed: int = 0,
 ) -> Forecast:
@@ -184,6 +187,10 @@ def forecast(
         with the heats that keep it on the observed course, and they fade likewise; they end when
         the machine stops or starts, as what is wrong is mostly friction. Without it every member
         is taken to be in the present state by itself, as a cold machine is.
+    followed
+        How much of the present course has been observed, 0 to 1: by this part of them members get
+        the heats that keep them on it. From a few readings nobody knows where a machine is going;
+        see `course_known`.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -213,7 +220,9 @@ def forecast(
     if disturbance_w is not None and goes_on:
         heat_w += np.asarray(disturbance_w, np.float64)
     if operating_point is not None and goes_on:
-        heat_w += imbalance_w(model, best, mean_c, values, start, operating_point, revolutions)
+        heat_w += followed * imbalance_w(
+            model, best, mean_c, values, start, operating_point, revolutions
+        )
     temperatures = member_paths(
         model, values, hold_operating_point(profile), start, revolutions, heat_w
     )
@@ -277,6 +286,15 @@ def forecast(
             model.runaway,
         ),
     )
+
+
+def course_known(followed_s: float) -> float:
+    """How much of a machine's course is known, 0 to 1, once it has been followed for a time in s.
+
+    A machine is on its own course, as little as its model knows of it, once the observer has seen
+    the slower parts answer.
+    """
+    return min(max(followed_s, 0.0) / FOLLOWED_S, 1.0)
 
 
 def _untaught(parameters: ParameterSet, posterior: Posterior) -> list[str]:

@@ -24,7 +24,7 @@ from twin_core.identification.problem import (
 from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
-from twin_core.operating_points import OperatingPoint, alike_points, new_points
+from twin_core.operating_points import OperatingPoint, alike_points, demand, new_points
 from twin_core.scores import rms
 from twin_core.simulation import OperatingProfile, SimulationError, simulate
 from twin_core.windows import MinuteData, window_of
@@ -195,7 +195,7 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     ]
     if not lasting:
         return []
-    hard_number, hardest = max(lasting, key=lambda found: _demand(found[1]))
+    hard_number, hardest = max(lasting, key=lambda found: demand(found[1]))
     tests = [
         _test(
             "extrapolation", data, hard_number, hardest, lambda point: not _as_hard(point, hardest)
@@ -213,13 +213,8 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     return [test] if test is not None else []
 
 
-def _demand(point: OperatingPoint) -> float:
-    """Something that grows with the heat of a bearing: speed, and load to a middling exponent."""
-    return float(point.speed_rpm * max(point.load_n, 1.0) ** 0.6)
-
-
 def _as_hard(point: OperatingPoint, hardest: OperatingPoint) -> bool:
-    return _demand(point) > 0.95 * _demand(hardest)
+    return demand(point) > 0.95 * demand(hardest)
 
 
 def _test(

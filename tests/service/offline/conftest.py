@@ -16,7 +16,7 @@ from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, RunIn
 from twin_core.identification import prior_posterior
 
-from .files import HEADER, STEPS, Run
+from .files import HEADER, STEPS, Run, write
 
 
 @pytest.fixture(scope="session")
@@ -44,8 +44,8 @@ def prior_model(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def command() -> Callable[..., Any]:
+@pytest.fixture(scope="session")
+def run_command() -> Callable[..., Any]:
     """Run a command that must succeed; gives its JSON document, or its text without --json."""
 
     def call(*arguments: object) -> Any:
@@ -54,6 +54,26 @@ def command() -> Callable[..., Any]:
         return json.loads(result.stdout) if "--json" in arguments else result.stdout
 
     return call
+
+
+@pytest.fixture
+def command(run_command: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a command that must succeed; gives its JSON document, or its text without --json."""
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def bearing_model(
+    run: Run, tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]
+) -> Path:
+    """A model file of the bench run's low part."""
+    folder = tmp_path_factory.mktemp("bearing")
+    data = write(folder / "data.csv", run.rows(60))
+    run_command(
+        "identify", data, "--bearing", "6311", "--at-rest", "--method", "refine",
+        "--out", folder / "model.json",
+    )  # fmt: skip
+    return folder / "model.json"
 
 
 @pytest.fixture
