@@ -73,7 +73,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     for name in ("Inner ring", "Outer ring", "Speed", "Load"):
         page.get_by_role("checkbox", name=re.compile(f"^{name} ?[°rN]")).uncheck()
     choose(page, past, past + LENGTH_S * US)
-    expect(status).to_contain_text("mean, least and greatest of every 15 s")
+    expect(status).to_contain_text("mean, minimum and maximum of every 15 s")
     assert violet(page) > 500, "half an hour of bad samples is hatched"
     row = page.locator(".p-hval tr", has_text="Ambient")
     expect(row.locator("td").nth(1)).to_have_text("20.0")
@@ -91,7 +91,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     count = int(status.inner_text().split()[0])
     assert count == pytest.approx(0.03 * LENGTH_S, rel=0.1)
     assert violet(page) == 0
-    page.get_by_role("button", name="Back to the span before").click()
+    page.get_by_role("button", name="Previous range").click()
     expect(status).to_contain_text("every 15 s")
     assert problems == []
 

@@ -1,6 +1,6 @@
 // What to measure next: the panel that asks the twin how to learn about a high-risk point.
 import { assetPath, call } from './api.js';
-import { h, put, setText } from './dom.js';
+import { h, put, scrollable, setText } from './dom.js';
 import { celsius, channelName, fixed, spanText } from './format.js';
 import { icon } from './icons.js';
 
@@ -34,7 +34,7 @@ export class AdvicePanel {
     this.button = h('button', { class: 'btn', type: 'submit' }, 'Ask');
     this.status = h('p', { class: 's mut', role: 'status' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
-    this.result = h('div', { class: 'adv wide' });
+    this.result = scrollable('adv wide', 'Suggested test steps');
     this.element = h('section', { class: 'panel e-adv' },
       h('header', {}, h('h2', {}, 'What to measure next'),
         h('span', { class: 's mut' }, 'to narrow the forecast at a high-risk point')),

@@ -40,6 +40,10 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** A box that may scroll: reached with the keyboard, and named for who does not see it. */
+export const scrollable = (look, label, ...children) =>
+  h('div', { class: look, tabindex: 0, role: 'region', 'aria-label': label }, children);
+
 export const bold = (...children) => h('b', {}, ...children);
 export const unit = (text) => h('span', { class: 'u' }, text);
 

@@ -1,7 +1,7 @@
 // Re-identification: start, follow, cancel; what became of the jobs before.
 import { assetPath, call } from './api.js';
 import { ConvergenceChart } from './convergence.js';
-import { h, put, setText } from './dom.js';
+import { h, put, scrollable, setText } from './dom.js';
 import { counted, dayTime, fixed, milliseconds, significant, spanText, timeElement } from './format.js';
 import { icon } from './icons.js';
 import { gateList } from './models.js';
@@ -77,7 +77,7 @@ export class JobPanel {
     this.plot = h('div', { class: 'plot cv' });
     this.caption = h('p', { class: 'xs mut' }, 'best sum of squared residuals over evaluations');
     this.gates = h('div', { class: 'gatebox' });
-    this.history = h('div', { class: 'jh' });
+    this.history = scrollable('jh', 'Earlier jobs');
     const form = h('form', {
       class: 'jf',
       onsubmit: (event) => {
@@ -100,6 +100,7 @@ export class JobPanel {
   async update(jobs, models) {
     this.jobs = jobs;
     this.models = models;
+    this.loaded = true;
     await this.fetchPoints(this.current());
     this.show();
   }
@@ -210,7 +211,7 @@ export class JobPanel {
     this.start.title = why;
     this.cancel.disabled = !running || away || this.busy;
     setText(this.title, this.titleFor(job));
-    setText(this.phase, job ? this.stateText(job) : 'none yet');
+    setText(this.phase, job ? this.stateText(job) : this.loaded ? 'none yet' : 'loading …');
     this.phase.className = `chip${job?.status === 'failed' ? ' warn' : ''}`;
     this.attempt.hidden = !(job?.attempts > 1);
     setText(this.attempt, `attempt ${job?.attempts}`);

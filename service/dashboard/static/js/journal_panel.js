@@ -1,6 +1,6 @@
 // The journal with its filters: newest first, page by page.
 import { call } from './api.js';
-import { h, put, setText } from './dom.js';
+import { h, put, scrollable, setText } from './dom.js';
 import { saveText } from './files.js';
 import { journalCsv, journalHead, journalRow } from './journal.js';
 
@@ -39,7 +39,7 @@ export class JournalPanel {
       h('header', {}, h('h2', {}, 'Journal'), this.count, h('span', { class: 'sp' }),
         h('span', { class: 'row filters' }, this.search, this.kind,
           this.several && this.asset, this.span, this.save)),
-      h('div', { class: 'scroll', tabindex: 0, role: 'region', 'aria-label': 'Journal' },
+      scrollable('scroll', 'Journal',
         h('table', { class: 'jt' }, h('thead', {}, journalHead(this.several)), this.body),
         this.older));
     this.load();

@@ -2,7 +2,8 @@
 import { token } from './dom.js';
 import { fixed, isNumber } from './format.js';
 import {
-  cursor, font, fontSize, mount, paintAhead, paintNow, pixelRatio, timeAxis, valueAxis, write,
+  cursor, font, fontSize, mount, paintAhead, paintNow, pixelRatio, roomAround, stroke, timeAxis,
+  valueAxis, write,
 } from './paint.js';
 
 const nulls = (count) => Array(count).fill(null);
@@ -56,9 +57,9 @@ export class LaneChart {
         values: (_, splits) => splits.map(thousands),
       })],
       series: [{},
-        { stroke: token('--ink'), width: 2, points: { show: false } },
-        { stroke: token('--ink-2'), width: 2, dash: [7, 5], points: { show: false } }],
-      padding: [2, 8, 0, 0], cursor: cursor(this.options.syncKey),
+        { stroke: token('--ink'), width: stroke(2), points: { show: false } },
+        { stroke: token('--ink-2'), width: stroke(2), dash: [7, 5], points: { show: false } }],
+      padding: [2, 8, this.options.showTime ? 0 : roomAround()[2] / 2, 0], cursor: cursor(this.options.syncKey),
       hooks: {
         drawClear: [(plot) => paintAhead(plot, this.model.nowMs / 1000)],
         draw: [(plot) => this.paint(plot)],

@@ -32,15 +32,14 @@ function intervalBar(parameter, at) {
   const { low, high, value, verdict, unit } = parameter;
   if (!isNumber(low) || !isNumber(high)) return '';
   const text = `${significant(low)} … ${significant(high)}${unit && unit !== '-' ? ` ${unit}` : ''}`;
-  return h('div', {
-    class: `ivb${verdict === 'prior only' ? ' po' : ''}`, title: `95 %: ${text}`, role: 'img',
-    'aria-label': text,
+  return [h('div', {
+    class: `ivb${verdict === 'prior only' ? ' po' : ''}`, title: `95 %: ${text}`, 'aria-hidden': 'true',
   },
   h('i', { style: { left: `${at(low)}%`, right: `${100 - at(high)}%` } }),
-  h('b', { style: { left: `${at(value)}%` } }));
+  h('b', { style: { left: `${at(value)}%` } })), h('small', { class: 'mut nw' }, `${significant(low)} … ${significant(high)}`)];
 }
 
-/** Parameters of one version, and of another beside it. */
+/** Parameters of one version, and of another next to it. */
 export function parameterTable(left, right) {
   const models = [left, right].filter(Boolean);
   const names = [...new Set(models.flatMap((model) => Object.keys(model.parameters ?? {})))];
@@ -100,7 +99,7 @@ export function scoreTable(models) {
     fixed(value, 2), note);
   return h('table', { class: 'vt' },
     h('thead', {}, h('tr', {}, h('th', {}, 'Unseen low-risk data, rms in K'),
-      ['', 'this version', 'active then', ...naive.map(plainName)].map((text, i) =>
+      ['', 'this version', 'active model at the time', ...naive.map(plainName)].map((text, i) =>
         h('th', { class: i ? 'r' : null }, text)))),
     h('tbody', {}, rows.map((row) => {
       const loses = Object.values({ ...row.naive, active: row.seen ? null : row.active })

@@ -1,5 +1,5 @@
 // Canvas helpers of the charts, and the axes that all of them share.
-import { h, rem, token } from './dom.js';
+import { rem, token } from './dom.js';
 import { hourMinute } from './format.js';
 
 export const pixelRatio = () => window.devicePixelRatio || 1;
@@ -8,12 +8,20 @@ export const font = (pixels, strong) =>
   `${strong ? 700 : 400} ${Math.round(pixels)}px B612, "Segoe UI", sans-serif`;
 
 const AXIS_WIDTH = 54 / 16;
+const DESK_REM = 14;
+const MOST_FIGURES = 8; // on an axis of values, however high it is
+
+/** Width of a line in CSS pixels that grows with the type: a wall is looked at from afar. */
+export const stroke = (pixels) => pixels * Math.max(1, rem() / DESK_REM);
+
+/** Room around a plot, so that the first and the last figure of an axis are whole. */
+export const roomAround = () => [fontSize() * 0.65, 8, fontSize() * 0.65, 0];
 
 /** The shared axis of time; without figures where another chart below shows them. */
 export function timeAxis(show) {
   return {
-    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 1.9 : 0, space: 90,
-    grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
+    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 1.9 : 0,
+    space: stroke(90), grid: { stroke: token('--grid'), width: stroke(1) }, ticks: { show: false },
     values: (plot, splits) => splits.map((second) => {
       if (!show) return '';
       const room = plot.valToPos(plot.scales.x.max, 'x') - plot.valToPos(second, 'x');
@@ -22,9 +30,12 @@ export function timeAxis(show) {
   };
 }
 
-export const valueAxis = (options = {}) => ({
+/** An axis of values with a figure every `least` pixels of a desk's type at most. */
+export const valueAxis = ({ least = 34, ...options } = {}) => ({
   stroke: token('--ink-3'), font: font(fontSize()), size: AXIS_WIDTH * rem(),
-  grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false }, ...options,
+  grid: { stroke: token('--grid'), width: stroke(1) }, ticks: { show: false },
+  space: (plot, axis, low, high, length) => Math.max(stroke(least), length / MOST_FIGURES),
+  ...options,
 });
 
 /** A uPlot in a box, that follows the size of the box. */
@@ -93,7 +104,7 @@ export function paintNow(plot, nowS, tag) {
   const x = plot.valToPos(nowS, 'x', true);
   context.setLineDash([]);
   context.strokeStyle = token('--ink');
-  context.lineWidth = 2 * ratio;
+  context.lineWidth = stroke(2) * ratio;
   context.beginPath();
   context.moveTo(x, bbox.top);
   context.lineTo(x, bbox.top + bbox.height);
@@ -115,12 +126,12 @@ export function paintNow(plot, nowS, tag) {
 /** A pattern of slanted lines: data that must not be trusted. */
 export function hatching(context, colour) {
   const ratio = pixelRatio();
-  const size = Math.round(9 * ratio);
+  const size = Math.round(stroke(9) * ratio);
   const tile = document.createElement('canvas');
   tile.width = tile.height = size;
   const pen = tile.getContext('2d');
   pen.strokeStyle = colour;
-  pen.lineWidth = 2 * ratio;
+  pen.lineWidth = stroke(2) * ratio;
   pen.beginPath();
   for (const shift of [-size, 0, size]) {
     pen.moveTo(shift, size);
@@ -150,22 +161,4 @@ export function paintPredicted(context, x, y, size, priority) {
   context.fill();
   context.stroke();
   context.restore();
-}
-
-/** The box beside the cursor; `lines` are arrays of [text, quiet]. */
-export function tooltip(box) {
-  const element = h('div', { class: 'tip' });
-  box.append(element);
-  return {
-    element,
-    hide: () => { element.style.display = 'none'; },
-    show(lines, left) {
-      element.replaceChildren(...lines.map((line, i) => h('div', {}, line.map(([text, quiet]) =>
-        h(i || quiet ? 'span' : 'b', { class: quiet ? 'mut' : null }, text)))));
-      element.style.display = 'block';
-      const most = box.clientWidth - element.offsetWidth - 4;
-      element.style.left = `${Math.max(0, Math.min(left, most))}px`;
-      element.style.top = '30px';
-    },
-  };
 }

@@ -1,7 +1,10 @@
 // A chart of the past: mean lines within their minimum and maximum, holes hatched.
+import { ChartCursor } from './chart_cursor.js';
 import { rem, token } from './dom.js';
 import { channelName, dayTimeSecond, fixed, isNumber, utc } from './format.js';
-import { font, fontSize, hatching, mount, pixelRatio, tooltip, valueAxis, write } from './paint.js';
+import {
+  font, fontSize, hatching, mount, pixelRatio, roomAround, stroke, valueAxis, write,
+} from './paint.js';
 import { joined } from './past.js';
 
 const CLEAR = 'rgba(0,0,0,0)';
@@ -29,7 +32,10 @@ export class PastChart {
     Object.assign(this, { box, title, unit, syncKey, onZoom });
   }
 
-  /** model: { names, lines: { name: line }, fromMs, toMs, showTime }. */
+  /**
+   * model: { names, lines: { name: line }, fromMs, toMs, showTime,
+   * limits: [{ name, level, value, priority }] }.
+   */
   update(model) {
     this.model = model;
     const key = [...model.names, model.showTime].join();
@@ -45,7 +51,7 @@ export class PastChart {
 
   destroy() {
     this.mounted?.destroy();
-    this.tip?.element.remove();
+    this.reading?.destroy();
     this.mounted = null;
   }
 
@@ -55,35 +61,36 @@ export class PastChart {
     const bands = [];
     names.forEach((name, i) => {
       const { colour, dash } = lookOf(names, name);
-      const line = (stroke, width, dashes) => ({
-        stroke, width, dash: dashes, points: { show: false }, spanGaps: false,
+      const line = (ink, width, dashes) => ({
+        stroke: ink, width, dash: dashes, points: { show: false }, spanGaps: false,
       });
-      series.push(line(token(colour), 2, dash), line(CLEAR, 0), line(CLEAR, 0));
+      series.push(line(token(colour), stroke(2), dash), line(CLEAR, 0), line(CLEAR, 0));
       bands.push({
         series: [PER_LINE * i + 3, PER_LINE * i + 2],
         fill: token(isTwin(name) ? '--fan95' : '--range'),
       });
     });
-    this.tip = tooltip(this.box);
+    this.reading = new ChartCursor(this.box, (index) => this.readAt(index));
     this.mounted = mount(this.box, {
       scales: {
         x: { time: true, range: () => [this.model.fromMs / 1000, this.model.toMs / 1000] },
         y: { range: (_, low, high) => roomy(low, high, this.box.clientHeight) },
       },
       axes: [spanAxis(this.model.showTime), valueAxis({
-        space: 34, values: (_, splits) => splits.map((value) => fixed(value, decimals(splits))),
+        values: (_, splits) => splits.map((value) => fixed(value, decimals(splits))),
       })],
-      series, bands, padding: [8, 8, 2, 0],
+      series, bands, padding: roomAround(),
       cursor: {
         y: false, points: { show: false }, sync: { key: this.syncKey },
         drag: { x: true, y: false, setScale: false },
       },
       hooks: {
         draw: [(plot) => this.paint(plot)],
-        setCursor: [(plot) => this.point(plot)],
+        setCursor: [() => this.reading.show()],
         setSelect: [(plot) => this.select(plot)],
       },
     }, data);
+    this.reading.attach(this.mounted.plot);
   }
 
   select(plot) {
@@ -103,6 +110,9 @@ export class PastChart {
     context.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     context.clip();
     this.paintGaps(plot);
+    this.paintLimits(plot);
+    this.paintNames(plot);
+    this.reading.paintMark(plot);
     context.restore();
     write(context, `${this.title}, ${this.unit}`, bbox.left + 8 * ratio, bbox.top + 3 * ratio,
       { size, base: 'top', colour: token('--ink-2'), halo: token('--panel') });
@@ -111,6 +121,53 @@ export class PastChart {
     if (nothing) {
       write(context, 'no data in this span', bbox.left + bbox.width / 2,
         bbox.top + bbox.height / 2, { size, align: 'center', colour: token('--ink-3') });
+    }
+  }
+
+  /** The name of every line, above its highest point near its beginning. */
+  paintNames(plot) {
+    const { names } = this.model;
+    if (names.length < 2) return;
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    const [times] = plot.data;
+    names.forEach((name, i) => {
+      const values = plot.data[PER_LINE * i + 1];
+      const first = values.findIndex((value, k) => isNumber(value) && times[k] >= plot.scales.x.min);
+      if (first < 0) return;
+      const left = Math.max(bbox.left, plot.valToPos(times[first], 'x', true)) + 8 * ratio;
+      context.font = font(size, true);
+      const right = left + context.measureText(lineName(name)).width;
+      const covered = values.filter((value, k) => isNumber(value) && times[k] >= times[first]
+        && plot.valToPos(times[k], 'x', true) <= right);
+      const top = plot.valToPos(Math.max(...covered), 'y', true) - 6 * ratio;
+      write(context, lineName(name), left, top, {
+        size, strong: true, colour: token(lookOf(names, name).colour), halo: token('--panel'),
+      });
+    });
+  }
+
+  /** Limits of the temperatures that are drawn, with their names. */
+  paintLimits(plot) {
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    const size = fontSize() * ratio;
+    const { min, max } = plot.scales.y;
+    for (const { name, level, value, priority } of this.model.limits ?? []) {
+      if (value < min || value > max) continue;
+      const y = plot.valToPos(value, 'y', true);
+      context.strokeStyle = token('--line-2');
+      context.lineWidth = stroke(1.5) * ratio;
+      context.setLineDash(priority === 1 ? [] : [9 * ratio, 5 * ratio]);
+      context.beginPath();
+      context.moveTo(bbox.left, y);
+      context.lineTo(bbox.left + bbox.width, y);
+      context.stroke();
+      context.setLineDash([]);
+      write(context, `${lineName(name).toLowerCase()} ${level} ${value} °C`,
+        bbox.left + bbox.width - 8 * ratio, y - 3 * ratio,
+        { size, align: 'right', colour: token('--ink-3'), halo: token('--panel') });
     }
   }
 
@@ -131,7 +188,7 @@ export class PastChart {
           context.fillRect(left, bbox.top, width, bbox.height);
         }
         context.strokeStyle = token('--bad');
-        context.lineWidth = ratio;
+        context.lineWidth = stroke(1) * ratio;
         context.setLineDash([4 * ratio, 4 * ratio]);
         context.strokeRect(left, bbox.top, width, bbox.height);
         context.setLineDash([]);
@@ -144,22 +201,18 @@ export class PastChart {
     });
   }
 
-  point(plot) {
-    const { idx: index, left } = plot.cursor;
-    if (index === null || index === undefined || left < 0) {
-      this.tip?.hide();
-      return;
-    }
-    const ms = plot.data[0][index] * 1000;
-    const lines = [[[dayTimeSecond(ms)], [`  ${utc(ms)}`, true]]];
-    this.model.names.forEach((name, i) => {
-      const [value, low, high] = [1, 2, 3].map((column) => plot.data[PER_LINE * i + column][index]);
-      if (!isNumber(value)) return;
-      const range = isNumber(low) && high - low > 1e-9;
-      lines.push([[`${lineName(name)} ${fixed(value, this.digits())} ${this.unit}`],
-        [range ? `  ${fixed(low, this.digits())} … ${fixed(high, this.digits())}` : '', true]]);
+  readAt(index) {
+    const { data } = this.mounted.plot;
+    const ms = data[0][index] * 1000;
+    const rows = this.model.names.map((name, i) => {
+      const [value, low, high] = [1, 2, 3].map((column) => data[PER_LINE * i + column][index]);
+      const more = isNumber(low) && high - low > 1e-9
+        ? `${fixed(low, this.digits())} … ${fixed(high, this.digits())}` : '';
+      return { name: lineName(name), value, unit: this.unit, digits: this.digits(), more };
     });
-    this.tip.show(lines, left + plot.bbox.left / pixelRatio() + 14);
+    return {
+      ms, head: [dayTimeSecond(ms), utc(ms)], rows: rows.filter((row) => isNumber(row.value)),
+    };
   }
 
   digits() {
@@ -189,8 +242,8 @@ function spanAxis(show) {
   const at = (second, options) => new Date(second * 1000)
     .toLocaleString([], { hourCycle: 'h23', ...options });
   return {
-    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 2 : 0, space: 96,
-    grid: { stroke: token('--grid'), width: 1 }, ticks: { show: false },
+    stroke: token('--ink-2'), font: font(fontSize()), size: show ? rem() * 2 : 0,
+    space: stroke(96), grid: { stroke: token('--grid'), width: stroke(1) }, ticks: { show: false },
     values: (plot, splits) => {
       if (!show) return splits.map(() => '');
       const spanS = plot.scales.x.max - plot.scales.x.min;

@@ -21,9 +21,9 @@ export class ProfilePanel {
     this.file = button('Save as CSV', actions.save);
     this.hint = h('p', { class: 's mut' });
     this.figure = h('p', { class: 'v', role: 'status' });
-    this.take = button('Use', actions.useSpeed);
+    this.take = button('Use this speed', actions.useSpeed);
     this.element = h('section', { class: 'panel p-profile' },
-      h('header', {}, h('h2', {}, 'Profile to try'), h('span', { class: 'sp' }),
+      h('header', {}, h('h2', {}, 'Test profile'), h('span', { class: 'sp' }),
         h('span', { class: 'seg' }, ['planned', 'hold', 'cool down'].map(preset))),
       this.stepList, this.problem,
       h('div', { class: 'row foot' }, this.add, h('span', { class: 'sp' }), this.link, this.file),
@@ -32,7 +32,7 @@ export class ProfilePanel {
   }
 
   /**
-   * Make the steps anew. fields: of `fieldsFor`; `end` is when the present step ends (ms), null
+   * Make the steps. fields: of `fieldsFor`; `end` is when the present step ends (ms), null
    * where it does not; `canGoOn` says whether there is one to be waited for.
    */
   build(steps, fields, { fromEnd, endMs }) {
@@ -61,7 +61,7 @@ export class ProfilePanel {
     return h('div', { class: 'step cur' }, h('header', {}, this.present),
       h('div', { class: 'row' }, h('span', { class: 'hd' }, 'Try from'),
         h('span', { class: 'seg' }, choose(false, 'now'),
-          endMs !== null && choose(true, `its end at ${hourMinute(wholeMinute(endMs))}`))));
+          endMs !== null && choose(true, `end of current step (${hourMinute(wholeMinute(endMs))})`))));
   }
 
   slider(step, index, name, field) {
@@ -108,5 +108,6 @@ export class ProfilePanel {
     setText(this.hint, text);
     put(this.figure, figure ?? '…');
     this.take.disabled = !usable;
+    this.take.hidden = !usable;
   }
 }

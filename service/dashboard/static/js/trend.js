@@ -1,10 +1,13 @@
 // The chart of the temperatures: measured, estimated and forecast, with their limits.
+import { ChartCursor } from './chart_cursor.js';
 import { token, rem } from './dom.js';
 import { QUANTILES } from './forecast.js';
-import { channelName, fixed, hourMinute, isNumber, utc } from './format.js';
+import {
+  channelName, fixed, hourMinute, hourMinuteSecond, isNumber, utc,
+} from './format.js';
 import {
   cursor, font, fontSize, hatching, mount, paintAhead, paintNow, paintPredicted, pixelRatio,
-  timeAxis, tooltip, valueAxis, write,
+  roomAround, stroke, timeAxis, valueAxis, write,
 } from './paint.js';
 
 const CLEAR = 'rgba(0,0,0,0)';
@@ -20,7 +23,8 @@ const lowest = (values) => values.reduce((low, v) => (isNumber(v) && v < low ? v
  *
  * A model is { nowMs, fromMs, endMs, times (ms), past: { sensor: { measured, twin } },
  * sensors: [names], current: { sensor: { value, usable, timeMs } }, limits, fan, ghost, lostMs,
- * crossings: [{ timeMs, value, priority }] }.
+ * crossings: [{ timeMs, value, priority }], lanes: [{ name, unit, values, key }], steps }; what
+ * the lanes below show is read at this chart's cursor.
  */
 export class TrendChart {
   /** options: { small }: as on a card, without figures and names but with the hours. */
@@ -40,7 +44,7 @@ export class TrendChart {
 
   destroy() {
     this.mounted?.destroy();
-    this.tip = null;
+    this.reading?.destroy();
   }
 
   columns() {
@@ -70,8 +74,8 @@ export class TrendChart {
   create(data) {
     const ink = token('--ink');
     const blue = token('--twin');
-    const line = (stroke, width, dash) =>
-      ({ stroke, width, dash, points: { show: false }, spanGaps: false });
+    const line = (colour, width, dash) =>
+      ({ stroke: colour, width: stroke(width), dash, points: { show: false }, spanGaps: false });
     const series = [{}];
     const bands = [];
     this.model.sensors.forEach((_, i) => {
@@ -82,22 +86,23 @@ export class TrendChart {
       bands.push({ series: [first + 4, first], fill: token('--fan95') });
       bands.push({ series: [first + 3, first + 1], fill: token('--fan50') });
     });
-    if (!this.small) this.tip = tooltip(this.box);
+    if (!this.small) this.reading = new ChartCursor(this.box, (index) => this.readAt(index));
     this.mounted = mount(this.box, {
       scales: {
         x: { time: true, range: () => [this.model.fromMs / 1000, this.model.endMs / 1000] },
         y: { range: () => this.range() },
       },
       axes: [timeAxis(this.small),
-        valueAxis({ space: this.small ? 34 : 46, values: (_, splits) => splits.map(String) })],
-      series, bands, padding: [6, 8, 4, 0],
+        valueAxis({ least: this.small ? 34 : 46, values: (_, splits) => splits.map(String) })],
+      series, bands, padding: roomAround(),
       cursor: this.small ? { show: false } : cursor(this.syncKey),
       hooks: {
         drawClear: [(plot) => paintAhead(plot, this.model.nowMs / 1000)],
         draw: [(plot) => this.paint(plot)],
-        setCursor: [(plot) => this.point(plot)],
+        setCursor: [() => this.reading?.show()],
       },
     }, data);
+    this.reading?.attach(this.mounted.plot);
   }
 
   /** The axis holds still and grows only, in steps, when the fan or a value needs it. */
@@ -128,6 +133,7 @@ export class TrendChart {
     paintNow(plot, this.model.nowMs / 1000, this.small ? null : hourMinute(this.model.nowMs));
     this.paintFigures(plot);
     this.paintCrossings(plot);
+    this.reading?.paintMark(plot);
     context.restore();
   }
 
@@ -160,7 +166,7 @@ export class TrendChart {
     const { fan, sensors } = this.model;
     if (!fan) return;
     context.strokeStyle = token('--twin');
-    context.lineWidth = 2.5 * pixelRatio();
+    context.lineWidth = stroke(2.5) * pixelRatio();
     context.lineJoin = 'round';
     for (const sensor of sensors.filter((name) => fan.bands[name])) {
       context.beginPath();
@@ -177,7 +183,7 @@ export class TrendChart {
       if (!main && !hit) continue;
       const y = plot.valToPos(value, 'y', true);
       context.strokeStyle = token(hit ? `--p${priority}-line` : '--line-2');
-      context.lineWidth = (hit ? 2 : 1.5) * ratio;
+      context.lineWidth = stroke(hit ? 2 : 1.5) * ratio;
       context.setLineDash(priority === 1 ? [] : [9 * ratio, 5 * ratio]);
       context.beginPath();
       context.moveTo(bbox.left, y);
@@ -207,7 +213,7 @@ export class TrendChart {
       context.fillRect(...area);
     }
     context.strokeStyle = token('--bad');
-    context.lineWidth = 2 * ratio;
+    context.lineWidth = stroke(2) * ratio;
     context.setLineDash([4 * ratio, 4 * ratio]);
     context.strokeRect(...area);
     context.setLineDash([]);
@@ -231,9 +237,9 @@ export class TrendChart {
       const x = plot.valToPos((head.usable ? model.nowMs : head.timeMs) / 1000, 'x', true);
       context.fillStyle = token(head.usable ? '--ink' : '--panel');
       context.strokeStyle = token(head.usable ? '--panel' : '--bad');
-      context.lineWidth = 2 * ratio;
+      context.lineWidth = stroke(2) * ratio;
       context.beginPath();
-      context.arc(x, y(head.value), 5.5 * ratio, 0, 7);
+      context.arc(x, y(head.value), stroke(5.5) * ratio, 0, 7);
       context.fill();
       context.stroke();
       const under = i > 0 && y(head.value) - y(heads[i - 1].value) < size * 2.2;
@@ -314,28 +320,29 @@ export class TrendChart {
     }
   }
 
-  point(plot) {
-    const { idx: index, left } = plot.cursor;
-    if (index === null || index === undefined || left < 0) {
-      this.tip?.hide();
-      return;
-    }
-    const { times, sensors, past, fan } = this.model;
-    const ms = plot.data[0][index] * 1000;
+  /** What stands at a place of the axis of time: temperatures, then speed and load. */
+  readAt(index) {
+    const { times, sensors, past, fan, lanes = [], steps = [] } = this.model;
+    const ms = this.mounted.plot.data[0][index] * 1000;
     const ahead = index - times.length;
-    const lines = [[[hourMinute(ms)], [`  ${utc(ms)}`, true]]];
-    for (const sensor of sensors) {
-      const name = `${channelName(sensor)} `;
-      if (ahead > 0 && fan?.bands[sensor]) {
-        const band = fan.bands[sensor];
-        lines.push([[`${name}${fixed(band.q50[ahead])} °C`],
-          [`  95 % ${fixed(band.q025[ahead])} … ${fixed(band.q975[ahead])}`, true]]);
-      } else if (ahead < 0) {
-        lines.push([[`${name}${fixed(past[sensor].measured[index])} °C`],
-          [`  twin ${fixed(past[sensor].twin[index])}`, true]]);
+    const rows = sensors.flatMap((sensor) => {
+      const row = { name: channelName(sensor), unit: '°C', digits: 1 };
+      const band = ahead > 0 && fan?.bands[sensor];
+      if (band) {
+        const range = `95 % ${fixed(band.q025[ahead])} … ${fixed(band.q975[ahead])}`;
+        return { ...row, value: band.q50[ahead], more: range };
       }
-    }
-    this.tip.show(lines, left + plot.bbox.left / pixelRatio() + 14);
+      const { measured, twin } = past[sensor];
+      return { ...row, value: measured[index], more: `twin ${fixed(twin[index])}` };
+    });
+    const planned = ahead > 0 && steps.find((step) => ms >= step.from && ms <= step.to);
+    rows.push(...lanes.map(({ name, unit, values, key }) => ({
+      name, unit, digits: 0, value: planned ? planned[key] : values[index],
+      more: planned ? 'planned' : '',
+    })));
+    return {
+      ms, head: [hourMinuteSecond(ms), utc(ms)], rows: rows.filter((row) => isNumber(row.value)),
+    };
   }
 }
 

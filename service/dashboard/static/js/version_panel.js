@@ -1,7 +1,7 @@
 // Two model versions side by side; which one is active, and how to change that.
 import { assetPath, call } from './api.js';
 import { askReason } from './dialogs.js';
-import { h, put, setText } from './dom.js';
+import { h, put, scrollable, setText } from './dom.js';
 import { dayTime, milliseconds, timeElement } from './format.js';
 import { icon } from './icons.js';
 import {
@@ -139,8 +139,8 @@ export class VersionPanel {
     const open = [...this.tables.querySelectorAll('details')].map((one) => one.open);
     const more = (title, parts, i) => h('details', { class: 's', open: open[i] },
       h('summary', {}, title), h('div', { class: 'two' }, parts));
-    put(this.tables, h('div', { class: 'wide' }, parameterTable(...models)),
-      h('div', { class: 'wide' }, scoreTable(models)),
+    put(this.tables, scrollable('wide', 'Parameters', parameterTable(...models)),
+      scrollable('wide', 'Scores', scoreTable(models)),
       models.map((model) => h('p', { class: 's mut' }, `v${model.version}, ${trainingText(model)}`)),
       more('What the data inform', wholes.map(combinationList), 0),
       more('Windows used', models.map(windowList), 1));
@@ -176,12 +176,12 @@ export class VersionPanel {
     };
     const head = (...texts) => h('thead', {}, h('tr', {}, texts.map((text) => h('th', {}, text))));
     put(this.journalBox, h('div', { class: 'two' },
-      h('div', { class: 'wide' }, h('table', {}, head('Version', 'Status', 'Made', 'Method', 'Why'),
+      scrollable('wide', 'Versions', h('table', {}, head('Version', 'Status', 'Made', 'Method', 'Why'),
         h('tbody', {}, this.models.map((model) => h('tr', {},
           h('td', { class: 'b' }, `v${model.version}`), h('td', {}, statusChip(model.status)),
           time(model.created_at), h('td', { class: 'nw' }, model.method ?? '–'),
           h('td', {}, plainText(model.reason ?? ''))))))),
-      h('div', { class: 'wide' }, h('table', {}, head('Activated', 'Version', 'By', 'Reason'),
+      scrollable('wide', 'Activations', h('table', {}, head('Activated', 'Version', 'By', 'Reason'),
         h('tbody', {}, this.journal.map((line) => h('tr', {}, time(line.time),
           h('td', { class: 'b' }, `v${line.version}`), h('td', {}, line.who),
           h('td', {}, plainText(line.comment)))))))));

@@ -1,5 +1,5 @@
 // Which windows the next identification learns from: all of them, or those chosen by hand.
-import { h, put, setText } from './dom.js';
+import { h, put, scrollable, setText } from './dom.js';
 import { counted, dayTime, milliseconds, spanText, timeElement } from './format.js';
 import { isUsed, overlaps, pointText, windowOf, WindowTimeline } from './windows.js';
 
@@ -19,14 +19,14 @@ export class WindowPanel {
     this.byHand = null; // null: automatic, else the chosen windows
     this.text = h('span', { class: 's mut' }, 'loading …');
     this.plot = h('div', { class: 'wtl' });
-    this.table = h('div', { class: 'wt' });
+    this.table = scrollable('wt', 'Chosen windows');
     this.button = h('button', {
       class: 'btn sm', type: 'button', disabled: true, onclick: () => this.switch(),
     }, 'Choose by hand');
     this.element = h('section', { class: 'panel e-win' },
       h('header', {}, h('h2', {}, 'Low-risk windows'), this.text,
         h('span', { class: 'keys' }, key('box chosen', 'trains the next model'),
-          key('box', 'left out'), key('risky', 'high-risk, never used'),
+          key('box', 'excluded'), key('risky', 'high-risk, never used'),
           key('learned', 'in the active model'), this.button)),
       this.plot, this.table);
     this.timeline = new WindowTimeline(this.plot, {

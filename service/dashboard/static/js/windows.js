@@ -154,7 +154,7 @@ export class WindowTimeline {
     const text = (y, style, content, room) => width > room
       && s('text', { x: left + width / 2, y, 'text-anchor': 'middle', style }, content);
     const said = [`${dayTime(startOf(window))}, ${spanText(durationS)}`,
-      `score ${fixed(window.score, 2)}`, ...window.operating_points.map(pointText),
+      `score ${fixed(window.score, 2)} (information per hour)`, ...window.operating_points.map(pointText),
       learned && 'in the active model'].filter(Boolean);
     return s('g', {
       'data-window': window.start, class: 'win', tabindex: byHand ? 0 : null,

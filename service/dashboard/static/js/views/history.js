@@ -11,7 +11,7 @@ const HOUR_MS = 3600e3;
 const SPANS = [[1, '1 h'], [8, '8 h'], [24, '24 h'], [168, '7 d'], [null, 'all']];
 const LEAST_SPAN_MS = 1000;
 const REFRESH_MS = 10000;
-const RESOLUTIONS = [['auto', 'fitting'], ['raw', 'raw']];
+const RESOLUTIONS = [['auto', 'auto'], ['raw', 'raw']];
 const BEGINNING_MS = 0;
 const PAGE = 50000;
 const BRIDGE_WALL_MS = 1500;
@@ -40,10 +40,10 @@ export class HistoryView {
       h('section', { class: 'panel p-past' },
         h('header', {}, h('h2', {}, `History of ${asset.id}`), this.status,
           h('span', { class: 'sp' }), h('span', { class: 's mut hint' },
-            'draw with the mouse to zoom in')),
+            'drag to zoom')),
         this.charts.map(({ box: one }) => one)),
       h('section', { class: 'panel p-hval' }, h('header', {}, h('h2', {}, 'Channels')),
-        h('table', {}, h('thead', {}, h('tr', {}, ['', 'least', 'mean', 'greatest']
+        h('table', {}, h('thead', {}, h('tr', {}, ['Channel', 'min', 'mean', 'max']
           .map((title, i) => h('th', { scope: 'col', class: i ? 'r' : null }, title)))),
         h('tbody', {}, this.rows.map(({ element }) => element)))));
     this.timer = setInterval(() => this.range.hours && !document.hidden && this.load(), REFRESH_MS);
@@ -68,7 +68,7 @@ export class HistoryView {
       type: 'datetime-local', step: 1, 'aria-label': label, onchange: () => this.useInputs(),
     });
     [this.from, this.to] = [time('From'), time('To')];
-    this.back = button('Back', 'Back to the span before', () => this.goBack());
+    this.back = button('Back', 'Previous range', () => this.goBack());
     this.resolutionButtons = RESOLUTIONS.map(([value, text]) => h('button', {
       type: 'button', onclick: () => this.chooseResolution(value),
     }, text));
@@ -83,7 +83,7 @@ export class HistoryView {
       h('div', { class: 'row' }, h('span', { class: 's mut' }, 'from'), this.from,
         h('span', { class: 's mut' }, 'to'), this.to,
         h('span', { class: 's mut' }, timeZone(Date.now()))),
-      h('div', { class: 'row' }, h('span', { class: 's mut' }, 'samples'),
+      h('div', { class: 'row' }, h('span', { class: 's mut' }, 'resolution'),
         h('span', { class: 'seg', role: 'group', 'aria-label': 'Resolution' },
           this.resolutionButtons),
         h('span', { class: 's mut' }, 'save'), this.saves),
@@ -219,10 +219,11 @@ export class HistoryView {
     for (const { box, chart, names } of named) {
       box.hidden = !names.length;
       const showTime = chart === last?.chart;
-      if (names.length) chart.update({ names, lines, showTime, ...this.shown });
+      const limits = limitsOf(this.page.store.get('asset'), names);
+      if (names.length) chart.update({ names, lines, showTime, limits, ...this.shown });
     }
     const what = resolution === 'raw' ? 'raw samples'
-      : `mean, least and greatest of every ${resolution.replace(/(\d)(\D)/, '$1 $2')}`;
+      : `mean, minimum and maximum of every ${resolution.replace(/(\d)(\D)/, '$1 $2')}`;
     setText(this.status, rows ? `${rows} values: ${what}` : 'no data in this span');
     for (const { name, figures } of this.rows) {
       const found = this.chosen.has(name) && lines[name] ? extremes(lines[name]) : null;
@@ -259,6 +260,10 @@ export class HistoryView {
     }
   }
 }
+
+const limitsOf = ({ limits }, names) => names.filter((name) => limits?.[name])
+  .flatMap((name) => [['warning', 2], ['alarm', 1]].map(([level, priority]) =>
+    ({ name, level, value: limits[name][level], priority })));
 
 const styleOf = ([length]) => (length ? (length < 5 ? 'dotted' : 'dashed') : 'solid');
 

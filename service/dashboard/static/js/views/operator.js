@@ -254,8 +254,12 @@ export class OperatorView {
     const span = { nowMs: now.nowMs, fromMs, endMs: now.endMs ?? now.nowMs + past * 0.15, times };
     const limits = Object.fromEntries(
       Object.entries(now.limits).filter(([sensor]) => this.sensors.includes(sensor)));
+    const lanes = [
+      { name: 'Speed', unit: 'rpm', key: 'speed_rpm', values: columns.speed_rpm ?? [] },
+      { name: 'Load', unit: 'N', key: 'load_n', values: columns.load_n ?? [] },
+    ];
     this.trend.update({
-      ...span, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: this.sensors,
+      ...span, lanes, steps: now.steps, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: this.sensors,
       crossings: now.crossings,
       past: Object.fromEntries(this.sensors.map((sensor) => [sensor,
         { measured: columns[sensor] ?? [], twin: columns[`${sensor}.twin`] ?? [] }])),

@@ -38,7 +38,7 @@ export class WhatIfView {
     this.answer = null;
     this.failure = '';
     this.answers = h('div', { class: 'answers' });
-    this.latency = h('span', { class: 'chip', hidden: true });
+    this.heading = h('h2', {}, 'Forecast for this profile, °C');
     this.labels = h('span', { class: 'labels' });
     this.ghostText = h('span', {}, 'as planned');
     this.boxes = {
@@ -93,9 +93,9 @@ export class WhatIfView {
 
   createResult() {
     return h('div', { class: 'wr' }, this.answers, h('section', { class: 'panel p-trend' },
-      h('header', {}, h('h2', {}, 'Forecast for this profile, °C'), this.labels,
+      h('header', {}, this.heading, this.labels,
         h('span', { class: 'keys' }, key('tw', 'median'), key('f50', '50 %'), key('f95', '95 %'),
-          key('pl', this.ghostText), this.latency)),
+          key('pl', this.ghostText))),
       this.boxes.temperature, this.boxes.speed, this.boxes.load));
   }
 
@@ -211,8 +211,7 @@ export class WhatIfView {
     this.answer = { ...answer, made_at: answer.made_at ?? new Date(madeMs).toISOString(), profile };
     this.failure = '';
     this.panel.showProblem('');
-    this.latency.hidden = false;
-    setText(this.latency, `answered in ${Math.round(ms)} ms`);
+    this.heading.title = `Answered in ${Math.round(ms)} ms`;
     put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, text)));
     this.show();
   }
@@ -220,7 +219,7 @@ export class WhatIfView {
   fail(error) {
     this.answer = null;
     this.failure = error.message;
-    this.latency.hidden = true;
+    this.heading.title = '';
     this.panel.showProblem(`No answer: ${error.message}.`);
     this.show();
   }
@@ -238,6 +237,10 @@ export class WhatIfView {
     const at = `at ${fixed(load, 0)} N for ${spanText(minutes * 60)}`;
     this.panel.showHint(`Highest speed of ${of} with less than 5 % over a warning limit, ${at}`,
       null, false);
+    if (this.steps[index].speed_rpm === 0) {
+      this.panel.showHint(`Step ${index + 1} is a standstill.`, '–', false);
+      return;
+    }
     if (!Object.keys(asset.limits).length) {
       this.panel.showHint('No temperature of this asset has a limit.', '–', false);
       return;
@@ -262,8 +265,10 @@ export class WhatIfView {
     const text = `Highest speed of ${of} with less than 5 % for ${over}, ${at}`;
     if (found.speed === null) {
       this.panel.showHint(`${text}: it is likelier at every speed.`, 'None', false);
+    } else if (found.open) {
+      this.panel.showHint(text, ['No limit up to ', fixed(found.speed, 0), unit('rpm')], false);
     } else {
-      this.panel.showHint(text, [found.open && 'over ', fixed(found.speed, 0), unit('rpm')], true);
+      this.panel.showHint(text, [fixed(found.speed, 0), unit('rpm')], true);
     }
   }
 
@@ -327,15 +332,19 @@ export class WhatIfView {
     const sensors = this.sensors();
     const limits = Object.fromEntries(
       Object.entries(now.limits).filter(([sensor]) => sensors.includes(sensor)));
+    const steps = fan ? stepsFrom(this.answer, now.nowMs) : [];
+    const lanes = [
+      { name: 'Speed', unit: 'rpm', key: 'speed_rpm', values: columns.speed_rpm },
+      { name: 'Load', unit: 'N', key: 'load_n', values: columns.load_n },
+    ];
     this.trend.update({
-      ...span, limits, fan, ghost: now.fan, lostMs: now.lostMs, sensors,
+      ...span, lanes, steps, limits, fan, ghost: now.fan, lostMs: now.lostMs, sensors,
       crossings: crossingsAhead(this.answer, fan, limits, now.nowMs),
       past: Object.fromEntries(sensors.map((sensor) => [sensor,
         { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
       current: Object.fromEntries(sensors.map((sensor) =>
         [sensor, readChannel(store.state, clock, sensor)])),
     });
-    const steps = fan ? stepsFrom(this.answer, now.nowMs) : [];
     const lane = (reading, name) => ({
       ...span, values: columns[name], current: reading.usable ? reading.value : null, steps,
       key: name,
@@ -362,7 +371,7 @@ export class WhatIfView {
       await navigator.clipboard.writeText(location.href);
       this.page.notify('The link to this profile is copied.');
     } catch {
-      this.page.notify(`This browser copies nothing here. The link: ${location.href}`);
+      this.page.notify(`Copy failed. Link: ${location.href}`);
     }
   }
 
