@@ -17,7 +17,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.drivers import Driver, SourceHealth
 from adapters.samples import Batch
-from service.alarms import AlarmBook, alarm_document
+from service.alarms import AlarmBook, AlarmCondition, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ClockWatch, ProcessClock
@@ -45,7 +45,7 @@ from service.store import (
     lock_data_directory,
     lock_database,
 )
-from service.upkeep import keep_up
+from service.upkeep import Upkeep
 from service.web_server import serve_web
 from service.wiring import Wiring, is_loopback, wire
 
@@ -123,6 +123,7 @@ class Service:
             settings.data_dir / "jobs",
             job_seconds.observe,
         )
+        self.upkeep = Upkeep(store, clock, Retention(**settings.retention.model_dump()))
         self.app = create_app(
             ServiceContext(
                 settings=settings,
@@ -136,6 +137,7 @@ class Service:
                 jobs=self.jobs,
                 registry=self.registry,
                 sources=self.source_health,
+                history_problem=self._history_problem,
             )
         )
 
@@ -200,8 +202,27 @@ class Service:
         problems = (health.problems.get(f"{asset}/{channel}") for health in self.source_health())
         return next(filter(None, problems), "")
 
-    def _retention(self) -> Retention:
-        return Retention(**self.settings.retention.model_dump())
+    def _history_problem(self) -> str | None:
+        """Why history is not kept as configured; None while it is."""
+        return self.ingest.too_old_problem or self.upkeep.problem
+
+    def _report_too_old(self) -> None:
+        """Raise an alarm for the assets whose samples are not stored because they are too old."""
+        for asset in self.assets:
+            problem = self.ingest.too_old(asset)
+            if problem is not None:
+                self.alarms.evaluate(
+                    AlarmCondition(
+                        asset=asset,
+                        kind="history not kept",
+                        channel="",
+                        level="",
+                        active=bool(problem),
+                        value=None,
+                        message=problem or "Samples are stored again",
+                        priority=2,
+                    )
+                )
 
     async def _tell_health(self) -> None:
         watch = ClockWatch(self.clock)
@@ -211,6 +232,7 @@ class Service:
             if step_s:
                 self._clock_steps.inc()
                 _log.warning("clock_set", by_s=round(step_s, 3))
+            self._report_too_old()
             now_us = self.clock.now_us()
             sources = [
                 {
@@ -264,7 +286,7 @@ class Service:
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
                     ("health", self._tell_health()),
-                    ("upkeep", keep_up(self.store, self.clock, self._retention())),
+                    ("upkeep", self.upkeep.run()),
                     (
                         "automatic identification",
                         identify_by_itself(self.jobs, self.histories, self.clock),

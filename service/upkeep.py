@@ -1,27 +1,42 @@
 """Upkeep of the store beside the work: rollups are computed, what is old is removed."""
 
 import asyncio
+import ctypes
+import time
+from functools import partial
 
 import structlog
 from anyio import to_thread
 
 from adapters.drivers import Clock
+from service.clock import MICROSECONDS, ClockWatch, rfc3339
 from service.security.keys import wall_us
-from service.store import Retention, Store, StoreUnavailableError
+from service.store import Retention, RetentionTime, Store, StoreUnavailableError
 
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
 ROLLUPS_EVERY_S = 30.0
 EXPIRE_EVERY_S = 600.0
+#: Nothing is removed before the process clock has agreed with time that passes for so many
+#: wall seconds.
+TRUST_AFTER_S = 3600.0
 #: Process time that a finished hour is given for late samples; later ones are right as well,
 #: but cost another computation.
 _SETTLE_US = 120_000_000
+_HOUR_S = 3600.0
 _DAY_US = 86_400_000_000
+#: What the kernel answers while no time server disciplines its clock.
+_TIME_ERROR = 5
 
 _log = structlog.get_logger(__name__)
 
 
-async def keep_up(store: Store, clock: Clock, retention: Retention) -> None:
-    """Keep rollups up to date and the store within its retention, until cancelled.
+class Upkeep:
+    """Keeps rollups up to date and the store within its retention.
+
+    A clock that is wrong must not empty the store: nothing is removed before the clock has
+    agreed with the monotonic clock for an hour, retention never moves on by more than two looks'
+    worth at once, and a clock that is more than a week ahead of the look before is not believed
+    unless the kernel says that a time server disciplines it.
 
     Parameters
     ----------
@@ -31,29 +46,100 @@ async def keep_up(store: Store, clock: Clock, retention: Retention) -> None:
         Process time.
     retention
         How long each resolution is kept.
+    trust_after_s
+        Wall seconds for which the clock must have agreed with the monotonic clock.
+
+    Attributes
+    ----------
+    problem : str or None
+        Why nothing is removed although the clock says that it is due; None while all is well.
     """
-    expire_at_s = 0.0
-    while True:
-        now_s = asyncio.get_running_loop().time()
-        try:
-            await to_thread.run_sync(_refresh, store, clock.now_us() - _SETTLE_US)
-            if now_s >= expire_at_s:
-                expire_at_s = now_s + EXPIRE_EVERY_S
-                removed = await to_thread.run_sync(_expire, store, retention, clock.now_us())
-                if removed:
-                    _log.info("expired", rows=removed)
-        except StoreUnavailableError as error:
-            _log.warning("upkeep_postponed", error=str(error))
-        await asyncio.sleep(ROLLUPS_EVERY_S)
+
+    def __init__(
+        self,
+        store: Store,
+        clock: Clock,
+        retention: Retention,
+        trust_after_s: float = TRUST_AFTER_S,
+    ) -> None:
+        self._store = store
+        self._clock = clock
+        self._retention = retention
+        self._trust_after_s = trust_after_s
+        self.problem: str | None = None
+
+    async def run(self) -> None:
+        """Look again and again, until cancelled."""
+        watch = ClockWatch(self._clock)
+        agrees_since_s = time.monotonic()
+        expire_at_s = agrees_since_s + self._trust_after_s
+        while True:
+            now_s = time.monotonic()
+            if watch.step_s():
+                agrees_since_s = now_s
+            expire_at_s = max(expire_at_s, agrees_since_s + self._trust_after_s)
+            try:
+                await to_thread.run_sync(_refresh, self._store, self._clock.now_us() - _SETTLE_US)
+                if now_s >= expire_at_s:
+                    expire_at_s = now_s + EXPIRE_EVERY_S
+                    removed = await to_thread.run_sync(
+                        partial(self._expire, self._clock.now_us(), wall_us())
+                    )
+                    if removed:
+                        _log.info("expired", rows=removed)
+            except StoreUnavailableError as error:
+                _log.warning("upkeep_postponed", error=str(error))
+            await asyncio.sleep(min(ROLLUPS_EVERY_S, max(expire_at_s - now_s, 1.0)))
+
+    def _expire(self, now_us: int, wall_now_us: int) -> int:
+        step_s = 2 * EXPIRE_EVERY_S + _HOUR_S
+        proven = is_clock_disciplined()
+        process = self._store.retention_time(
+            "process",
+            now_us,
+            round(step_s * max(self._clock.rate, 1.0) * MICROSECONDS),
+            clock_proven=proven,
+        )
+        wall = self._store.retention_time(
+            "wall", wall_now_us, round(step_s * MICROSECONDS), clock_proven=proven
+        )
+        self._judge(process, wall)
+        removed = self._store.expire_at(self._retention, process.at_us)
+        if self._retention.journal_days:
+            before_us = process.at_us - round(self._retention.journal_days * _DAY_US)
+            removed += self._store.expire_journal(before_us)
+        if self._retention.audit_days:  # the trail goes by the wall clock
+            before_us = wall.at_us - round(self._retention.audit_days * _DAY_US)
+            removed += self._store.expire_audit(before_us)
+        return removed
+
+    def _judge(self, *times: RetentionTime) -> None:
+        ahead = max(times, key=lambda one: one.ahead_us)
+        if not ahead.ahead_us:
+            self.problem = None
+            return
+        problem = (
+            f"the clock is {ahead.ahead_us / _DAY_US:.0f} days ahead of the last look at "
+            f"{rfc3339(ahead.at_us)}: nothing is removed; "
+            "if the clock is right, run 'bearing-twin db horizon --confirm-clock'"
+        )
+        if self.problem is None:
+            _log.error("retention_waits", reason=problem)
+        self.problem = problem
 
 
-def _expire(store: Store, retention: Retention, now_us: int) -> int:
-    removed = store.expire(retention, now_us)
-    if retention.journal_days:
-        removed += store.expire_journal(now_us - round(retention.journal_days * _DAY_US))
-    if retention.audit_days:  # the trail goes by the wall clock
-        removed += store.expire_audit(wall_us() - round(retention.audit_days * _DAY_US))
-    return removed
+def is_clock_disciplined() -> bool:
+    """Tell whether the kernel says that a time server keeps its clock; False where it cannot say.
+
+    A clock that was set by hand, or that started from a battery, counts as not kept.
+    """
+    try:
+        adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
+    except (OSError, AttributeError):  # not Linux
+        return False
+    # struct timex with no mode set only reads; it is 208 bytes long.
+    state = int(adjtimex(ctypes.create_string_buffer(512)))
+    return state >= 0 and state != _TIME_ERROR
 
 
 def _refresh(store: Store, before_us: int) -> None:

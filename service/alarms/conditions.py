@@ -12,6 +12,7 @@ AlarmKind = Literal[
     "twin residual",
     "sensor fault",
     "stale data",
+    "history not kept",
 ]
 EventKind = Literal[
     "model drift",

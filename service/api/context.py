@@ -349,3 +349,4 @@ class ServiceContext:
     jobs: JobManager
     registry: CollectorRegistry
     sources: Callable[[], Sequence[SourceHealth]]
+    history_problem: Callable[[], str | None] = lambda: None

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, WithJsonSchema
 from adapters.samples import Quality, Sample, is_bad
 from service.api.context import PUSH_SOURCE, AssetTwin, RequestBody
 from service.api.times import parse_time
+from service.clock import rfc3339
 
 SAMPLES_MAX = 20_000
 _AHEAD_S = 300.0
@@ -76,13 +77,19 @@ class PushRequest(RequestBody):
 
 @dataclass(slots=True)
 class Verdict:
-    """The samples that can be taken, and for each of the others its index and what is wrong."""
+    """The samples that can be taken, and for each of the others its index and what is wrong.
+
+    `too_old` holds those of the others that are only wrong by their time.
+    """
 
     samples: list[Sample] = field(default_factory=list)
     rejected: list[dict[str, Any]] = field(default_factory=list)
+    too_old: list[Sample] = field(default_factory=list)
 
 
-def judge(samples: Sequence[Any], asset: AssetTwin, now_us: int, rate: float) -> Verdict:
+def judge(
+    samples: Sequence[Any], asset: AssetTwin, now_us: int, rate: float, kept_from_us: int
+) -> Verdict:
     """Tell the samples that can be taken from those that cannot.
 
     Parameters
@@ -95,12 +102,21 @@ def judge(samples: Sequence[Any], asset: AssetTwin, now_us: int, rate: float) ->
         Process time; a sample too far ahead of it would hide what comes after.
     rate : float
         Process seconds per wall second.
+    kept_from_us : int
+        The store takes no samples from before this time, UTC microseconds.
     """
     verdict = Verdict()
     latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * _MICROSECONDS)
     for index, raw in enumerate(samples):
         try:
-            verdict.samples.append(_sample(raw, asset, now_us, latest_us))
+            sample = _sample(raw, asset, now_us, latest_us)
+            if sample.time_us < kept_from_us:
+                verdict.too_old.append(sample)
+                raise ValueError(
+                    f"time {raw['time']!r}: too old, history before {rfc3339(kept_from_us)} has "
+                    "been removed"
+                )
+            verdict.samples.append(sample)
         except ValueError as error:
             verdict.rejected.append({"index": index, "detail": str(error)})
     return verdict

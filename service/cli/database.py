@@ -1,11 +1,16 @@
-"""``bearing-twin db``: the store's schema."""
+"""``bearing-twin db``: the store's schema, and from when on it keeps raw samples."""
+
+import json
+from typing import Annotated
 
 import typer
 
 from service.cli.serve import ConfigFile
+from service.clock import ProcessClock, from_rfc3339, rfc3339
+from service.configuration import SettingsError
 from service.settings import load_settings
 
-db = typer.Typer(help="The store's schema.", no_args_is_help=True)
+db = typer.Typer(help="The store: schema and retention.", no_args_is_help=True)
 
 
 @db.callback()
@@ -20,3 +25,53 @@ def upgrade(config: ConfigFile = None) -> None:
     settings = load_settings(config)
     with Store.open(settings.service.database_url, settings.data_dir, migrate=True):
         typer.echo("The store is up to date.")
+
+
+@db.command()
+def horizon(
+    lower: Annotated[
+        str | None,
+        typer.Option(metavar="RFC3339", help="Take raw samples from this time on again."),
+    ] = None,
+    confirm_clock: Annotated[
+        bool,
+        typer.Option(
+            "--confirm-clock", help="The clock is right: let retention go on from its time."
+        ),
+    ] = False,
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Show the time before which raw samples have been removed, and lower it.
+
+    Samples from before that time are not stored. When a clock that was wrong moved it too far,
+    lower it. Samples that come for an hour whose averages are kept replace these averages.
+    """
+    from service.security.keys import wall_us
+    from service.store import Store
+
+    settings = load_settings(config)
+    lower_us = None
+    if lower is not None:
+        try:
+            lower_us = from_rfc3339(lower)
+        except ValueError as error:
+            raise SettingsError(f"--lower: {error}") from None
+        if lower_us < 0:
+            raise SettingsError(f"--lower {lower}: expected a time after 1970")
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        if lower_us is not None:
+            store.lower_raw_horizon(lower_us)
+        if confirm_clock:
+            now_us = ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us()
+            store.confirm_clock(now_us, wall_us())
+        kept_from_us = store.raw_kept_from_us()
+    shown = rfc3339(kept_from_us) if kept_from_us else None
+    if as_json:
+        typer.echo(json.dumps({"raw_kept_from": shown}))
+    else:
+        typer.echo(
+            f"Raw samples are kept from {shown} on." if shown else "All raw samples are kept."
+        )

@@ -10,7 +10,7 @@ import typer
 
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
-from service.clock import from_rfc3339
+from service.clock import from_rfc3339, rfc3339
 from service.configuration import SettingsError
 from service.settings import Settings, load_settings
 
@@ -71,6 +71,7 @@ def import_(
             "samples": report.samples,
             "stored": report.stored,
             "duplicates": report.duplicates,
+            "too_old": report.too_old,
             "rejected": report.rejected,
             "errors": [{"line": one.line, "detail": one.detail} for one in report.first_rejected],
             "dry_run": dry_run,
@@ -80,10 +81,18 @@ def import_(
         done = "would be stored" if dry_run else f"{report.stored} stored"
         known = "" if dry_run else f", {report.duplicates} known already"
         typer.echo(f"{file.name}: {report.rows} rows, {report.samples} samples: {done}{known}.")
+    if report.too_old and store is not None:
+        typer.echo(
+            f"{file.name}: {report.too_old} samples are older than {rfc3339(store.kept_from_us)}, "
+            "before which history has been removed, and were not stored; "
+            "'bearing-twin db horizon' shows and lowers this time",
+            err=True,
+        )
     if report.rejected:
         for one in report.first_rejected[:_SHOWN_REJECTED]:
             typer.echo(f"{file.name}: line {one.line}: {one.detail}", err=True)
         typer.echo(f"{file.name}: {report.rejected} rows or cells were not taken", err=True)
+    if report.rejected or report.too_old:
         sys.exit(2)
 
 

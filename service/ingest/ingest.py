@@ -81,6 +81,15 @@ class Ingest:
         return self._writer.spool_problem
 
     @property
+    def too_old_problem(self) -> str | None:
+        """Which samples were recently too old to be stored; None when there were none."""
+        return self._writer.too_old.problem
+
+    def too_old(self, asset: str) -> str | None:
+        """As `too_old_problem`, of one asset; "" when it is over, None when it never was."""
+        return self._writer.too_old.of(asset)
+
+    @property
     def spooled(self) -> int:
         """Samples that wait in the spool."""
         return len(self._spool)
@@ -130,6 +139,10 @@ class Ingest:
         stored = asyncio.wrap_future(self._writer.put_and_tell(samples))
         self._hand_over(Batch(list(samples)))
         return await stored
+
+    def refuse_too_old(self, samples: Sequence[Sample]) -> None:
+        """Count and report samples from before the time from which the store keeps them."""
+        self._writer.refuse_too_old(samples)
 
     def submit(self, samples: Sequence[Sample]) -> None:
         """Have the twins' own samples stored; returns at once."""

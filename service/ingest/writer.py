@@ -5,14 +5,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
+from heapq import nsmallest
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 
 import structlog
 
 from adapters.samples import Sample
 from service.ingest.metrics import SampleLedger
 from service.ingest.spool import Spool
+from service.ingest.too_old import TooOld
 from service.store import QueueUnavailableError, Store, StoreUnavailableError, WriteCounts
 
 #: A transaction holds at least so many samples, or those of so many wall seconds.
@@ -55,6 +57,8 @@ class SampleWriter:
         Why the store takes no samples at the moment; None while all is well.
     spool_problem : str or None
         Why the spool does not take them either: samples wait in memory only. None while it does.
+    too_old : TooOld
+        Samples that the store does not take because it has removed that time already.
     """
 
     def __init__(self, store: Store, spool: Spool, ledger: SampleLedger) -> None:
@@ -71,6 +75,7 @@ class SampleWriter:
         self._store_asked_at = 0.0
         self.problem: str | None = None
         self.spool_problem: str | None = None
+        self.too_old = TooOld()
         self._ledger.accept(len(spool))
 
     @property
@@ -119,6 +124,13 @@ class SampleWriter:
             self._urgent = True
             self._append(samples, future)
         return future
+
+    def refuse_too_old(self, samples: Sequence[Sample]) -> None:
+        """Count and report samples that are known to be too old for the store."""
+        if samples:
+            self._ledger.accept(len(samples))
+            self._ledger.skip(len(samples), "too_old")
+            self.too_old.add(samples, self._store.kept_from_us)
 
     def close(self, timeout_s: float) -> None:
         """Write everything that is queued, into the store or on the spool, then stop.
@@ -281,6 +293,11 @@ class SampleWriter:
             _log.info("store_available", waiting=self._queued + len(self._spool))
         self.problem = self.spool_problem = None
         self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
+        if too_old := len(samples) - counts.stored - counts.duplicates:
+            self._ledger.skip(too_old, "too_old")
+            # They are the oldest ones, whatever became of that time meanwhile.
+            oldest = nsmallest(too_old, samples, key=attrgetter("time_us"))
+            self.too_old.add(oldest, self._store.kept_from_us)
         return counts
 
     def _on_spool(self, samples: Collection[Sample]) -> WriteCounts:

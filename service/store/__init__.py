@@ -36,7 +36,7 @@ from service.store.records import (
     StoredSample,
     WriteCounts,
 )
-from service.store.rollups import Retention
+from service.store.rollups import Retention, RetentionTime
 from service.store.store import Store
 
 __all__ = [
@@ -67,6 +67,7 @@ __all__ = [
     "QueueFile",
     "QueueUnavailableError",
     "Retention",
+    "RetentionTime",
     "Role",
     "Rollup",
     "Store",

@@ -18,7 +18,10 @@ JsonDocument = dict[str, Any]
 
 
 class WriteCounts(NamedTuple):
-    """What became of a batch of samples: newly stored (or mended) and already known."""
+    """What became of a batch of samples: newly stored (or mended) and already known.
+
+    The others of the batch are older than the raw samples that are kept, and are not stored.
+    """
 
     stored: int
     duplicates: int

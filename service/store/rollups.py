@@ -1,14 +1,28 @@
 """Rollups: statistics per minute and hour, kept up to date, and what is kept for how long."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from service.store import buckets
 from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US
-from service.store.samples import Samples, first_time_us, raw_horizon_us
-from service.store.tables import ChannelRow, RawHorizonRow, RollupRow, SampleRow, StaleRollupRow
+from service.store.samples import Samples, first_time_us, last_time_us, raw_horizon_us
+from service.store.tables import (
+    AlarmTransitionRow,
+    AuditRow,
+    ChannelRow,
+    RawHorizonRow,
+    RetentionMarkRow,
+    RollupRow,
+    SampleRow,
+    StaleRollupRow,
+)
 
+#: By default retention moves on by so much at a time: two looks of ten minutes, and an hour.
+STEP_US = 20 * MINUTE_US + HOUR_US
+#: A clock that is ahead of the last look by more needs a proof before anything is removed.
+_GAP_US = 7 * 24 * HOUR_US
 _DAY_US = 24 * HOUR_US
 _COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "good", "quality")
 
@@ -26,6 +40,22 @@ class Retention:
     hour_days: float | None = None
     journal_days: float = 0.0
     audit_days: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionTime:
+    """From when retention counts its days back, and by how much the clock is implausibly ahead.
+
+    Attributes
+    ----------
+    at_us : int
+        UTC microseconds; 0 when nothing is stored.
+    ahead_us : int
+        How far the clock is ahead of the last look, where that needs a proof; else 0.
+    """
+
+    at_us: int
+    ahead_us: int
 
 
 class Rollups(Samples):
@@ -62,7 +92,71 @@ class Rollups(Samples):
                 self._stale.discard((channel_id, hour_us))
         return len(hours)
 
-    def expire(self, retention: Retention, now_us: int) -> int:
+    def retention_time(
+        self,
+        clock: Literal["process", "wall"],
+        now_us: int,
+        step_us: int = STEP_US,
+        *,
+        clock_proven: bool = False,
+    ) -> "RetentionTime":
+        """Move the time on from which retention counts its days back, and give it.
+
+        It is never later than the clock nor than the newest sample or line that is stored, and
+        moves on by ``step_us`` at a time at most: a clock that was wrong once costs little. When
+        the clock is more than a week ahead of the look before, it stays where it is, unless the
+        clock is proven.
+
+        Parameters
+        ----------
+        clock : str
+            "process" for samples and the journal, "wall" for the audit trail.
+        now_us : int
+            What that clock shows, UTC microseconds.
+        step_us : int
+            How far it moves at most.
+        clock_proven : bool
+            A time server, or a person, vouches for the clock.
+        """
+        with self._database.writing() as connection:
+            newest_us = _newest_us(connection, clock)
+            if newest_us is None:
+                return RetentionTime(0, 0)
+            target_us = min(now_us, newest_us)
+            this = RetentionMarkRow.clock == clock
+            mark_us = connection.scalar(select(RetentionMarkRow.time_us).where(this))
+            if mark_us is None:
+                mark_us = target_us
+                connection.execute(insert(RetentionMarkRow).values(clock=clock, time_us=mark_us))
+            elif target_us - mark_us > _GAP_US and not clock_proven:
+                return RetentionTime(mark_us, target_us - mark_us)
+            elif target_us > mark_us:
+                mark_us = min(target_us, mark_us + step_us)
+                connection.execute(update(RetentionMarkRow).where(this).values(time_us=mark_us))
+        return RetentionTime(min(mark_us, target_us), 0)
+
+    def confirm_clock(self, now_us: int, wall_now_us: int) -> None:
+        """Let retention go on from the present times of the clocks, since a person says so."""
+        for clock, time_us in (("process", now_us), ("wall", wall_now_us)):
+            with self._database.writing() as connection:
+                connection.execute(
+                    update(RetentionMarkRow)
+                    .where(RetentionMarkRow.clock == clock, RetentionMarkRow.time_us < time_us)
+                    .values(time_us=time_us)
+                )
+
+    def lower_raw_horizon(self, time_us: int) -> int:
+        """Take raw samples again from an earlier time on; returns the time before which none is.
+
+        A later time than the present one changes nothing.
+        """
+        with self._database.writing() as connection:
+            if time_us < raw_horizon_us(connection):
+                _set_raw_horizon(connection, time_us)
+            self._kept_from_us = raw_horizon_us(connection)
+        return self._kept_from_us
+
+    def expire(self, retention: Retention, now_us: int, step_us: int = STEP_US) -> int:
         """Remove what has been kept long enough; raw samples only once they are condensed.
 
         Parameters
@@ -70,13 +164,19 @@ class Rollups(Samples):
         retention : Retention
             How long each resolution is kept.
         now_us : int
-            Process time, UTC microseconds.
+            Process time, UTC microseconds; see `retention_time`.
+        step_us : int
+            How far retention may move on.
 
         Returns
         -------
         int
             Rows that were removed.
         """
+        return self.expire_at(retention, self.retention_time("process", now_us, step_us).at_us)
+
+    def expire_at(self, retention: Retention, now_us: int) -> int:
+        """As `expire`, counted from a time of `retention_time`."""
         removed = 0
         if retention.raw_days is not None:
             horizon_us = now_us - round(retention.raw_days * _DAY_US)
@@ -107,16 +207,15 @@ class Rollups(Samples):
         removed = 0
         while True:
             with self._database.writing() as connection:
-                known_us = raw_horizon_us(connection)
                 oldest_us = _oldest_us(connection)
-                if horizon_us <= known_us:
-                    return removed
                 if oldest_us is None or oldest_us >= horizon_us:
-                    _set_raw_horizon(connection, horizon_us)
                     return removed
                 hour_us = oldest_us - oldest_us % HOUR_US
                 removed += self._condense(connection, hour_us, keeps_seconds)
-                _set_raw_horizon(connection, hour_us + HOUR_US)
+                # No further than what is gone: whatever else is said to be old can still come.
+                if hour_us + HOUR_US > raw_horizon_us(connection):
+                    _set_raw_horizon(connection, hour_us + HOUR_US)
+                self._kept_from_us = raw_horizon_us(connection)
 
     def _condense(self, connection: Connection, hour_us: int, keeps_seconds: bool) -> int:
         in_hour = (SampleRow.time_us >= hour_us, SampleRow.time_us < hour_us + HOUR_US)
@@ -140,6 +239,18 @@ def _oldest_us(connection: Connection) -> int | None:
         for channel_id in connection.scalars(select(ChannelRow.id)).all()
     )
     return min((first for first in firsts if first is not None), default=None)
+
+
+def _newest_us(connection: Connection, clock: Literal["process", "wall"]) -> int | None:
+    if clock == "wall":
+        newest = select(AuditRow.time_us).order_by(AuditRow.id.desc()).limit(1)
+        return connection.scalar(newest)
+    lasts = [
+        last_time_us(connection, channel_id)
+        for channel_id in connection.scalars(select(ChannelRow.id)).all()
+    ]
+    lasts.append(connection.scalar(select(func.max(AlarmTransitionRow.time_us))))
+    return max((last for last in lasts if last is not None), default=None)
 
 
 def _compute(connection: Connection, channel_id: int, hour_us: int) -> None:

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, func, insert, select, text
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.store.buckets import HOUR_US
 from service.store.database import PATIENCE_S, Database, SampleColumns
+from service.store.errors import StoreUnavailableError
 from service.store.records import StoredSample, WriteCounts
 from service.store.section import Section
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
@@ -29,6 +30,7 @@ class Samples(Section):
         self._ids: dict[tuple[str, str], int] = {}
         # Hours that are known to be marked as stale, so that not every batch marks them again.
         self._stale: set[tuple[int, int]] = set()
+        self._kept_from_us: int | None = None
 
     def write_samples(
         self, samples: Collection[Sample], patience_s: float = PATIENCE_S
@@ -36,9 +38,9 @@ class Samples(Section):
         """Store a batch in one transaction; when this returns, it is on the disk.
 
         The first good value of a channel and time wins. A good one replaces a bad or uncertain
-        one of the same time; anything else that is sent again is a duplicate, and so is what is
-        older than the raw samples that are kept. A value that is not a finite number is stored
-        as none, and then its quality cannot be good.
+        one of the same time; anything else that is sent again is a duplicate. What is older than
+        the raw samples that are kept (`kept_from_us`) is not stored and in neither count. A value
+        that is not a finite number is stored as none, and then its quality cannot be good.
 
         Parameters
         ----------
@@ -70,7 +72,7 @@ class Samples(Section):
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
                 numbers = [ids[name] for name in zip(assets, channels, strict=True)]
             columns = SampleColumns(numbers, times_us, *cleaned)
-            horizon_us = raw_horizon_us(connection)
+            horizon_us = self._kept_from_us = raw_horizon_us(connection)
             if first_us < horizon_us:
                 columns = _since(horizon_us, columns)
             stored = 0
@@ -81,7 +83,7 @@ class Samples(Section):
         # Only now: had the transaction failed, neither channels nor marks would be there.
         self._ids = ids
         self._stale |= fresh
-        return WriteCounts(stored, len(samples) - stored)
+        return WriteCounts(stored, len(columns.times_us) - stored)
 
     def channels(self, asset: str) -> list[str]:
         """Names of the channels of an asset that were ever stored, sorted."""
@@ -184,7 +186,18 @@ class Samples(Section):
     def raw_kept_from_us(self) -> int:
         """Time from which on raw samples are kept, UTC microseconds; 0 when all are."""
         with self._database.reading() as connection:
-            return raw_horizon_us(connection)
+            self._kept_from_us = raw_horizon_us(connection)
+            return self._kept_from_us
+
+    @property
+    def kept_from_us(self) -> int:
+        """As `raw_kept_from_us`, from memory: as it was when the store was last asked."""
+        if self._kept_from_us is None:
+            try:
+                return self.raw_kept_from_us()
+            except StoreUnavailableError:
+                return 0
+        return self._kept_from_us
 
     def latest(self, asset: str) -> dict[str, StoredSample]:
         """Give the newest sample of each channel of an asset, whatever its quality."""
@@ -242,6 +255,12 @@ def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int
         .limit(1)
     )
     return connection.scalar(query)
+
+
+def last_time_us(connection: Connection, channel_id: int) -> int | None:
+    """Time of the newest sample of a channel."""
+    newest = _newest(connection, channel_id)
+    return None if newest is None else newest[0]
 
 
 def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None, int] | None:

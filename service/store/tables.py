@@ -99,6 +99,15 @@ class RawHorizonRow(Base):
     time_us: Mapped[int]
 
 
+class RetentionMarkRow(Base):
+    """The time from which retention counts its days back, of the process and of the wall clock."""
+
+    __tablename__ = "retention_marks"
+
+    clock: Mapped[str] = mapped_column(primary_key=True)
+    time_us: Mapped[int]
+
+
 class ModelVersionRow(Base):
     """One model of one asset; at most one is active."""
 

@@ -40,6 +40,8 @@ class ImportReport:
         Read from it.
     stored, duplicates
         Of the samples; both stay 0 in a dry run.
+    too_old
+        Samples from before the time from which the store keeps raw samples; not stored.
     rejected
         How many rows or cells were not taken; `first_rejected` tells of the first of them.
     """
@@ -48,6 +50,7 @@ class ImportReport:
     samples: int = 0
     stored: int = 0
     duplicates: int = 0
+    too_old: int = 0
     rejected: int = 0
     first_rejected: list[Rejected] = field(default_factory=list)
 
@@ -127,6 +130,7 @@ def _store(store: Store | None, samples: Sequence[Sample], report: ImportReport)
         counts = store.write_samples(samples)
         report.stored += counts.stored
         report.duplicates += counts.duplicates
+        report.too_old += len(samples) - counts.stored - counts.duplicates
 
 
 def _samples(

@@ -51,7 +51,12 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
 
     A broken sensor or source degrades the service, it does not fail it.
     """
-    checks = [await _store(context), *_twins(context), *_sources(context)]
+    checks = [
+        await _store(context),
+        _history(context),
+        *_twins(context),
+        *_sources(context),
+    ]
     statuses = {check.status for check in checks}
     ready = "failed" not in statuses
     overall = ("degraded" if "degraded" in statuses else "ready") if ready else "not ready"
@@ -114,6 +119,11 @@ async def _store(context: ServiceContext) -> Check:
     if ingest.spool_problem is not None:
         return Check("store", "failed", f"{problem}; spool: {ingest.spool_problem}")
     return Check("store", "degraded", f"{problem}; {ingest.spooled} samples wait on the spool")
+
+
+def _history(context: ServiceContext) -> Check:
+    problem = context.history_problem()
+    return Check("history", "degraded" if problem else "ok", problem or "kept as configured")
 
 
 def _twins(context: ServiceContext) -> Iterator[Check]:

@@ -164,12 +164,17 @@ async def post_measurements(context: Context, asset: Asset, request: PushRequest
                 for name, index in sorted(wired.items())
             ],
         )
-    verdict = judge(request.samples, asset, context.clock.now_us(), context.clock.rate)
+    now_us, rate = context.clock.now_us(), context.clock.rate
+    verdict = judge(request.samples, asset, now_us, rate, context.store.kept_from_us)
+    context.ingest.refuse_too_old(verdict.too_old)
     try:
         async with asyncio.timeout(PUSH_PATIENCE_S):
             counts = await context.ingest.accept(verdict.samples)
     except TimeoutError as error:
         raise StoreUnavailableError("pushed samples are not on the disk yet") from error
+    if counts.stored + counts.duplicates < len(verdict.samples):
+        # The time from which samples are kept moved on meanwhile.
+        verdict = judge(request.samples, asset, now_us, rate, context.store.kept_from_us)
     return json_response(
         {
             "accepted": counts.stored,

@@ -9,6 +9,7 @@ import pytest
 
 from service.api.bodies import Pushed
 from service.clock import rfc3339
+from service.store import Retention, Store
 
 PATH = "/api/v1/assets/rig-2/measurements"
 INNER = "t_inner_ring_c"
@@ -189,3 +190,27 @@ async def test_a_body_that_cannot_be_unpacked_is_refused(
     response = await push_packed(world, body, encoding)
     assert response.status_code == status
     assert response.headers["content-type"] == "application/problem+json"
+
+
+async def test_samples_from_before_what_is_kept_are_rejected_and_counted(world: Any) -> None:
+    day_s = 86_400
+    await push(world, sample(world, 50 * day_s), sample(world, 1))
+    world.store.expire(Retention(raw_days=10.0), world.clock.now_us())
+    answer = await push(world, sample(world, 60 * day_s), sample(world), sample(world, 55 * day_s))
+    assert (answer.accepted, answer.duplicates) == (1, 0)
+    assert [one.index for one in answer.rejected] == [0, 2]
+    assert all("too old, history before" in one.detail for one in answer.rejected)
+    skipped = world.context.registry.get_sample_value(
+        "bearing_twin_samples_skipped_total", {"reason": "too_old"}
+    )
+    assert skipped == 2
+
+
+async def test_samples_that_were_removed_meanwhile_are_rejected_too(world: Any) -> None:
+    day_s = 86_400
+    await push(world, sample(world, 50 * day_s), sample(world, 1))
+    with Store.open("", world.data_dir) as other:  # another program removes it
+        other.expire(Retention(raw_days=10.0), world.clock.now_us())
+    answer = await push(world, sample(world, 60 * day_s), sample(world))
+    assert (answer.accepted, answer.duplicates) == (1, 0)
+    assert [one.index for one in answer.rejected] == [0]

@@ -11,6 +11,10 @@ from pathlib import Path
 import httpx2
 import pytest
 
+from adapters.samples import Sample
+from service.clock import rfc3339
+from service.store import Retention, Store
+
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 COMMANDS = ("demo", "serve", "check", "virtual-bench", "identify", "forecast", "keys", "db")
 
@@ -94,3 +98,25 @@ def test_a_key_made_while_the_service_runs_opens_it_until_it_is_revoked(
     assert cli("keys", "revoke", key[:11], "-c", config).returncode == 0
     time.sleep(2.1)
     assert httpx2.get(url, headers={"X-API-Key": key}).status_code == 401
+
+
+def test_the_time_from_which_raw_samples_are_kept_is_shown_and_lowered(
+    cli: Cli, tmp_path: Path
+) -> None:
+    config = tmp_path / "bearing-twin.toml"
+    config.write_text('[service]\ndata_dir = "var"\n')
+    day_us = 86_400_000_000
+    now_us = time.time_ns() // 1000
+    with Store.open("", tmp_path / "var") as store:
+        store.write_samples(
+            [Sample("a", "x", at_us, 1.0, 192, 0) for at_us in (now_us - 50 * day_us, now_us)]
+        )
+        store.expire(Retention(raw_days=10.0), now_us)
+        kept_from = rfc3339(store.kept_from_us)
+    shown = cli("db", "horizon", "-c", str(config))
+    assert (shown.returncode, shown.stdout) == (0, f"Raw samples are kept from {kept_from} on.\n")
+    refused = cli("db", "horizon", "--lower", "yesterday", "-c", str(config))
+    assert refused.returncode == 2
+    assert "--lower: time 'yesterday': expected RFC 3339" in refused.stderr
+    lowered = cli("db", "horizon", "--lower", "2001-01-01T00:00:00Z", "-c", str(config), "--json")
+    assert json.loads(lowered.stdout) == {"raw_kept_from": "2001-01-01T00:00:00.000Z"}

@@ -19,7 +19,7 @@ from service.ingest import Ingest, Spool
 from service.ingest.metrics import SampleLedger
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.ingest.writer import QUEUE_SAMPLES, SampleWriter
-from service.store import Store, StoreUnavailableError, WriteCounts
+from service.store import Retention, Store, StoreUnavailableError, WriteCounts
 from service.store.opening import FILE_NAME
 
 PATIENCE_S = 30.0
@@ -444,3 +444,28 @@ def test_every_scrape_adds_up(hall: Hall) -> None:
     scraper.join()
     assert wrong == []
     assert len(hall.stored()) == 300 * 40 + 10
+
+
+async def test_samples_from_before_what_is_kept_are_counted_and_reported(tmp_path: Path) -> None:
+    hall = Hall(tmp_path)
+    day_us = 86_400_000_000
+    now_us = ProcessClock().now_us()
+    hall.store.write_samples(
+        [Sample("a", "x", at_us, 1.0, 192, 0) for at_us in (now_us - 50 * day_us, now_us - day_us)]
+    )
+    assert hall.store.expire(Retention(raw_days=10.0), now_us) == 1
+    assert hall.ingest.too_old("a") is None
+    source = ScriptedSource()
+    async with hall.running(source):
+        old = [Sample("a", "x", 946_684_800_000_000 + k, 1.0, 192, 0) for k in range(3)]
+        source.script.put_nowait(Batch([*old, Sample("a", "x", now_us, 2.0, 192, 0)]))
+        await hall.until_true(lambda: hall.metric("samples_stored_total") == 1)
+        await hall.until_true(lambda: hall.ingest.counts()["waiting"] == 0)
+    assert hall.metric("samples_skipped_total", reason="too_old") == 3
+    assert hall.metric("samples_duplicate_total") == 0
+    assert hall.ingest.counts() == {
+        "accepted": 4, "stored": 1, "duplicate": 0, "skipped": 3, "waiting": 0
+    }  # fmt: skip
+    assert "Samples of 2000-01-01" in (hall.ingest.too_old("a") or "")
+    assert hall.ingest.too_old_problem == hall.ingest.too_old("a")
+    hall.close()

@@ -196,6 +196,8 @@ def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
         ]
 
     before = all_levels()
+    # Days are counted back from the newest sample.
+    store.write_samples([Sample("b", "x", day_us + 2 * HOUR_US + 5, 1.0, 192, 0)])
     retention = Retention(raw_days=1.0)
     removed = store.expire(retention, day_us + 2 * HOUR_US + 5)
     assert removed == sum(time_us < 2 * HOUR_US for time_us in times_us)
@@ -208,7 +210,7 @@ def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
     assert raw[0].time_us >= 2 * HOUR_US
 
     # What is sent again, or comes this late, changes nothing that is condensed already.
-    assert store.write_samples([Sample("a", "x", 500_000, 1e9, 192, 0)]) == (0, 1)
+    assert store.write_samples([Sample("a", "x", 500_000, 1e9, 192, 0)]) == (0, 0)
     while store.refresh_rollups(10 * HOUR_US):
         pass
     assert [len(level) for level in all_levels()] == [len(level) for level in before]
@@ -225,6 +227,7 @@ def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -
     store.write_samples([Sample("a", "x", 5, 1.0, 192, 0)])
     store.refresh_rollups(HOUR_US)
     store.write_samples([Sample("a", "x", 6, 3.0, 192, 0)])
+    store.write_samples([Sample("b", "x", 20 * HOUR_US, 3.0, 192, 0)])
     assert store.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
     (hour,) = store.read_rollup("a", None, 0, HOUR_US, HOUR_US, 9)
     assert (hour.mean, hour.min, hour.max, hour.count) == (2.0, 1.0, 3.0, 2)
