@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from adapters.can.config import CanSource
 from adapters.configuration import ConfigurationError, MeasuredChannel, suggestion
 from adapters.drivers import (
     DRIVERS,
@@ -26,6 +27,10 @@ PUSH = "push"
 _CONTROLLED = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
 _PLAN = "plan"
 _DEFAULT_MAX_AGE_S = 10.0
+# Of channels whose interval is observed: the age limit until it is known, and the least there is.
+_UNKNOWN_AGE_S, _LEAST_AGE_S = 120.0, 10.0
+_CAN_AGE_S, _LEAST_CAN_AGE_S = 10.0, 2.0
+_INTERVALS_UNTIL_STALE = 5.0
 # A PT100 in a bearing of this size follows with a time constant of seconds, and all the friction
 # heat of its highest speed and load, put into one ring alone, warms that by less than 2 K/s.
 _TEMPERATURE_RATE_K_PER_S = 2.0
@@ -57,6 +62,8 @@ class ChannelFacts:
     source: str
     max_age_s: float
     limits: CheckLimits = field(default_factory=CheckLimits)
+    #: The least age limit, where the limit follows the observed interval; None: it is fixed.
+    learned_from_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +279,9 @@ def _validated(
 def _facts(
     name: str, source_name: str, source: BaseModel | None, channel: BaseModel
 ) -> ChannelFacts:
+    max_age_s, learned_from_s = _max_age_s(source, channel)
     return ChannelFacts(
-        source_name, _max_age_s(source, channel), _check_limits(name, source, channel)
+        source_name, max_age_s, _check_limits(name, source, channel), learned_from_s
     )
 
 
@@ -303,13 +311,20 @@ def _or_nothing(configured: float | None, default: float) -> float:
     return (default if configured is None else configured) or math.inf
 
 
-def _max_age_s(source: BaseModel | None, channel: BaseModel) -> float:
-    """Age at which a channel is stale: as configured, else some periods of its source."""
+def _max_age_s(source: BaseModel | None, channel: BaseModel) -> tuple[float, float | None]:
+    """Age at which a channel is stale, and the least it may be where it is learned.
+
+    As configured, else five poll intervals of its source, else five of its observed intervals.
+    """
     configured = getattr(channel, "max_age_s", None)
     if configured is not None:
-        return float(configured)
+        return float(configured), None
     poll_interval_s = getattr(source, "poll_interval_s", None)
-    return max(_DEFAULT_MAX_AGE_S, 5.0 * poll_interval_s) if poll_interval_s else _DEFAULT_MAX_AGE_S
+    if poll_interval_s:
+        return max(_DEFAULT_MAX_AGE_S, _INTERVALS_UNTIL_STALE * poll_interval_s), None
+    if isinstance(source, CanSource):
+        return _CAN_AGE_S, _LEAST_CAN_AGE_S
+    return _UNKNOWN_AGE_S, _LEAST_AGE_S
 
 
 def is_loopback(host: str) -> bool:

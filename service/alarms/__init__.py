@@ -19,7 +19,7 @@ from service.alarms.states import (
     Transition,
     next_state,
 )
-from service.alarms.statistics import FLOOD_IN_10_MIN, statistics_document
+from service.alarms.statistics import FLOOD_IN_10_MIN, alarm_summary, statistics_document
 
 __all__ = [
     "ACTIVE_STATES",
@@ -40,6 +40,7 @@ __all__ = [
     "Transition",
     "UnknownAlarmError",
     "alarm_document",
+    "alarm_summary",
     "next_state",
     "statistics_document",
     "transition_document",

@@ -14,8 +14,9 @@ from service.alarms.lives import (
     key_of,
     normal_alarm,
     updated,
+    urgency,
 )
-from service.alarms.states import ACTIVE_STATES, AlarmEvent, AlarmState
+from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
 from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
 
@@ -26,6 +27,9 @@ LONGEST_SHELVING_S = 8 * 3600.0
 _MICROSECONDS = 1_000_000
 _NOT_CONFIGURED = "no longer configured"
 _TIME_IS_OVER = "the time is over"
+# What is said to the alarm of a source counts for these of its channels, too.
+_COVERED = ("stale data", "sensor fault")
+_PASSED_ON = (AlarmEvent.ACKNOWLEDGE, AlarmEvent.SHELVE)
 
 
 class UnknownAlarmError(KeyError):
@@ -217,7 +221,7 @@ class AlarmBook:
         return alarm is not None and alarm.present
 
     def active(self, asset: str | None = None) -> list[Alarm]:
-        """All alarms that are not over, of one asset or of all: most urgent first, then newest."""
+        """All alarms that are not over, of one asset or of all: see `urgency` for their order."""
         return self._listed(asset, self._open)
 
     def normal(self, asset: str | None = None) -> list[Alarm]:
@@ -229,7 +233,7 @@ class AlarmBook:
         with self._lock:
             self._end_shelving(self._clock.now_us())
             wanted = [one for one in alarms.values() if asset is None or one.asset == asset]
-        return sorted(wanted, key=lambda one: (one.priority, -one.raised_at_us, one.id))
+        return sorted(wanted, key=urgency)
 
     def _act(
         self, alarm_id: str, event: AlarmEvent, who: str, comment: str, duration_s: float = 0.0
@@ -249,7 +253,32 @@ class AlarmBook:
                 alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
             alarm = self._move(alarm, event, now_us, who, comment)
             condition = self._conditions.get(key_of(alarm))
-            return alarm if condition is None else self._suppress(alarm, condition, now_us)
+            if condition is None:
+                return alarm
+            if event in _PASSED_ON:
+                self._pass_on(alarm, condition, event, who, comment, duration_s)
+            return self._suppress(alarm, condition, now_us)
+
+    def _pass_on(
+        self,
+        alarm: Alarm,
+        condition: AlarmCondition,
+        event: AlarmEvent,
+        who: str,
+        comment: str,
+        duration_s: float,
+    ) -> None:
+        """Say the same to the open alarms that this one covers: one cause, one answer."""
+        comment = comment or f"with: {alarm.message}"
+        for other in list(self._open.values()):
+            if (
+                other.asset == alarm.asset
+                and other.kind in _COVERED
+                and other.channel in condition.covers
+                and other.state not in SET_ASIDE_STATES
+                and following(other, event) is not None
+            ):
+                self._act(other.id, event, who, comment, duration_s)
 
     def _end_shelving(self, now_us: int) -> None:
         """Bring back what was shelved long enough; also after the clock was set back by hours."""

@@ -65,6 +65,8 @@ class AlarmCondition:
         An acknowledged alarm that stands so many process seconds is raised again; 0: never.
     suppressed_reason : str or None
         Why the alarm means nothing now (suppressed by design); None where it does.
+    covers : tuple of str
+        Channels whose alarms of the same cause are acknowledged and shelved with this one.
     """
 
     asset: str
@@ -86,6 +88,7 @@ class AlarmCondition:
     latched: bool = False
     re_alarm_s: float = 0.0
     suppressed_reason: str | None = None
+    covers: tuple[str, ...] = ()
 
     @property
     def key(self) -> tuple[str, str, str, str]:

@@ -4,7 +4,13 @@ from dataclasses import replace
 from uuid import uuid4
 
 from service.alarms.conditions import AlarmCondition
-from service.alarms.states import AlarmEvent, AlarmState, next_state
+from service.alarms.states import (
+    SET_ASIDE_STATES,
+    UNACKNOWLEDGED_STATES,
+    AlarmEvent,
+    AlarmState,
+    next_state,
+)
 from service.store import Alarm, AlarmTransition
 
 AlarmKey = tuple[str, str, str, str]
@@ -20,6 +26,22 @@ def following(alarm: Alarm, event: AlarmEvent) -> AlarmState | None:
 def key_of(alarm: Alarm) -> AlarmKey:
     """Which condition an alarm belongs to."""
     return alarm.asset, alarm.kind, alarm.channel, alarm.level
+
+
+def urgency(alarm: Alarm) -> tuple[bool, int, bool, bool, int, str]:
+    """Sort key of alarms, the most urgent first.
+
+    By priority, whatever the kind; then unacknowledged before acknowledged, measured before
+    predicted, and the newest first. What is shelved, suppressed or out of service comes last.
+    """
+    return (
+        alarm.state in SET_ASIDE_STATES,
+        alarm.priority,
+        alarm.state not in UNACKNOWLEDGED_STATES,
+        alarm.predicted,
+        -alarm.raised_at_us,
+        alarm.id,
+    )
 
 
 def journal_line(

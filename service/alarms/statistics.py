@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from service.alarms.states import ACTIVE_STATES
+from service.alarms.states import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
 from service.store import Alarm, Annunciations
 
 #: More alarms than this in ten minutes are a flood that nobody can follow.
@@ -40,4 +40,27 @@ def statistics_document(
             alarm.state in ACTIVE_STATES and now_us - alarm.raised_at_us > _DAY_US
             for alarm in open_alarms
         ),
+    }
+
+
+def alarm_summary(open_alarms: Sequence[Alarm]) -> dict[str, Any]:
+    """Count the alarms of one asset, and name the highest measured limit that is exceeded.
+
+    What is shelved, suppressed or out of service is neither active nor unacknowledged. A measured
+    limit that is exceeded stays so while the data of its channel are lost, whatever people have
+    said to its alarm.
+
+    Parameters
+    ----------
+    open_alarms : sequence of Alarm
+        Those that are not over.
+    """
+    told = [one for one in open_alarms if one.state in ACTIVE_STATES | UNACKNOWLEDGED_STATES]
+    over = {one.level for one in open_alarms if one.kind == "measured limit" and one.present}
+    return {
+        "active": sum(one.state in ACTIVE_STATES for one in told),
+        "unacknowledged": sum(one.state in UNACKNOWLEDGED_STATES for one in told),
+        "shelved": sum(one.state == AlarmState.SHLVD for one in open_alarms),
+        "highest_priority": min((one.priority for one in told), default=0),
+        "over_limit": next((level for level in ("alarm", "warning") if level in over), None),
     }

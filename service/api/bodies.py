@@ -62,6 +62,18 @@ class VerdictSettings(_Answer):
     safe_below_probability: float = Field(examples=[0.05])
 
 
+class AlarmSummary(_Answer):
+    """The open alarms of an asset, counted."""
+
+    active: int
+    unacknowledged: int
+    shelved: int
+    highest_priority: int = Field(ge=0, le=3, description="1 to 3; 0: none.")
+    over_limit: Literal["warning", "alarm"] | None = Field(
+        description="The highest measured limit that is exceeded, also while its data are lost."
+    )
+
+
 class AssetDocument(_Answer):
     """Configuration, health and active model of an asset."""
 
@@ -75,6 +87,7 @@ class AssetDocument(_Answer):
     channels: list[Any]
     health: dict[str, Any]
     active_model: ActiveModel | None
+    alarms: AlarmSummary | None = None
     ambient_assumed_c: Number = Field(
         None, description="Taken for the ambient temperature where no channel measures it, °C."
     )

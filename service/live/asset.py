@@ -11,7 +11,7 @@ import structlog
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
-from service.alarms import SERVICE, AlarmBook
+from service.alarms import SERVICE, AlarmBook, alarm_summary
 from service.api.context import ProfileStep
 from service.channels import unit_of
 from service.clock import rfc3339
@@ -95,7 +95,18 @@ class AssetRuntime:
         ages_s = {
             name: allowed_age_s(facts.max_age_s, clock.rate) for name, facts in channels.items()
         }
-        self.readings = Readings(settings.id, ages_s, clock.now_us(), doubt=doubt)
+        self.readings = Readings(
+            settings.id,
+            ages_s,
+            clock.now_us(),
+            doubt=doubt,
+            learned_from_s={
+                name: facts.learned_from_s
+                for name, facts in channels.items()
+                if facts.learned_from_s is not None
+            },
+            rate=clock.rate,
+        )
         self.estimate = LiveEstimate(active)
         self.running = False
         self._clock = clock
@@ -166,9 +177,13 @@ class AssetRuntime:
                     "source": source,
                     "unit": unit_of(name),
                     "reason": (name in self.facts and self.readings.reason(name, now_us)) or None,
+                    "max_age_s": round(self.readings.age_limit_s(name), 1)
+                    if name in self.facts
+                    else None,
                 }
                 for name, source in self.channels.items()
             ],
+            "alarms": alarm_summary(self._alarms.active(self.id)),
             "ambient_assumed_c": self._judgement.assumed_ambient_c,
             "verdict": self.settings.verdict.model_dump(),
             "health": {
@@ -339,10 +354,12 @@ class AssetRuntime:
                     await self._save()
 
     def _restore(self, kept_state: Mapping[str, Any]) -> None:
+        watched = kept_state.get("watch") or {}
+        self._watch.restore_sources(watched)
         try:
             self.estimate.restore(kept_state)
             self._changed()
-            self._watch.restore(kept_state.get("watch") or {})
+            self._watch.restore(watched)
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from adapters.samples import Quality, Sample
-from service.alarms import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
+from service.alarms import alarm_summary
 from service.clock import rfc3339
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
@@ -169,13 +169,9 @@ def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any
     What is shelved, suppressed or out of service is neither active nor unacknowledged. Highest
     priority: 1 to 3, or 0 when no alarm is active or waits for an operator.
     """
-    told = [alarm for alarm in alarms if alarm.state in ACTIVE_STATES | UNACKNOWLEDGED_STATES]
-    counts = {
-        "active": sum(alarm.state in ACTIVE_STATES for alarm in told),
-        "unacknowledged": sum(alarm.state in UNACKNOWLEDGED_STATES for alarm in told),
-        "shelved": sum(alarm.state == AlarmState.SHLVD for alarm in alarms),
-        "highest_priority": min((alarm.priority for alarm in told), default=0),
-    }
+    summary = alarm_summary(alarms)
+    counts = {name: summary[name] for name in ("active", "unacknowledged", "shelved")}
+    counts["highest_priority"] = summary["highest_priority"]
     return {
         f"alarms.{name}": tag(count, "", Quality.GOOD, changed) for name, count in counts.items()
     }

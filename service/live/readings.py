@@ -1,13 +1,59 @@
 """What the channels of one asset say now, and their means over a step of the twin."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from statistics import median
 
 from adapters.samples import Quality, Sample, is_bad, is_good, meaning
 
 # Samples received so much before the latest one were received before the clock was set back.
 _CLOCK_SET_BACK_US = 1_000_000
+
+#: Data are stale after so many of their usual intervals, but never later than `LONGEST_AGE_S`.
+INTERVALS_UNTIL_STALE = 5.0
+LONGEST_AGE_S = 1800.0
+# The usual interval is the median of so many windows of at least a second; known from so many on.
+_WINDOWS, _FEWEST_WINDOWS, _WINDOW_US = 31, 5, 1_000_000
+# No value is stale sooner: at rate 1, and with a clock that runs faster than the wall's, where a
+# pause of the processor is that much longer.
+_TIGHTEST_WALL_S, _TIGHTEST_FASTER_WALL_S = 1.5, 5.0
+
+
+def allowed_age_s(max_age_s: float, rate: float) -> float:
+    """Age in process seconds at which data are stale.
+
+    Never tighter than 1.5 wall seconds, or 5 where process time runs faster than the wall's.
+    """
+    wall_s = _TIGHTEST_WALL_S if rate <= 1.0 else _TIGHTEST_FASTER_WALL_S
+    return max(max_age_s, wall_s * rate)
+
+
+@dataclass(slots=True)
+class _Pace:
+    """How often something comes of a channel, by its times of receipt."""
+
+    windows_s: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOWS))
+    usual_s: float | None = None
+    _since_us: int = 0
+    _last_us: int = 0
+    _count: int = 0
+
+    def note(self, received_us: int) -> None:
+        """Take note of a receipt; samples received together are one."""
+        if received_us == self._last_us:
+            return
+        if not self._since_us or received_us < self._last_us:
+            self._since_us, self._count = received_us, 0
+        else:
+            self._count += 1
+            if received_us - self._since_us >= _WINDOW_US:
+                self.windows_s.append((received_us - self._since_us) / 1e6 / self._count)
+                self._since_us, self._count = received_us, 0
+                if len(self.windows_s) >= _FEWEST_WINDOWS:
+                    self.usual_s = median(self.windows_s)
+        self._last_us = received_us
 
 
 @dataclass(slots=True)
@@ -28,7 +74,8 @@ class Readings:
     asset : str
         Whose samples these are.
     max_age_s : mapping of str to float
-        Process seconds after which a channel is stale, for every channel of the asset.
+        Process seconds after which a channel is stale, for every channel of the asset; of one that
+        is learned until it is known.
     began_us : int
         Process time from which a channel without any sample is waited for.
     latest : dict of str to Sample
@@ -38,6 +85,10 @@ class Readings:
         empty.
     late : int
         Samples that came when a newer one of their channel was known already.
+    learned_from_s : mapping of str to float
+        Channels whose age limit follows their observed interval, with the least it may be.
+    rate : float
+        Process seconds per wall second.
     """
 
     asset: str
@@ -46,6 +97,9 @@ class Readings:
     latest: dict[str, Sample] = field(default_factory=dict)
     doubt: Callable[[str], str] = lambda channel: ""
     late: int = 0
+    learned_from_s: Mapping[str, float] = field(default_factory=dict)
+    rate: float = 1.0
+    _paces: dict[str, _Pace] = field(default_factory=dict)
     _means: dict[str, _Mean] = field(default_factory=dict)
 
     def add(self, samples: Iterable[Sample]) -> list[Sample]:
@@ -60,9 +114,12 @@ class Readings:
                 continue  # late data belong in the store, not on the screen
             self.latest[sample.channel] = sample
             news.append(sample)
+            fresh = self._age_s(sample, sample.received_us) <= self.age_limit_s(sample.channel)
+            if fresh and sample.channel in self.learned_from_s:
+                self._paces.setdefault(sample.channel, _Pace()).note(sample.received_us)
             if not (is_good(sample.quality) and math.isfinite(sample.value)):
                 continue
-            if self._age_s(sample, sample.received_us) > self.max_age_s[sample.channel]:
+            if not fresh:
                 continue  # a gateway sends what it kept while it was away: not the present
             mean = self._means.setdefault(sample.channel, _Mean())
             mean.total += sample.value
@@ -75,11 +132,31 @@ class Readings:
         self._means.clear()
         return means
 
+    def age_limit_s(self, channel: str) -> float:
+        """Process seconds after which the channel is stale, as far as known now."""
+        floor_s = self.learned_from_s.get(channel)
+        pace = None if floor_s is None else self._paces.get(channel)
+        if floor_s is None or pace is None or pace.usual_s is None:
+            return self.max_age_s[channel]
+        learned_s = min(INTERVALS_UNTIL_STALE * pace.usual_s, LONGEST_AGE_S)
+        return allowed_age_s(max(floor_s, learned_s), self.rate)
+
+    def has_spoken(self, channel: str) -> bool:
+        """Tell whether anything has come of the channel since the start."""
+        return channel in self.latest
+
+    def is_silent(self, channel: str, now_us: int) -> bool:
+        """Tell whether nothing comes of a channel that has spoken: stale, or its line is lost."""
+        sample = self.latest.get(channel)
+        if sample is None:
+            return False
+        return sample.quality == Quality.COMM_FAILURE or self.is_stale(channel, now_us)
+
     def is_stale(self, channel: str, now_us: int) -> bool:
         """Tell whether the channel has had no sample, of whatever quality, for too long."""
         sample = self.latest.get(channel)
         age_s = (now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
-        return age_s > self.max_age_s[channel]
+        return age_s > self.age_limit_s(channel)
 
     def good_value(self, channel: str, now_us: int) -> float | None:
         """Value of the channel if its latest sample is good and fresh, else None."""

@@ -197,9 +197,10 @@ def _now(
         if word == "recovering":
             reasons += ("the present step cools it",)
         return Verdict(word, reasons + lost, limit, 1.0, 0.0).to_dict()
-    if absent:
-        return Verdict("unknown", lost).to_dict()
     returning = sorted(evidence.returning & set(evidence.settings.limits))
+    if absent:
+        stood = tuple(f"{label(name)}: its limit alarm stands" for name in returning)
+        return Verdict("unknown", stood + lost).to_dict()
     if returning:
         reasons = tuple(f"{label(name)}: its limit alarm is returning" for name in returning)
         cools = step is not None and not _rising(step, evidence.settings)

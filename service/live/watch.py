@@ -12,6 +12,7 @@ from service.live.readings import Readings
 from service.live.reference import Reference
 from service.live.residuals import Residuals, residual_threshold
 from service.live.rules import Scene
+from service.live.sources import Sources
 from service.settings import AssetSection
 from service.wiring import ChannelFacts
 from twin_core.observer import Innovation
@@ -53,6 +54,7 @@ class AlarmWatch:
         self._readings = readings
         self._estimate = estimate
         self._book = book
+        self._sources = Sources(channels, readings)
         self._temperatures = [name for name in channels if name.startswith("t_")]
         self._courses = Courses(settings.alarms.rate_of_rise.window_s)
         self._reference = Reference()
@@ -94,6 +96,7 @@ class AlarmWatch:
             now_us, {name: means[name] for name in self._temperatures if name in means}
         )
         self._follow_the_model(now_us, innovations)
+        self._sources.look(now_us)
         scene = self._scene(now_us)
         alarms = self._settings.alarms
         residuals = self._residuals
@@ -151,12 +154,20 @@ class AlarmWatch:
         """Return what the rules have learnt, as plain JSON types."""
         return {
             "version": self._version,
+            "spoken": self._sources.spoken,
             "reference": self._reference.to_dict(),
             "residuals": self._residuals.to_dict(),
         }
 
+    def restore_sources(self, kept: Mapping[str, Any]) -> None:
+        """Take up which channels had sent something, from what `to_dict` gave."""
+        spoken = kept.get("spoken")
+        if isinstance(spoken, list):
+            self._sources.restore([str(channel) for channel in spoken])
+
     def restore(self, kept: Mapping[str, Any]) -> None:
-        """Take up what `to_dict` gave, if it is of the same model version."""
+        """Take up what `to_dict` gave; what was learned of a model, if it is the same version."""
+        self.restore_sources(kept)
         if kept.get("version") != self._version:
             return
         reference, residuals = kept.get("reference"), kept.get("residuals")
@@ -174,6 +185,7 @@ class AlarmWatch:
             limits=self._settings.limits,
             channels=self._channels,
             readings=self._readings,
+            sources=self._sources,
             now_us=now_us,
             is_present=self._is_present,
             stands=since_us is not None and now_us - since_us >= _STANDS_AFTER_S * 1e6,

@@ -208,3 +208,20 @@ def test_retention_is_years_for_what_people_did_and_may_be_for_ever(folder: Path
     assert (retention.journal_days, retention.audit_days) == (0, 0)
     with pytest.raises(SettingsError, match=r"retention\.audit_days = 30.*0 .* at least 366 days"):
         load(folder, f"{CONFIGURATION}[retention]\naudit_days = 30\n")
+
+
+def test_ages_follow_the_kind_of_source(folder: Path) -> None:
+    text = CONFIGURATION.replace(
+        'host = "127.0.0.1"', 'host = "127.0.0.1"\npoll_interval_s = 30', 1
+    )
+    assert "max_age_s = 3" in text
+    file = folder / "twin.toml"
+    file.write_text(text)
+    facts = wire(load_settings(file)).channels["bench-1"]
+    assert {name: (one.max_age_s, one.learned_from_s) for name, one in facts.items()} == {
+        "speed_rpm": (10.0, 2.0),
+        "load_n": (3.0, None),
+        "ambient_c": (120.0, 10.0),
+        "t_inner_ring_c": (150.0, None),
+        "t_outer_ring_c": (150.0, None),
+    }

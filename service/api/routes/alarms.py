@@ -60,7 +60,7 @@ async def list_alarms(
         bool | None, Query(description="Only those that wait for an operator (or do not).")
     ] = None,
 ) -> Response:
-    """Most urgent first, then newest."""
+    """By priority; then unacknowledged, measured, newest first; what is set aside comes last."""
     alarms = context.alarms.active(asset)
     if state and AlarmState.NORM in state:
         alarms += context.alarms.normal(asset)
@@ -85,7 +85,9 @@ async def acknowledge_alarms(
 ) -> Response:
     """Take note of several alarms; `failed` names those that could not be, and why."""
     items, failed = [], []
-    for alarm_id in dict.fromkeys(request.ids):
+    # An alarm of a source acknowledges those of its channels: each of them is taken first.
+    sources = {one.id for one in context.alarms.active() if one.channel.startswith("source:")}
+    for alarm_id in sorted(dict.fromkeys(request.ids), key=sources.__contains__):
         try:
             alarm = context.alarms.acknowledge(alarm_id, who.who, request.comment or "")
         except (UnknownAlarmError, NotAllowedError) as error:

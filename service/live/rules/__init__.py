@@ -5,9 +5,10 @@ cannot be told (no good sample): an alarm then stays as it is. No rule ever look
 is not good.
 """
 
+from service.live.readings import allowed_age_s
 from service.live.rules.limits import above_ambient, forecast_limits, measured_limits
 from service.live.rules.scene import LEVELS, Scene, label
-from service.live.rules.sensors import allowed_age_s, sensor_faults, stale_data
+from service.live.rules.sensors import sensor_faults, stale_data
 from service.live.rules.twin import rate_of_rise, twin_difference, twin_residual
 
 __all__ = [

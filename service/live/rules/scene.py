@@ -7,6 +7,7 @@ from typing import Any
 from service.alarm_settings import AlarmsSection, LevelRule, Levels, PlainRule
 from service.alarms import AlarmCondition, AlarmKind
 from service.live.readings import Readings
+from service.live.sources import Sources
 from service.settings import Limits
 from service.wiring import ChannelFacts
 
@@ -46,6 +47,8 @@ class Scene:
         All that is read of it.
     readings : Readings
         The latest samples.
+    sources : Sources
+        Which of them have fallen silent.
     now_us : int
         Process time.
     is_present : callable
@@ -62,6 +65,7 @@ class Scene:
     limits: Mapping[str, Limits]
     channels: Mapping[str, ChannelFacts]
     readings: Readings
+    sources: Sources
     now_us: int
     is_present: Callable[[AlarmKind, str, str], bool]
     stands: bool = False
@@ -148,7 +152,7 @@ class Scene:
             source = self.channels[channel].source
             if self.is_present("stale data", source_channel(source), ""):
                 return f"{source} gives no data at all"
-        if kind in ("sensor fault", *_RUNNING_KINDS) and self.is_present("stale data", channel, ""):
+        if kind in ("sensor fault", *_RUNNING_KINDS) and self._has_no_data(channel):
             return f"no data for {label(channel).lower()}"
         if kind in ("forecast limit", "twin difference", "twin residual"):
             return self.distrust or self._blind()
@@ -158,11 +162,17 @@ class Scene:
         """Name what the twin would have to know of the operation and does not."""
         for channel in ("speed_rpm", "load_n", "ambient_c"):
             if channel in self.channels and (
-                self.is_present("stale data", channel, "")
-                or self.is_present("sensor fault", channel, "")
+                self._has_no_data(channel) or self.is_present("sensor fault", channel, "")
             ):
                 return f"no usable {label(channel).lower()}"
         return None
+
+    def _has_no_data(self, channel: str) -> bool:
+        """Whether a stale-data alarm is there: the channel's own, or that of its source."""
+        if self.is_present("stale data", channel, ""):
+            return True
+        source = self.channels[channel].source if channel in self.channels else None
+        return source is not None and self.is_present("stale data", source_channel(source), "")
 
 
 def source_channel(source: str) -> str:

@@ -14,6 +14,7 @@ from service.alarms import (
     NotAllowedError,
     UnknownAlarmError,
     alarm_document,
+    alarm_summary,
     next_state,
     transition_document,
 )
@@ -296,3 +297,35 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "value": 106.0,
         "message": "Inner ring over alarm 105 °C",
     }
+
+
+def test_the_list_goes_by_priority_whatever_the_kind(bench: Bench) -> None:
+    lost = replace(HOT, kind="stale data", level="", priority=2, limit_value=None, value=None)
+    for number in range(10):
+        bench.book.evaluate(replace(lost, channel=f"t_node_{number}_c"))
+    bench.clock.advance(1)
+    bench.book.evaluate(replace(HOT, kind="forecast limit", predicted=True))
+    bench.book.evaluate(replace(HOT, channel="t_outer_ring_c"))
+    bench.book.acknowledge(bench.book.active()[0].id, "eva")
+    bench.book.evaluate(HOT)
+    bench.book.evaluate(replace(HOT, channel="t_node_1_c", suppressed_reason="why"))
+    listed = [(one.kind, one.state, one.predicted) for one in bench.book.active()]
+    assert listed[:4] == [
+        ("measured limit", "UNACK", False),
+        ("forecast limit", "UNACK", True),
+        ("measured limit", "ACKED", False),
+        ("stale data", "UNACK", False),
+    ]
+    assert listed[-1] == ("measured limit", "DSUPR", False), "what is set aside comes last"
+
+
+def test_a_limit_that_is_exceeded_counts_while_its_data_are_lost(bench: Bench) -> None:
+    assert alarm_summary(bench.book.active())["over_limit"] is None
+    bench.book.evaluate(replace(HOT, level="warning", priority=2))
+    assert alarm_summary(bench.book.active())["over_limit"] == "warning"
+    bench.book.evaluate(HOT)
+    bench.book.evaluate(UNKNOWN)
+    bench.book.evaluate(replace(HOT, kind="stale data", level="", priority=2, channel="source:a"))
+    found = alarm_summary(bench.book.active())
+    assert found["over_limit"] == "alarm"
+    assert (found["active"], found["highest_priority"]) == (3, 1)

@@ -9,6 +9,7 @@ from service.live.readings import Readings
 
 NOW_US = 1_763_700_000_000_000
 SECOND_US = 1_000_000
+RING = "t_inner_ring_c"
 
 
 @pytest.fixture
@@ -150,3 +151,61 @@ def test_late_samples_are_counted(readings: Readings) -> None:
     for after_s in (5.0, 1.0, 2.0):
         readings.add([sample(60.0, after_s, received_after_s=6.0)])
     assert readings.late == 2
+
+
+# ---------------------------------------------------------------------- observed intervals
+def pushed(interval_s: float, posts: int, per_post: int = 1, floor_s: float = 10.0) -> Readings:
+    """Readings of a channel that is posted so often, several samples at a time."""
+    readings = Readings("bench-1", {RING: 120.0}, NOW_US, learned_from_s={RING: floor_s})
+    for post in range(1, posts + 1):
+        received_s = post * interval_s
+        times_s = [received_s - interval_s * k / per_post for k in range(per_post)][::-1]
+        readings.add([sample(40.0, time_s, received_after_s=received_s) for time_s in times_s])
+    return readings
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "posts", "per_post", "floor_s", "limit_s"),
+    [
+        (15.0, 4, 15, 10.0, 120.0),  # not known yet
+        (15.0, 30, 15, 10.0, 75.0),  # a gateway that posts four times a minute
+        (1.0, 60, 1, 10.0, 10.0),  # not below the floor
+        (60.0, 30, 60, 10.0, 300.0),
+        (90.0, 30, 1, 10.0, 450.0),
+        (0.05, 400, 1, 2.0, 2.0),  # a CAN message, twenty times a second
+        (600.0, 30, 600, 10.0, 1800.0),  # never later than half an hour
+    ],
+)
+def test_a_learned_limit_is_five_observed_intervals(
+    interval_s: float, posts: int, per_post: int, floor_s: float, limit_s: float
+) -> None:
+    readings = pushed(interval_s, posts, per_post, floor_s)
+    assert readings.age_limit_s(RING) == pytest.approx(limit_s, rel=0.02)
+
+
+def test_a_gateway_that_posts_every_15_s_is_never_stale() -> None:
+    readings = pushed(15.0, 30, 15)
+    for second in range(15):
+        assert not readings.is_stale(RING, at(30 * 15 + second))
+    assert readings.is_stale(RING, at(30 * 15 + 76))
+
+
+def test_one_outage_does_not_change_what_is_usual() -> None:
+    readings = pushed(2.0, 60)
+    readings.add([sample(40.0, 4000.0)])
+    assert readings.age_limit_s(RING) == pytest.approx(10.0)
+
+
+def test_a_backlog_says_nothing_about_the_interval() -> None:
+    readings = pushed(60.0, 30)
+    received_s = 30 * 60.0 + 7200.0
+    for k in range(100):
+        readings.add([sample(40.0, 1801.0 + 60 * k, received_after_s=received_s + 0.1 * k)])
+    assert readings.age_limit_s(RING) == pytest.approx(300.0)
+
+
+def test_a_limit_that_is_configured_stays() -> None:
+    readings = Readings("bench-1", {RING: 30.0}, NOW_US)
+    for k in range(100):
+        readings.add([sample(40.0, 60.0 * k)])
+    assert readings.age_limit_s(RING) == 30.0

@@ -1,5 +1,6 @@
 """What the watch over an asset brings together: twin, readings, rules and the alarm book."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -49,12 +50,13 @@ class Machine:
         seconds: float,
         trusted: bool = True,
         step_s: float = STEP_S,
+        quality: int = Quality.GOOD,
     ) -> None:
         for _ in range(round(seconds / step_s)):
             self.clock.advance(step_s)
             now_us = self.clock.now_us()
             self.readings.add(
-                Sample("bench-1", name, now_us, value, Quality.GOOD, now_us)
+                Sample("bench-1", name, now_us, value, quality, now_us)
                 for name, value in values.items()
             )
             means = self.readings.take_means()
@@ -123,16 +125,102 @@ def test_standstill_suppresses_after_a_minute_and_ends_at_once(
     assert machine.states()[key] == "UNACK"
 
 
+SOURCE = ("stale data", "source:pt100")
+SPEED = {"speed_rpm": 2400.0}
+
+
 def test_a_source_that_falls_silent_is_one_alarm(make_machine: Callable[..., Machine]) -> None:
     machine = make_machine()
     machine.run(WARM, 60)
-    machine.run({"speed_rpm": 2400.0}, 60)
-    states = machine.states()
-    assert states.pop(("stale data", "source:pt100")) == "UNACK"
-    assert set(states.values()) == {"DSUPR"}
-    assert len(states) == 4
+    machine.run(SPEED, 60)
+    assert machine.states() == {SOURCE: "UNACK"}
     machine.run(WARM, 60)
-    assert machine.states() == {("stale data", "source:pt100"): "RTNUN"}
+    assert machine.states() == {SOURCE: "RTNUN"}
+    (alarm,) = machine.book.active()
+    machine.book.acknowledge(alarm.id, "operator")
+    assert machine.states() == {}
+
+
+def test_a_line_that_breaks_is_one_alarm(make_machine: Callable[..., Machine]) -> None:
+    """A driver marks the gap with one bad sample per channel, then there is silence."""
+    machine = make_machine()
+    machine.run(WARM, 60)
+    lost = {name: math.nan for name in WARM if name != "speed_rpm"}
+    machine.run(lost | SPEED, STEP_S, quality=Quality.COMM_FAILURE)
+    machine.run(SPEED, 120)
+    assert machine.states() == {SOURCE: "UNACK"}
+    machine.run(WARM, 60)
+    assert machine.states() == {SOURCE: "RTNUN"}
+
+
+def test_a_channel_lost_alone_is_acknowledged_with_its_source(
+    make_machine: Callable[..., Machine],
+) -> None:
+    machine = make_machine()
+    machine.run(WARM, 60)
+    without = {name: value for name, value in WARM.items() if name != "ambient_c"}
+    machine.run(without, 40)
+    assert machine.states() == {("stale data", "ambient_c"): "UNACK"}
+    machine.run(WARM, 40)
+    machine.run(without, 40)
+    machine.run(WARM, 40)
+    assert machine.states() == {("stale data", "ambient_c"): "RTNUN"}
+    machine.run(SPEED, 60)
+    assert machine.states()[SOURCE] == "UNACK"
+    source = next(alarm for alarm in machine.book.active() if alarm.channel == SOURCE[1])
+    machine.book.acknowledge(source.id, "operator")
+    assert machine.states() == {SOURCE: "ACKED"}
+    machine.run(WARM, 60)
+    assert machine.states() == {}
+
+
+def test_a_source_shelved_covers_the_open_alarms_of_its_channels(
+    make_machine: Callable[..., Machine],
+) -> None:
+    machine = make_machine()
+    machine.run(WARM, 60)
+    without = {name: value for name, value in WARM.items() if name != "ambient_c"}
+    machine.run(without, 40)
+    machine.run(WARM, 40)
+    machine.run(SPEED, 60)
+    source = next(alarm for alarm in machine.book.active() if alarm.channel == SOURCE[1])
+    machine.book.shelve(source.id, 3600, "operator")
+    assert set(machine.states().values()) == {"SHLVD"}
+
+
+def test_a_slow_channel_has_its_time_after_its_source_is_back(
+    make_machine: Callable[..., Machine],
+) -> None:
+    machine = make_machine()
+    machine.readings.max_age_s = {**machine.readings.max_age_s, "ambient_c": 300.0}
+    machine.run(WARM, 60)
+    machine.run(SPEED, 600)
+    assert machine.states() == {SOURCE: "UNACK"}
+    without = {name: value for name, value in WARM.items() if name != "ambient_c"}
+    machine.run(without, 120)
+    assert machine.states() == {SOURCE: "RTNUN"}, "its minute has not come yet"
+    machine.run(without, 300)
+    assert machine.states()["stale data", "ambient_c"] == "UNACK"
+
+
+def test_a_first_start_without_data_raises_nothing(make_machine: Callable[..., Machine]) -> None:
+    machine = make_machine()
+    machine.run({}, 3600)
+    assert machine.states() == {}
+    machine.run(WARM, 60)
+    assert machine.states() == {}
+
+
+def test_what_had_spoken_before_a_restart_is_missed_after_it(
+    make_machine: Callable[..., Machine],
+) -> None:
+    machine = make_machine()
+    machine.run(WARM, 60)
+    kept = machine.watch.to_dict()
+    restarted = make_machine()
+    restarted.watch.restore(kept | {"version": 99})
+    restarted.run(SPEED, 60)
+    assert restarted.states() == {SOURCE: "UNACK"}
 
 
 def test_a_machine_hotter_than_its_model_is_told_inside_the_low_risk_region(
