@@ -12,6 +12,7 @@ from service.cli.benchmark import benchmark
 from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
+from service.cli.drift import drift
 from service.cli.forecast import forecast
 from service.cli.identify import identify
 from service.cli.keys import keys
@@ -35,6 +36,7 @@ app.command()(check)
 app.command("virtual-bench")(virtual_bench)
 app.command()(identify)
 app.command()(forecast)
+app.command()(drift)
 app.command()(study)
 app.command()(benchmark)
 app.command("import")(import_)

@@ -1,0 +1,64 @@
+"""``bearing-twin drift``: has a machine changed between the data of several model files."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.errors import BadInputError
+from service.offline.interruption import exit_on_signals
+
+
+def drift(
+    models: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MODEL.json MODEL.json …",
+            help="What 'bearing-twin identify' wrote, of one machine and one network each.",
+        ),
+    ],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Compare models of one machine from different spans of its data.
+
+    Identify each span by itself first. Models are taken in the order of their data's dates, or as
+    given where there are none. Says whether the machine has changed, what moved and by how much;
+    the exit status is 0 either way.
+    """
+    if len(models) < 2:
+        raise BadInputError(f"MODEL.json: {len(models)} given, expected at least two")
+    with exit_on_signals():
+        # Imported here: the compiled twin takes a second to load, which --help should not pay.
+        from service.offline.drift import compare_models, load_models
+
+        document = compare_models(load_models(models))
+    if as_json:
+        typer.echo(json.dumps(document, allow_nan=False))
+    else:
+        _print(document)
+
+
+def _print(document: dict[str, Any]) -> None:
+    console = Console(highlight=False)
+    for one in document["models"]:
+        when = f" ({one['start']} to {one['end']})" if one["start"] else ""
+        console.print(f"{one['file']}{when}", soft_wrap=True, markup=False)
+        against = f", compared with {one['against']}" if one["against"] else ""
+        console.print(f"  {one['text']}{against}", soft_wrap=True, markup=False)
+    table = Table("quantity", *(str(k + 1) for k in range(len(document["models"]))), "unit")
+    described = {name: row for one in document["models"] for name, row in one["quantities"].items()}
+    for name, row in described.items():
+        cells = [one["quantities"].get(name) for one in document["models"]]
+        table.add_row(
+            row["text"],
+            *("–" if cell is None else f"{cell['value']:.3g}" for cell in cells),
+            row["unit"],
+        )
+    console.print(table)
+    said = {True: "Changed", False: "Not changed", None: "Not compared"}[document["changed"]]
+    console.print(f"{said}: {document['text']}", soft_wrap=True, markup=False)

@@ -1,0 +1,140 @@
+"""Has a machine changed: model files of several spans of its data held against each other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.clock import rfc3339
+from service.jobs.drift import EarlierVersion, drift_document
+from service.machines.machine import Machine
+from service.offline.model_file import IdentifiedModel, ModelFileError
+from twin_core.windows import Window
+
+# Rows of a model file's own summary are this much further apart than usual where data are missing.
+_GAP = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelOfSpan:
+    """One model file.
+
+    Attributes
+    ----------
+    file
+        Where it was read from.
+    identified
+        What is in it.
+    """
+
+    file: Path
+    identified: IdentifiedModel
+
+    @property
+    def windows(self) -> list[Window]:
+        """Spans of its data in UTC seconds; empty if they had no dates."""
+        run_in = self.identified.run_in
+        if run_in.start_us is None or run_in.time_s.size < 2:
+            return []
+        time_s = run_in.start_us / 1e6 + run_in.time_s
+        steps_s = np.diff(time_s)
+        edges = np.flatnonzero(steps_s > _GAP * np.median(steps_s))
+        firsts = np.concatenate(([0], edges + 1))
+        lasts = np.concatenate((edges, [time_s.size - 1]))
+        return [
+            Window(float(time_s[first]), float(time_s[last]), (), False, 0.0)
+            for first, last in zip(firsts, lasts, strict=True)
+        ]
+
+    @property
+    def dates(self) -> dict[str, str | None]:
+        """First and last row of its data; None if they had no dates."""
+        run_in = self.identified.run_in
+        if run_in.start_us is None:
+            return {"start": None, "end": None}
+        ends = run_in.start_us + run_in.time_s[[0, -1]] * 1e6
+        return {"start": rfc3339(round(ends[0])), "end": rfc3339(round(ends[1]))}
+
+
+def load_models(files: Sequence[Path]) -> list[ModelOfSpan]:
+    """Read model files of one machine.
+
+    Returns
+    -------
+    list of ModelOfSpan
+        In the order of their data where all have dates, else as given.
+
+    Raises
+    ------
+    ModelFileError
+        If a file cannot be used, or two are of different machines or models.
+    """
+    models = [ModelOfSpan(file, IdentifiedModel.load(file)) for file in files]
+    first = models[0]
+    for other in models[1:]:
+        if _priors(other.identified.machine) != _priors(first.identified.machine):
+            raise ModelFileError(
+                f"{other.file}: model {other.identified.model.name!r} of "
+                f"{other.identified.model.machine!r}: expected the model, bearing or network, and "
+                f"priors of {first.file}; only then can parameters be compared"
+            )
+    starts = [one.identified.run_in.start_us for one in models]
+    if all(start is not None for start in starts):
+        models.sort(key=lambda one: one.identified.run_in.start_us or 0)
+    return models
+
+
+def _priors(machine: Machine) -> dict[str, Any]:
+    """All of a machine that two comparable models share; what bands allow for may differ."""
+    document = machine.to_dict()
+    if document["network"] is not None:
+        document["network"] = {
+            key: value
+            for key, value in document["network"].items()
+            if key not in ("errors", "runaway", "reference")
+        }
+    return document
+
+
+def compare_models(models: Sequence[ModelOfSpan]) -> dict[str, Any]:
+    """Compare every model with those before it.
+
+    A model is held against earlier ones of the same state of the machine whose operation was most
+    like its own. From a model that reports a change on, later ones are held against it.
+
+    Returns
+    -------
+    dict
+        Plain JSON types: ``changed`` and ``text`` over all, and per model what the service's model
+        versions carry as ``drift``.
+    """
+    earlier: list[EarlierVersion] = []
+    told: list[dict[str, Any]] = []
+    for number, one in enumerate(models, start=1):
+        posterior, windows = one.identified.posterior, one.windows
+        drift = drift_document(one.identified.model, posterior, windows, earlier)
+        earlier.append(
+            EarlierVersion(
+                number,
+                posterior.to_dict(),
+                [window.to_dict() for window in windows],
+                drift["point"],
+                bool(drift["changed"]),
+                was_active=True,
+            )
+        )
+        comparison = drift["comparison"]
+        against = None if comparison is None else str(models[comparison["version"] - 1].file)
+        told.append({"file": str(one.file)} | one.dates | {"against": against} | drift)
+    changes = [document for document in told if document["changed"]]
+    compared = [document for document in told if document["changed"] is not None]
+    text = "nothing could be compared" if not compared else "no change"
+    if changes:
+        text = "; ".join(f"{document['file']}: {document['text']}" for document in changes)
+    return {
+        "changed": bool(changes) if compared else None,
+        "text": text,
+        "models": told,
+    }
