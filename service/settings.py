@@ -170,6 +170,10 @@ class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
     id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    #: What the pages call the asset; its id if absent.
+    name: str = Field("", max_length=64)
+    #: Assets of one group can be looked at together in the fleet view.
+    group: str = Field("", max_length=64)
     network: Annotated[NetworkSection | None, BeforeValidator(network_table)] = None
     bearing: Annotated[BearingSection, BeforeValidator(bearing_table)] | None = Field(
         None, validate_default=True

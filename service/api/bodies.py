@@ -78,6 +78,8 @@ class AssetDocument(_Answer):
     """Configuration, health and active model of an asset."""
 
     id: str = Field(examples=["bench-1"])
+    name: str = Field(description="What the pages call it.", examples=["Test bench 1"])
+    group: str | None = Field(description="Null without one.", examples=["Hall A"])
     bearing: str | None = Field(
         description="Null where a network of one's own describes the machine.", examples=["6311"]
     )

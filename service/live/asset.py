@@ -166,6 +166,8 @@ class AssetRuntime:
         identified_at_us = self.active.identified_at_us
         return {
             "id": self.id,
+            "name": self.settings.name or self.id,
+            "group": self.settings.group or None,
             "bearing": self.settings.bearing and self.settings.bearing.name,
             "network": self.settings.network_name,
             "clock_rate": self._clock.rate,

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from tests.processes import Command, free_port, wait_until
 RATE = 60.0
 PUSH_EVERY_S = 0.25
 BEARING, GEARBOX = "press-1", "gear-1"
+LONG_NAME = "Durability bench of the second test field, left spindle"
+FLEET_GROUPS = ("Durability", "Acoustics")
 _NETWORK = Path(__file__).parents[2] / "deploy/networks/gearbox.toml"
 _PUSHED = {
     BEARING: ("t_inner_ring_c", "t_outer_ring_c", "ambient_c", "speed_rpm", "load_n"),
@@ -57,6 +60,25 @@ limits = {{ t_bearing_c = {{ warning = 85, alarm = 95 }} }}
 """
 
 
+_MANY = """
+[service]
+port = {port}
+[clock]
+rate = {rate}
+"""
+_ONE_OF_MANY = """
+[[assets]]
+id = "{id}"
+name = "{name}"
+group = "{group}"
+bearing = "6311"
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+limits = {{ t_inner_ring_c = {{ warning = 70, alarm = 95 }} }}
+[assets.channels]
+{channels}
+"""
+
+
 class Plant:
     """Two machines, a bearing and a gearbox, that measure whatever the test says.
 
@@ -68,24 +90,15 @@ class Plant:
         Assets that send nothing.
     """
 
-    def __init__(self, folder: Path) -> None:
+    rate = RATE
+    push_every_s = PUSH_EVERY_S
+
+    def __init__(self, folder: Path, pushed: Mapping[str, Sequence[str]] = _PUSHED) -> None:
         self.folder = folder
         self.port = free_port()
-        channels = {
-            asset: "\n".join(f"{name} = {{ {_PUSH} }}" for name in names)
-            for asset, names in _PUSHED.items()
-        }
         self.configuration = folder / "bearing-twin.toml"
-        self.configuration.write_text(
-            _CONFIGURATION.format(
-                port=self.port,
-                rate=RATE,
-                network=_NETWORK,
-                bearing=channels[BEARING],
-                gearbox=channels[GEARBOX],
-            )
-        )
-        self.values = {asset: {n: _CALM[n] for n in names} for asset, names in _PUSHED.items()}
+        self.configuration.write_text(self.configure())
+        self.values = {asset: {n: _CALM[n] for n in names} for asset, names in pushed.items()}
         self.silent: set[str] = set()
         self._keys: dict[str, str] = {}
         self.key = self.key_of("admin")
@@ -95,6 +108,16 @@ class Plant:
         )
         self._stop = threading.Event()
         self._pusher = threading.Thread(target=self._push_on)
+
+    def configure(self) -> str:
+        """Text of the configuration file."""
+        return _CONFIGURATION.format(
+            port=self.port,
+            rate=self.rate,
+            network=_NETWORK,
+            bearing=_channels(_PUSHED[BEARING]),
+            gearbox=_channels(_PUSHED[GEARBOX]),
+        )
 
     @property
     def address(self) -> str:
@@ -113,14 +136,14 @@ class Plant:
 
     def start(self) -> None:
         self.start_service()
-        self.clock = ProcessClock.resume(RATE, load_settings(self.configuration).data_dir)
+        self.clock = ProcessClock.resume(self.rate, load_settings(self.configuration).data_dir)
         self._pusher.start()
-        wait_until(
-            lambda: all(
-                self.client.get(f"/api/v1/assets/{asset}/forecast").is_success for asset in _PUSHED
-            ),
-            120,
-            "a forecast of both machines",
+        wait_until(self.ready, 120, "every machine to be followed")
+
+    def ready(self) -> bool:
+        """Whether there is a forecast of every machine."""
+        return all(
+            self.client.get(f"/api/v1/assets/{asset}/forecast").is_success for asset in self.values
         )
 
     def start_service(self) -> None:
@@ -147,7 +170,7 @@ class Plant:
         self.silent.clear()
 
     def _push_on(self) -> None:
-        while not self._stop.wait(PUSH_EVERY_S):
+        while not self._stop.wait(self.push_every_s):
             time = rfc3339(self.clock.now_us())
             for asset, values in self.values.items():
                 if asset in self.silent:
@@ -165,3 +188,36 @@ class Plant:
         self.client.close()
         if self.service is not None:
             self.service.end()
+
+
+class Fleet(Plant):
+    """Many bearings in two groups, the first with a long name; in real time, as they are many."""
+
+    rate = 1.0
+    push_every_s = 1.0
+
+    def __init__(self, folder: Path, count: int) -> None:
+        self.ids = [f"bench-{number:02d}" for number in range(1, count + 1)]
+        super().__init__(folder, dict.fromkeys(self.ids, _PUSHED[BEARING]))
+
+    def configure(self) -> str:
+        return _MANY.format(port=self.port, rate=self.rate) + "".join(
+            _ONE_OF_MANY.format(
+                id=asset,
+                name=LONG_NAME if asset == self.ids[0] else asset.capitalize(),
+                group=FLEET_GROUPS[number % 2],
+                channels=_channels(_PUSHED[BEARING]),
+            )
+            for number, asset in enumerate(self.ids)
+        )
+
+    def ready(self) -> bool:
+        """Whether every machine is measured; forecasts may still be on their way."""
+        return all(
+            self.get(f"/assets/{asset}/snapshot")["tags"]["t_inner_ring_c"]["quality"] >= 192
+            for asset in self.values
+        )
+
+
+def _channels(names: Sequence[str]) -> str:
+    return "\n".join(f"{name} = {{ {_PUSH} }}" for name in names)

@@ -22,7 +22,7 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
     assert plant.service is not None
     plant.service.process.send_signal(signal.SIGSTOP)
     try:
-        expect(page.locator("#lost")).to_contain_text("No answer from the service")
+        expect(page.locator("#lost")).to_contain_text("Connection lost")
         expect(page.locator("body")).to_have_class(re.compile("away"))
         expect(now).to_have_text("Unknown")
         expect(page.locator(".clock")).to_have_text(re.compile("old"))

@@ -243,7 +243,7 @@ def test_service_away_is_said_and_the_page_comes_back(
     wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
     assert problems == []
     site.service.kill()
-    expect(page.locator("#lost")).to_contain_text("No answer from the service")
+    expect(page.locator("#lost")).to_contain_text("Connection lost")
     words = page.locator(".ans .word")
     expect(words).to_have_text(["Unknown", "Unknown", "Unknown"])
     expect(page.locator(".clock")).to_have_text(re.compile("old"))

@@ -27,7 +27,7 @@ def test_the_worst_machine_comes_first(screen: Screen, plant: Plant, problems: l
     expect(bearing.locator(".word")).to_have_text("Unknown")
     expect(bearing).to_have_class(re.compile("bad"))
     expect(bearing.locator(".fig")).to_have_css("text-decoration-line", "line-through")
-    expect(page.locator(".fsum > span", has_text="without data").locator("b")).to_have_text("1")
+    expect(page.locator(".fchips button", has_text="without data").locator("b")).to_have_text("1")
     plant.calm()
     expect(bearing.locator(".word")).not_to_have_text("Unknown")
     assert problems == []

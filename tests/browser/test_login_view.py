@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.browser.plant import Plant
+from tests.browser.plant import BEARING, Plant
 
 pytestmark = pytest.mark.browser
 
@@ -38,6 +38,45 @@ def test_a_revoked_key_ends_the_session_and_says_why(context: BrowserContext, pl
     expect(page.locator("nav.tabs a[aria-current]")).to_have_text("Fleet")
     assert plant.client.delete(f"/api/v1/keys/{made['id']}").is_success
     expect(page.locator(".login .problem")).to_have_text(re.compile("no longer valid"))
+
+
+def test_a_call_without_a_session_leads_to_the_login_and_back(
+    screen: Callable[..., Page], plant: Plant
+) -> None:
+    """The stream still runs: only the refused call shows that the session is over."""
+    page = screen(f"alarms/{BEARING}", "operator")
+    expect(page.locator(".p-journal tbody tr").first).to_be_visible()
+    page.context.clear_cookies()
+    page.get_by_label("Span of time").select_option("last 24 h")
+    expect(page.locator(".login .problem")).to_have_text(re.compile("session has ended"))
+    expect(page.get_by_text("X-API-Key")).to_have_count(0)
+    page.get_by_label("Access key").fill(plant.key_of("operator"))
+    page.get_by_role("button", name="Log in").click()
+    expect(page.locator("nav.tabs a[aria-current]")).to_have_text("Alarms")
+    expect(page.get_by_label("Asset", exact=True)).to_have_value(BEARING)
+
+
+@pytest.mark.parametrize(
+    ("link", "text"),
+    [
+        ("operator/bench-of-old", "no asset “bench-of-old” here. It may have been renamed."),
+        ("history/%E0%A4%A", "no asset “%E0%A4%A” here."),
+        ("nosuchview", "There is no view “nosuchview” here."),
+        ("toString/press-1", "There is no view “toString” here."),
+    ],
+)
+def test_a_link_that_leads_nowhere_shows_nothing_else(
+    screen: Callable[..., Page], problems: list[str], link: str, text: str
+) -> None:
+    page = screen("fleet", "viewer")
+    page.goto(page.url.split("#")[0] + f"#{link}")
+    expect(page.locator("main")).to_contain_text(text)
+    expect(page.locator(".ans, .card, table")).to_have_count(0)
+    expect(page.get_by_label("Asset", exact=True)).to_have_count(0)
+    expect(page).to_have_title(re.compile("Not found"))
+    page.get_by_role("link", name="All assets").click()
+    expect(page.locator(".card").first).to_be_visible()
+    assert problems == []
 
 
 def test_a_viewer_is_told_why_a_control_is_off(screen: Callable[..., Page]) -> None:

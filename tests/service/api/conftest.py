@@ -67,6 +67,8 @@ class MemoryTwin:
     def summary(self) -> Mapping[str, Any]:
         return {
             "id": self.id,
+            "name": self.id,
+            "group": None,
             "bearing": "6311",
             "network": "bearing-14",
             "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},

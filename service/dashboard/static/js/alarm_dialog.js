@@ -1,4 +1,4 @@
-// All about one alarm: what it is, what happened to it, what can be done with it.
+// One alarm: its facts, its history, and the actions on it.
 import { stateOf, symbol, whoOf } from './alarms.js';
 import { call } from './api.js';
 import { openDialog } from './dialogs.js';
@@ -20,7 +20,7 @@ function facts(alarm) {
     ['Asset', alarm.asset],
     ['Kind', alarm.kind + (alarm.predicted ? ', predicted' : '')],
     ['Channel', alarm.channel && channelName(alarm.channel)],
-    ['Value when told last', figure(alarm.value, alarm.unit)],
+    ['Value at last change', figure(alarm.value, alarm.unit)],
     ['Limit', figure(alarm.limit_value, alarm.unit)],
     ['Lead time', isNumber(alarm.lead_time_s) ? spanText(alarm.lead_time_s) : null],
     ['Probability', isNumber(alarm.probability) ? percent(alarm.probability) : null],
@@ -61,7 +61,7 @@ export async function showAlarm(desk, alarm) {
     body: [
       h('dl', { class: 'facts' }, facts(alarm).map(([name, value]) =>
         [h('dt', {}, name), h('dd', {}, value)])),
-      h('h4', {}, 'What happened to it'), past,
+      h('h4', {}, 'Alarm history'), past,
       reasons.filter(Boolean).map((reason) => h('p', { class: 's mut' }, reason)),
     ],
     buttons: [...buttons, h('button', { class: 'btn pri', value: 'close' }, 'Close')],

@@ -10,7 +10,8 @@ import { isActive, isDistrust } from './readings.js';
 export class AlarmList {
   /**
    * desk: what may be done; options: { chosen: a Set of ids, which gives every row that can be
-   * acknowledged a box to tick, onChoice(): called when it was ticked, withAsset: name the asset }.
+   * acknowledged a box to tick, onChoice(): called when it was ticked, nameOf(alarm): name of its
+   * asset where that is to be shown, else '' }.
    */
   constructor(box, desk, options = {}) {
     this.desk = desk;
@@ -71,8 +72,8 @@ export class AlarmList {
   updateRow(row, alarm, live) {
     row.alarm = alarm;
     const detail = detailText(alarm, live);
-    const asset = this.options.withAsset ? `${alarm.asset}: ` : '';
-    setText(row.message, joined(`${asset}${alarm.message}`));
+    const name = this.options.nameOf?.(alarm);
+    setText(row.message, joined(`${name ? `${name}: ` : ''}${alarm.message}`));
     setText(row.detail, alarm.predicted && isActive(alarm) ? `predicted ${detail}` : detail);
     this.updateControls(row, alarm);
     const { text } = stateOf(alarm);
@@ -101,12 +102,12 @@ export class AlarmList {
     if (!row.tick) return;
     row.tick.hidden = !needsAcknowledge(alarm);
     row.tick.checked = this.options.chosen.has(alarm.id);
-    row.tick.setAttribute('aria-label', `Choose: ${alarm.message}`);
+    row.tick.setAttribute('aria-label', `Select: ${alarm.message}`);
     refuse(row.tick, this.desk.refusal('acknowledge', alarm));
   }
 }
 
-/** Disable a control while there is a reason to, and tell the reason. */
+/** Disable a control while there is a reason to, and show the reason. */
 export function refuse(control, reason) {
   control.disabled = Boolean(reason);
   control.title = reason;

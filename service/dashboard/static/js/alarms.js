@@ -13,33 +13,53 @@ const STATES = {
   DSUPR: { text: 'SUPPRESSED', look: 'suppressed', rank: 5 },
   OOSRV: { text: 'OUT OF SERVICE', look: 'struck', rank: 6 },
 };
+const STANDING_KINDS = ['measured limit', 'above ambient'];
+const ASIDE = { SHLVD: 'shelved', DSUPR: 'by design', OOSRV: 'out of service' };
 export const stateOf = (alarm) => STATES[alarm.state];
 export const needsAcknowledge = (alarm) => alarm.state === 'UNACK' || alarm.state === 'RTNUN';
 export const isShown = (alarm) => alarm.state in STATES;
-/** Put aside by somebody or by design: shown in grey, never counted. */
-export const isAside = (alarm) => ['SHLVD', 'DSUPR', 'OOSRV'].includes(alarm.state);
+/** Suppressed by somebody or by design: shown in grey, never counted. */
+export const isAside = (alarm) => alarm.state in ASIDE;
+/** A measured temperature stands over a limit, as far as anybody knows. */
+export const isStanding = (alarm) => isActive(alarm) && STANDING_KINDS.includes(alarm.kind);
+/** About a limit of the machine, measured or predicted. */
+export const isLimit = (alarm) => Boolean(alarm.limit_level);
 
-// Data that are lost outweigh all; once they are back, what was over a limit does.
-const weight = (alarm) => (isDistrust(alarm) ? (isActive(alarm) ? 0 : 9) : alarm.priority);
-const rank = (alarm) =>
-  stateOf(alarm).rank * 100 + (alarm.predicted ? 10 : 0) + weight(alarm);
-/** When it was raised; an alarm that was put aside before it ever came has no such time. */
+/** When it was raised; an alarm that was suppressed before it ever came has no such time. */
 export const raisedMs = (alarm) => milliseconds(alarm.raised_at ?? alarm.since);
-const newest = (alarm) => -raisedMs(alarm) / 1e15;
-export const byUrgency = (a, b) => rank(a) + newest(a) - rank(b) - newest(b);
+
+// ISA-18.2: what has to be answered first, then by priority. Of one priority, what is measured over
+// a limit outweighs what has no data, and both outweigh what is only predicted.
+const certainty = (alarm) => (alarm.predicted ? 2 : isDistrust(alarm) ? 1 : 0);
+const rank = (alarm) =>
+  [stateOf(alarm).rank, alarm.priority, certainty(alarm), -raisedMs(alarm) || 0];
+
+export function byUrgency(a, b) {
+  const [one, other] = [rank(a), rank(b)];
+  const first = one.findIndex((value, i) => value !== other[i]);
+  return first < 0 ? 0 : one[first] - other[first];
+}
 
 /** Alarms to show, the worst first. */
 export const ranked = (alarms) => [...alarms.values()].filter(isShown).sort(byUrgency);
 
-/** The alarm of the banner: active, and about the machine rather than about its sensors. */
-export const worst = (alarms) =>
-  ranked(alarms).find((alarm) => isActive(alarm) && !isDistrust(alarm)) ?? null;
+/** The alarm of the banner: the worst active one. */
+export const worst = (alarms) => ranked(alarms).find(isActive) ?? null;
+
+/** How many are suppressed, and how: "6 suppressed (shelved 2, by design 4)"; '' for none. */
+export function suppressedText(alarms) {
+  const aside = alarms.filter(isAside);
+  const parts = Object.entries(ASIDE).map(([state, name]) =>
+    [name, aside.filter((alarm) => alarm.state === state).length]);
+  const told = parts.filter(([, count]) => count).map(([name, count]) => `${name} ${count}`);
+  return aside.length ? `${aside.length} suppressed (${told.join(', ')})` : '';
+}
 
 export function summary(alarms) {
   const all = [...alarms.values()];
-  const aside = all.filter(isAside).length;
-  return `${all.filter(isActive).length} active, ${all.filter(needsAcknowledge).length} to acknowledge`
-    + (aside ? `, ${aside} put aside` : '');
+  return [`${all.filter(isActive).length} active`,
+    `${all.filter(needsAcknowledge).length} unacknowledged`, suppressedText(all)]
+    .filter(Boolean).join(', ');
 }
 
 /**
@@ -52,7 +72,7 @@ export function detailText(alarm, live) {
   if (alarm.state === 'OOSRV') return alarm.comment ?? alarm.kind;
   if (alarm.predicted && !isActive(alarm)) return 'no longer predicted';
   if (!alarm.predicted) {
-    if (isDistrust(alarm)) return alarm.kind;
+    if (isDistrust(alarm)) return joined(silenceText(alarm, live));
     const value = valueText(alarm, live);
     return value === null ? alarm.kind : joined(value);
   }
@@ -63,6 +83,12 @@ export function detailText(alarm, live) {
   else if (isNumber(earliest)) parts.push(`earliest in ${spanText(earliest)}`);
   if (isNumber(probability)) parts.push(percent(probability));
   return joined(parts.join(' · '));
+}
+
+/** For how long there is no usable value; of one that has come back only its kind. */
+function silenceText(alarm, live) {
+  const standsS = (live.nowMs - raisedMs(alarm)) / 1000;
+  return isActive(alarm) && standsS >= 0 ? `${alarm.kind}, for ${spanText(standsS)}` : alarm.kind;
 }
 
 /** The value that an alarm is about; live where it is the value of a sensor itself. */
@@ -89,7 +115,7 @@ export function symbol(alarm, size, inverse = false) {
   const { look } = stateOf(alarm);
   const kind = isDistrust(alarm) ? 'bad' : alarm.priority;
   if (isAside(alarm)) return icon(kind, look, size);
-  if (isDistrust(alarm)) return icon('bad', look, size);
+  if (isDistrust(alarm)) return icon('bad', inverse ? 'inverse' : look, size);
   if (alarm.predicted) return icon(alarm.priority, 'dashed', size);
   return icon(alarm.priority, inverse ? 'inverse' : look, size);
 }

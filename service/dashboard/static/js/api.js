@@ -1,5 +1,13 @@
 // The REST interface, with the session cookie of the browser.
 const PREFIX = '/api/v1';
+const SESSION = '/session'; // asking for it is how the page finds out who is logged in
+
+let refusedKey = () => {};
+
+/** Call `action` whenever the service refuses a request for want of a valid key. */
+export function onRefusedKey(action) {
+  refusedKey = action;
+}
 
 /** A refused or failed request; `status` 0 means the service did not answer. */
 export class ApiError extends Error {
@@ -45,6 +53,7 @@ async function ask(path, options, read) {
     if (signal?.aborted) throw error;
     throw new ApiError(0, 'the service does not answer');
   }
+  if (refusal.status === 401 && path !== SESSION) refusedKey();
   throw refusal;
 }
 

@@ -1,6 +1,6 @@
 // The page: session, frame, views.
 import { AlarmDesk } from './alarm_desk.js';
-import { ApiError, call } from './api.js';
+import { ApiError, call, onRefusedKey } from './api.js';
 import { Banner } from './banner.js';
 import { ProcessClock } from './clock.js';
 import { notify } from './dialogs.js';
@@ -10,6 +10,7 @@ import { Live } from './live.js';
 import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
 import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
+import { showWaiting } from './waiting_dialog.js';
 
 // Views are fetched when they are first shown, so that the first of them is there at once; `style`
 // is the style sheet of a view that has one of its own.
@@ -48,12 +49,14 @@ const AWAY_RETRY_MS = 3000;
 
 const clock = new ProcessClock();
 const live = new Live(clock, () => start('Your key is no longer valid, or your session has ended.'));
+onRefusedKey(() => live.isLoggedOut());
 const main = find('#main');
 let session = null;
 let assets = [];
 let view = null;
 let latest = 0; // number of the view that was asked for last
 let feed = null; // of the asset that is looked at
+let shown = ''; // name of the view on the page; '' where the address leads nowhere
 
 const several = () => assets.length > 1;
 const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
@@ -65,10 +68,18 @@ const viewName = () => {
   const known = VIEWS[name] && may(VIEWS[name].from) && (name !== 'fleet' || several());
   return known ? name : several() && !name ? 'fleet' : 'operator';
 };
+/** Why the address leads nowhere, or ''. */
+const nowhere = () => {
+  const { view: name, asset } = readHash();
+  if (name && !Object.hasOwn(VIEWS, name)) return `There is no view “${name}” here.`;
+  if (!asset || live.feeds.has(asset)) return '';
+  return `There is no asset “${asset}” here. It may have been renamed.`;
+};
+const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? id;
 
 const desk = new AlarmDesk(live, refusal);
 const page = {
-  clock, may, refusal, notify, desk,
+  clock, may, refusal, notify, desk, nameOf,
   connection: live, // all assets
   get store() { return feed.store; },
   get live() { return feed; },
@@ -79,7 +90,7 @@ const page = {
 
 const jobBox = h('div', { id: 'jobstrip' });
 const header = new Header(find('#top'), jobBox, {
-  chooseAsset: (id) => page.openAsset(id, viewName() === 'fleet' ? 'operator' : viewName()),
+  chooseAsset: (id) => page.openAsset(id, viewName()),
   switchTheme: () => setTheme(document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark'),
   logOut: async () => {
     live.stop();
@@ -88,7 +99,10 @@ const header = new Header(find('#top'), jobBox, {
   },
 });
 const strip = new LostStrip(find('#lost'), () => live.stream?.tryNow());
-const banner = new Banner(find('#banner'), desk);
+const banner = new Banner(find('#banner'), desk, () => showWaiting(desk, {
+  alarms: () => bannerFeeds().flatMap((one) => [...one.store.get('alarms').values()]),
+  ...bannerWords(),
+}));
 const jobs = new JobStrip(jobBox);
 
 function setTheme(theme) {
@@ -102,20 +116,26 @@ async function showView() {
   const name = viewName();
   view?.destroy();
   view = null;
+  shown = nowhere() ? '' : name;
   const asked = readHash().view;
   if (VIEWS[asked] && asked !== name) {
     notify(refusal(VIEWS[asked].from) || 'There is one asset only: this is its page.');
   }
-  put(main).className = `v-${name}`;
-  document.body.dataset.view = name;
+  put(main).className = `v-${shown || 'nowhere'}`;
+  document.body.dataset.view = shown || 'nowhere';
   const tabs = Object.entries(VIEWS).filter(([key]) => key !== 'fleet' || several());
   header.showViews(tabs.map(([key, { title, from }]) => ({
-    title, href: assetHash(key, several() ? feed.assetId : null), current: key === name,
+    title, href: assetHash(key, several() ? feed.assetId : null), current: key === shown,
     reason: refusal(from),
   })));
-  header.showAssets(assets, feed.assetId);
-  const shown = feed;
+  // In the fleet view no asset is the one looked at.
+  header.showAssets(assets, shown && shown !== 'fleet' ? feed.assetId : null);
   latest += 1;
+  if (!shown) {
+    showNowhere();
+    return;
+  }
+  const looked = feed;
   const mine = latest;
   let View;
   try {
@@ -124,8 +144,16 @@ async function showView() {
     put(main, h('p', { class: 'panel waiting' }, 'This view cannot be fetched from the service.'));
     return;
   }
-  if (mine !== latest || shown !== feed) return;
+  if (mine !== latest || looked !== feed) return;
   view = new View(main, page);
+  updateFrame();
+}
+
+/** The address names an asset or a view that is not there: no other is shown in its place. */
+function showNowhere() {
+  put(main, h('div', { class: 'panel waiting', role: 'status' }, h('p', {}, nowhere()),
+    h('p', {}, several() ? h('a', { href: '#fleet' }, 'All assets')
+      : h('a', { href: '#operator' }, 'Operator view'))));
   updateFrame();
 }
 
@@ -169,14 +197,14 @@ function follow() {
 function tick() {
   const state = feed?.store.state;
   header.tick({ link: live.link, sources: state ? sourcesShown(state) : [] }, clock);
-  strip.tick(state ? lostState(state, clock, viewName() === 'fleet') : null);
+  strip.tick(state ? lostState(state, clock, ofAll()) : null);
   if (state) jobs.update(state.jobs);
   showLink();
 }
 
 /** The sources of the asset that is looked at, or of all. */
 function sourcesShown({ asset, sources }) {
-  if (viewName() === 'fleet') return sources;
+  if (ofAll()) return sources;
   const own = new Set((asset?.channels ?? []).map((channel) => channel.source));
   return sources.filter((source) => own.has(source.name));
 }
@@ -188,16 +216,24 @@ function showLink() {
   main.inert = away;
 }
 
+/** Whether the page speaks of all assets instead of one. */
+const ofAll = () => shown === 'fleet' || shown === '';
+const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);
+const bannerWords = () => ({
+  nameOf: (alarm) => (bannerFeeds().length > 1 ? nameOf(alarm.asset) : ''),
+  live: (alarm) => liveDetail(live.feeds.get(alarm.asset).store.state, clock),
+});
+
 function updateFrame() {
-  if (!feed || !view) return;
-  const all = viewName() === 'fleet' || viewName() === 'alarms';
-  const feeds = all ? [...live.feeds.values()] : [feed];
-  banner.update(feeds, all && several(), (alarm) =>
-    liveDetail(live.feeds.get(alarm.asset).store.state, clock));
-  const words = feeds.map((one) => situation(one.store.state, clock)?.now.word);
+  if (!feed || (!view && shown)) return;
+  const feeds = bannerFeeds();
+  const answers = feeds.map((one) => situation(one.store.state, clock));
+  const words = answers.map((one) => one?.now.word);
+  const blind = answers.some((one) => one?.lostMs != null);
+  banner.update(feeds, { ...bannerWords(), blind });
   const mark = words.includes('over') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
-  const { title } = VIEWS[viewName()];
-  document.title = [mark + (viewName() === 'fleet' ? title : `${feed.assetId} · ${title}`),
+  const title = VIEWS[shown]?.title ?? 'Not found';
+  document.title = [mark + (ofAll() ? title : `${nameOf(feed.assetId)} · ${title}`),
     'Bearing Twin'].join(' · ');
 }
 

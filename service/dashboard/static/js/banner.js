@@ -6,7 +6,7 @@ import {
 import { h, put, setText } from './dom.js';
 import { dayOrTime, joined, timeElement } from './format.js';
 import { icon } from './icons.js';
-import { isActive, isDistrust } from './readings.js';
+import { isDistrust } from './readings.js';
 
 /** Why there is no telling whether an alarm is there, or ''. */
 function ignorance(feeds) {
@@ -17,14 +17,16 @@ function ignorance(feeds) {
 }
 
 export class Banner {
-  constructor(box, desk) {
+  /** openWaiting(): show all alarms that wait for an acknowledgement. */
+  constructor(box, desk, openWaiting) {
     this.box = box;
     this.desk = desk;
     this.symbol = h('span', {});
     this.message = h('span', { class: 'msg', role: 'status', 'aria-live': 'assertive' });
     this.detail = h('span', { class: 'msg' });
     this.since = h('span', { class: 'sub nw' });
-    this.more = h('a', { class: 'sub nw', href: '#alarms' });
+    this.more = h('button', { class: 'sub nw more', type: 'button', onclick: openWaiting });
+    this.aside = h('a', { class: 'sub nw', href: '#alarms' });
     const button = (name, text) => h('button', {
       class: 'btn', type: 'button', onclick: () => desk.take(name, this.alarm),
     }, text);
@@ -32,14 +34,14 @@ export class Banner {
     this.shelve = button('shelve', 'Shelve…');
     this.look = null;
     put(box, this.symbol, h('div', { class: 'grow' }, this.message, this.detail, this.since),
-      this.more, this.acknowledge, this.shelve);
+      this.more, this.aside, this.acknowledge, this.shelve);
   }
 
   /**
-   * feeds: the assets whose alarms are meant; named: tell the asset's name with the alarm;
-   * live(alarm): what forecast and sensor of its asset say now.
+   * feeds: the assets whose alarms are meant; nameOf(alarm): name to show with the alarm, or '';
+   * live(alarm): what forecast and sensor of its asset say now; blind: a limit has no data.
    */
-  update(feeds, named, live) {
+  update(feeds, { nameOf, live, blind }) {
     const all = feeds.flatMap((feed) => [...feed.store.get('alarms').values()]);
     const alarm = feeds.map((feed) => worst(feed.store.get('alarms'))).filter(Boolean)
       .sort(byUrgency)[0] ?? null;
@@ -50,22 +52,21 @@ export class Banner {
       if (alarm) refuse(button, this.desk.refusal(name, alarm));
     }
     const unknown = ignorance(feeds);
-    const blind = all.some((one) => isActive(one) && isDistrust(one));
     const look = alarm ? [alarm.id, alarm.state, alarm.priority].join()
       : ['quiet', unknown, blind].join();
     if (look !== this.look) this.changeLook(alarm, unknown, blind);
     this.look = look;
     if (!alarm) {
       setText(this.message, unknown ? `Alarms unknown: ${unknown}`
-        : blind ? 'No limit alarms; what has no data cannot raise one' : 'No active alarms');
+        : blind ? 'Limit alarms not available: no data' : 'No active alarms');
       setText(this.detail, '');
       put(this.since);
       this.sinceKey = null;
       return;
     }
     const now = live(alarm);
-    const asset = named ? `${alarm.asset}: ` : '';
-    setText(this.message, joined(`${unknown ? 'LAST KNOWN ' : ''}${asset}`
+    const name = nameOf(alarm);
+    setText(this.message, joined(`${unknown ? 'LAST KNOWN ' : ''}${name ? `${name}: ` : ''}`
       + `${alarm.predicted ? 'PREDICTED ' : ''}${alarm.message}`));
     setText(this.detail, unknown ? '' : `${alarm.predicted ? ', ' : '  '}${detailText(alarm, now)}`);
     this.updateSince(alarm, dayOrTime(raisedMs(alarm), now.nowMs), look);
@@ -81,11 +82,11 @@ export class Banner {
   /** What waits beside the alarm that is shown. */
   updateRest(all, alarm) {
     const others = all.filter((one) => needsAcknowledge(one) && one.id !== alarm?.id).length;
+    setText(this.more, alarm ? `+ ${others} more` : `${others} unacknowledged`);
+    this.more.hidden = !others;
     const aside = all.filter(isAside).length;
-    const waiting = alarm ? `+ ${others} more` : `${others} to acknowledge`;
-    setText(this.more, [others && waiting, aside && !alarm && `${aside} put aside`]
-      .filter(Boolean).join(', '));
-    this.more.hidden = !this.more.textContent;
+    setText(this.aside, `${aside} suppressed`);
+    this.aside.hidden = !aside || Boolean(alarm);
   }
 
   changeLook(alarm, unknown, blind) {
@@ -97,7 +98,7 @@ export class Banner {
       return;
     }
     this.box.className = `banner${alarm.predicted ? ` pred pr${alarm.priority}` : ''}`;
-    if (!alarm.predicted) this.box.dataset.p = alarm.priority;
+    if (!alarm.predicted) this.box.dataset.p = isDistrust(alarm) ? 'bad' : alarm.priority;
     put(this.symbol, symbol(alarm, '2.3rem', true));
     this.symbol.className = alarm.state === 'UNACK' ? 'blink' : '';
   }

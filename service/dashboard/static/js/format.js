@@ -2,7 +2,7 @@
 import { h, unit } from './dom.js';
 
 export const NODE_NAMES = [
-  'House', 'Outer ring', 'Balls', 'Inner ring', 'Shaft left', 'Cage', 'Grease mixture',
+  'Housing', 'Outer ring', 'Balls', 'Inner ring', 'Shaft left', 'Cage', 'Grease',
   'End cap L', 'End cap R', 'Sleeve L', 'Sleeve R', 'Shaft centre', 'Bench', 'Air',
 ];
 
@@ -116,7 +116,8 @@ export const spanNodes = (seconds) =>
   spanParts(seconds).map(([number, name], i) => [i ? ' ' : '', number, unit(name)]);
 
 /** Keep a figure and its unit on one line. */
-export const joined = (text) => text.replace(/ (?=°C|%|min\b|h\b|s\b|K\b|N\b|rpm)/g, '\u00a0');
+export const joined = (text) =>
+  text.replace(/(?<=[<>]) (?=\d)| (?=°C|%|min\b|h\b|s\b|K\b|N\b|rpm)/g, '\u00a0');
 
 /** An age that grows: 0.6 s, 42 s, 4 min 05 s, 2 h 10 min. */
 export function ageText(seconds) {

@@ -1,7 +1,7 @@
 // What surrounds every view: header, lost-data strip, job strip (the banner: banner.js).
 import { h, put, setText } from './dom.js';
 import {
-  ageText, channelName, dayTime, fixed, hourMinuteSecond, milliseconds, shortAge, significant,
+  ageText, channelName, dayTime, fixed, hourMinuteSecond, milliseconds, shortAge,
   timeElement, timeZone, utc,
 } from './format.js';
 import { icon, logo } from './icons.js';
@@ -69,10 +69,15 @@ export class Header {
     this.tabs.querySelector('[aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' });
   }
 
+  /** assets: as `GET /assets` lists them; current: id of the one looked at, null for none. */
   showAssets(assets, current) {
-    const title = (asset) => (asset.bearing ? `${asset.id} · ${asset.bearing}` : asset.id);
+    const title = ({ id, name, bearing }) => [name ?? id, bearing].filter(Boolean).join(' · ');
     if (assets.length < 2) {
-      put(this.asset, assets.map((asset) => h('b', { class: 'nw' }, title(asset))));
+      put(this.asset, assets.map((asset) => h('b', { class: 'nw', title: asset.id }, title(asset))));
+      return;
+    }
+    if (current === null) {
+      put(this.asset);
       return;
     }
     put(this.asset, h('select', {
@@ -142,8 +147,8 @@ export function lostState(state, clock, whole = false) {
     const { sinceMs, nextTryMs } = state.link;
     const waitS = Math.max(0, Math.ceil((nextTryMs - Date.now()) / 1000));
     return {
-      title: 'No answer from the service', ageS: (Date.now() - sinceMs) / 1000,
-      text: 'Everything on this page is of the past.',
+      title: 'Connection lost', ageS: (Date.now() - sinceMs) / 1000,
+      text: notCurrent(clock, sinceMs),
       aside: waitS ? `next try in ${waitS} s` : 'trying …',
     };
   }
@@ -163,6 +168,13 @@ export function lostState(state, clock, whole = false) {
     };
   }
   return silentSource(state, clock);
+}
+
+/** When what is shown was of now: process time runs on while nobody answers. */
+function notCurrent(clock, sinceMs) {
+  if (clock.now() === null) return 'Values are not current.';
+  const lastMs = clock.now() - (Date.now() - sinceMs) * clock.rate;
+  return ['Values are not current (last update ', timeElement(lastMs, hourMinuteSecond(lastMs)), ').'];
 }
 
 function silentSource(state, clock) {
@@ -233,9 +245,7 @@ const ENDINGS = {
 
 export function jobText(job) {
   if (job.status !== 'running') return `Re-identification ${ENDINGS[job.status]?.(job) ?? ''}`;
-  if (!job.evaluations) return 'Re-identification begins';
-  return `Re-identification: ${job.evaluations} evaluations, `
-    + `best fitness ${significant(job.best_fitness)}`;
+  return job.evaluations ? 'Re-identification' : 'Re-identification starts';
 }
 
 export class JobStrip {

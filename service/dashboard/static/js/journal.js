@@ -3,7 +3,7 @@ import { bold, h } from './dom.js';
 import { channelName, dayTimeSecond, fixed, isNumber, milliseconds, timeElement } from './format.js';
 
 const REACHED = {
-  UNACK: 'raised', ACKED: 'acknowledged', RTNUN: 'returned, not acknowledged',
+  UNACK: 'raised', ACKED: 'acknowledged', RTNUN: 'returned to normal (unack)',
   NORM: 'returned to normal', LATCH: 'returned, latched', SHLVD: 'shelved', DSUPR: 'suppressed by design',
   OOSRV: 'taken out of service',
 };
@@ -17,18 +17,18 @@ export function transitionText(line) {
   if (from in LEFT && !(to in LEFT)) return LEFT[from];
   if (from === 'LATCH' && to === 'NORM') return 'reset';
   if (from === 'RTNUN' && to === 'NORM') return 'acknowledged, over';
-  if (from === 'RTNUN' && to === 'UNACK') return 'raised again';
+  if (from === 'RTNUN' && to === 'UNACK') return 're-alarmed';
   return REACHED[to] ?? (to ? to.toLowerCase() : 'noted');
 }
 
-/** One line of the journal's table. */
-export function journalRow(line, withAsset) {
+/** One line of the journal's table; `assetName` is shown where there are several assets. */
+export function journalRow(line, assetName) {
   const timeMs = milliseconds(line.time);
   const what = transitionText(line);
   const value = isNumber(line.value) ? `${fixed(line.value)} ${line.unit ?? '°C'}` : '';
   return h('tr', { 'data-class': line.class ?? 'alarm' },
     h('td', { class: 'nw' }, timeElement(timeMs, dayTimeSecond(timeMs))),
-    withAsset && h('td', { class: 'nw' }, line.asset),
+    assetName && h('td', { class: 'nw' }, assetName),
     h('td', { class: `nw${what === 'raised' ? ' b' : ''}` }, what),
     h('td', {}, bold(line.message || line.kind)),
     h('td', { class: 'nw mut' }, line.channel ? channelName(line.channel) : line.kind),
@@ -38,7 +38,7 @@ export function journalRow(line, withAsset) {
 }
 
 export const journalHead = (withAsset) => h('tr', {},
-  ['Time', withAsset && 'Asset', 'What', 'Alarm or event', 'Of', 'Value', 'Who', 'Comment']
+  ['Time', withAsset && 'Asset', 'Event', 'Alarm or event', 'Source', 'Value', 'Who', 'Comment']
     .filter(Boolean).map((title) =>
       h('th', { scope: 'col', class: title === 'Value' ? 'r' : null }, title)));
 

@@ -24,7 +24,7 @@ export class JournalPanel {
     this.span = select('Span of time', SPANS, again);
     this.kind = select('Alarms or events', CLASSES, () => this.show());
     this.asset = select('Asset of the journal',
-      [['', 'all assets'], ...page.assets.map(({ id }) => [id, id])], again);
+      [['', 'all assets'], ...page.assets.map(({ id }) => [id, page.nameOf(id)])], again);
     this.search = h('input', {
       type: 'search', placeholder: 'Word in the text', 'aria-label': 'Word in the text',
       oninput: () => this.show(),
@@ -42,6 +42,8 @@ export class JournalPanel {
       scrollable('scroll', 'Journal',
         h('table', { class: 'jt' }, h('thead', {}, journalHead(this.several)), this.body),
         this.older));
+    this.older.hidden = true;
+    setText(this.count, 'Loading …');
     this.load();
   }
 
@@ -101,7 +103,7 @@ export class JournalPanel {
 
   show() {
     const lines = this.chosen();
-    put(this.body, lines.map((line) => journalRow(line, this.several)));
+    put(this.body, lines.map((line) => journalRow(line, this.several && this.page.nameOf(line.asset))));
     if (!lines.length) {
       put(this.body, h('tr', {}, h('td', { colspan: 8, class: 'mut pad' },
         this.lines.length ? 'Nothing that fits the filters.' : 'Nothing has happened yet.')));

@@ -59,7 +59,13 @@ export class Live {
     this.tell({ status: 'away', sinceMs, nextTryMs });
   }
 
-  async isLoggedOut() {
+  /** Whether the session is over; if so, everything ends, once for all who ask meanwhile. */
+  isLoggedOut() {
+    this.asking ??= this.askForSession().finally(() => { this.asking = null; });
+    return this.asking;
+  }
+
+  async askForSession() {
     try {
       await call('/session');
       return false;
@@ -76,8 +82,7 @@ export class Live {
     try {
       await request();
     } catch (error) {
-      if (error.status === 401) await this.isLoggedOut();
-      else if (!(error.status >= 0)) throw error;
+      if (!(error.status >= 0)) throw error;
     }
   }
 

@@ -47,7 +47,7 @@ export function showLogin(main, reason = '') {
         resolve();
       } catch (error) {
         const wrong = error.status === 401 || error.status === 403 || error.status === 422;
-        problem.textContent = wrong ? 'This key is not known or no longer valid.'
+        problem.textContent = wrong ? 'This key is not known or no longer valid. Ask your administrator.'
           : `Cannot log in: ${error.message}.`;
         key.select();
       } finally {

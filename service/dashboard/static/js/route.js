@@ -4,7 +4,16 @@
 export function readHash() {
   const [path] = location.hash.slice(1).split('?');
   const [view, asset = ''] = path.split('/');
-  return { view, asset: decodeURIComponent(asset) };
+  return { view, asset: decoded(asset) };
+}
+
+/** A link that somebody has typed may hold a % that is none of an escape. */
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
 }
 
 export const assetHash = (view, asset) =>

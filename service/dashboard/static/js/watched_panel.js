@@ -1,4 +1,4 @@
-// The conditions that are watched and not there: each can be put aside before it comes.
+// Conditions that are watched and normal: each can be shelved before it is raised.
 import { call } from './api.js';
 import { refuse } from './alarm_list.js';
 import { bold, h, put, setText } from './dom.js';
@@ -11,20 +11,20 @@ export class WatchedPanel {
     this.several = page.assets.length > 1;
     this.list = h('ul', { class: 'alist' });
     this.note = h('p', { class: 'mut s pad', role: 'status' });
-    this.title = h('summary', {}, 'Watched, not there now');
+    this.title = h('summary', {}, 'Normal (inactive) alarms');
     this.element = h('details', { class: 'watched', ontoggle: () => this.refresh() }, this.title,
       h('p', { class: 's mut pad' },
         'Shelve one before work that would raise it, or take it out of service.'),
       this.note, this.list);
   }
 
-  /** Ask anew, if anybody looks. */
+  /** Ask again while the panel is open. */
   async refresh() {
     if (!this.element.open) return;
     if (!this.list.children.length) setText(this.note, 'Loading …');
     try {
       const { items } = await call('/alarms', { query: { state: 'NORM' } });
-      setText(this.note, items.length ? '' : 'Nothing is watched.');
+      setText(this.note, items.length ? '' : 'No alarm is normal now.');
       this.show(items);
     } catch (error) {
       setText(this.note, `Cannot be read: ${error.message}.`);
@@ -41,18 +41,19 @@ export class WatchedPanel {
     if (at) this.list.querySelector(`[data-of="${CSS.escape(at)}"]`)?.focus();
   }
 
-  /** What is there meanwhile stands among the alarms; `ids`: a Set or a Map by id. */
+  /** What has been raised meanwhile stands in the list of alarms; `ids`: a Set or a Map by id. */
   leaveOut(ids) {
     [...this.list.children].filter((row) => ids.has(row.dataset.alarm)).forEach((row) => row.remove());
   }
 
   row(alarm) {
     const { desk } = this.page;
+    const name = this.several ? `${this.page.nameOf(alarm.asset)}: ` : '';
     const value = isNumber(alarm.value) && !alarm.predicted
-      ? `${alarm.kind}, ${fixed(alarm.value)} ${alarm.unit ?? '°C'} when told last` : alarm.kind;
+      ? `${alarm.kind}, ${fixed(alarm.value)} ${alarm.unit ?? '°C'} at last change` : alarm.kind;
     return h('li', { class: 'al NORM', 'data-alarm': alarm.id, 'data-state': 'NORM' },
       h('span', {}, icon('none', 'filled', '1.5em')),
-      h('div', { class: 'm' }, bold(joined(`${this.several ? `${alarm.asset}: ` : ''}${alarm.message}`)),
+      h('div', { class: 'm' }, bold(joined(`${name}${alarm.message}`)),
         h('span', {}, joined(`priority ${alarm.priority}, ${value}`))),
       h('div', { class: 'ac' }, desk.actionsOf(alarm).map((name) => {
         const button = h('button', {

@@ -1,27 +1,37 @@
-// All alarms, their journal, and how many there are: what has to be answered, and what was.
+// All alarms, their journal and how many there are.
 import { AlarmList, refuse } from '../alarm_list.js';
-import { needsAcknowledge, summary } from '../alarms.js';
+import { isLimit, needsAcknowledge, summary } from '../alarms.js';
 import { call } from '../api.js';
 import { h, put, setText } from '../dom.js';
 import { channelName, fixed } from '../format.js';
 import { JournalPanel } from '../journal_panel.js';
+import { isDistrust } from '../readings.js';
 import { liveDetail } from '../situation.js';
 import { WatchedPanel } from '../watched_panel.js';
 
 const COUNT_EVERY_MS = 10000;
 const FLOOD = 10;
+const STALE_TARGET = 5;
+// Which alarms the list shows: [name, whether an alarm belongs to it; asset: the one looked at].
+const FILTERS = [
+  ['all', () => true], ['limits', isLimit], ['data', isDistrust],
+  ['this asset', (alarm, asset) => alarm.asset === asset],
+];
 
 export class AlarmsView {
   constructor(box, page) {
     this.page = page;
     this.several = page.assets.length > 1;
     this.chosen = new Set();
+    [[, this.filter]] = FILTERS;
+    this.filters = this.createFilters();
     this.count = h('span', { class: 's mut' });
     this.all = h('input', { type: 'checkbox', onchange: () => this.chooseAll() });
     this.bulk = h('button', { class: 'btn sm', type: 'button', onclick: () => this.acknowledge() });
     const list = h('div', { class: 'alarmbox' });
     this.list = new AlarmList(list, page.desk, {
-      chosen: this.chosen, onChoice: () => this.update(), withAsset: this.several,
+      chosen: this.chosen, onChoice: () => this.update(),
+      nameOf: (alarm) => (this.several ? page.nameOf(alarm.asset) : ''),
     });
     this.watched = new WatchedPanel(page);
     this.statistics = h('dl', { class: 'stats' });
@@ -30,10 +40,12 @@ export class AlarmsView {
     put(box, h('h1', { class: 'vh' }, 'Alarms'),
       h('section', { class: 'panel p-alist' },
         h('header', {}, h('h2', {}, 'Alarms'), this.count, h('span', { class: 'sp' }),
-          h('label', { class: 'chk' }, this.all, 'all to acknowledge'), this.bulk), list,
+          h('label', { class: 'chk' }, this.all, 'Select all unacknowledged'), this.bulk),
+        h('div', { class: 'seg afilter', role: 'group', 'aria-label': 'Which alarms' },
+          this.filters.map(({ button }) => button)), list,
         this.watched.element),
       h('section', { class: 'panel p-stat' },
-        h('header', {}, h('h2', {}, 'How many')), this.statistics,
+        h('header', {}, h('h2', {}, 'Alarm performance')), this.statistics,
         h('h3', {}, 'Most frequent, last 24 h'), this.frequent),
       this.journal.element);
     const feeds = [...page.connection.feeds.values()];
@@ -51,9 +63,27 @@ export class AlarmsView {
     this.journal.destroy();
   }
 
-  /** Alarms of all assets that wait for an acknowledgement. */
+  createFilters() {
+    const offered = this.several ? FILTERS : FILTERS.filter(([name]) => name !== 'this asset');
+    return offered.map(([name, belongs]) => {
+      const count = h('span', { class: 'n' });
+      const button = h('button', {
+        type: 'button', onclick: () => { this.filter = belongs; this.update(); },
+      }, name === 'this asset' ? this.page.nameOf(this.page.live.assetId) : name, ' ', count);
+      return { button, count, belongs };
+    });
+  }
+
+  /** Alarms of all assets that the filter lets through. */
+  shown(belongs = this.filter) {
+    const { assetId } = this.page.live;
+    return this.page.connection.alarms().map(({ alarm }) => alarm)
+      .filter((alarm) => belongs(alarm, assetId));
+  }
+
+  /** Those shown that wait for an acknowledgement. */
   waiting() {
-    return this.page.connection.alarms().map(({ alarm }) => alarm).filter(needsAcknowledge);
+    return this.shown().filter(needsAcknowledge);
   }
 
   update() {
@@ -63,13 +93,18 @@ export class AlarmsView {
       [feed.assetId, liveDetail(feed.store.state, clock)]));
     const waiting = this.waiting();
     for (const id of this.chosen) if (!waiting.some((alarm) => alarm.id === id)) this.chosen.delete(id);
-    this.list.update(alarms, (alarm) => live.get(alarm.asset));
+    this.list.update(new Map(this.shown().map((alarm) => [alarm.id, alarm])),
+      (alarm) => live.get(alarm.asset));
+    for (const { button, count, belongs } of this.filters) {
+      button.setAttribute('aria-pressed', String(belongs === this.filter));
+      setText(count, String(this.shown(belongs).length));
+    }
     this.watched.leaveOut(alarms);
     setText(this.count, summary(alarms));
-    setText(this.bulk, this.chosen.size ? `Acknowledge ${this.chosen.size} chosen`
-      : 'Acknowledge chosen');
+    setText(this.bulk, this.chosen.size ? `Acknowledge ${this.chosen.size} selected`
+      : 'Acknowledge selected');
     const reason = desk.refusal('acknowledge');
-    refuse(this.bulk, reason || (this.chosen.size ? '' : 'Choose alarms first.'));
+    refuse(this.bulk, reason || (this.chosen.size ? '' : 'Select alarms first.'));
     refuse(this.all, reason || (waiting.length ? '' : 'Nothing to acknowledge.'));
     this.all.checked = waiting.length > 0 && this.chosen.size === waiting.length;
     this.all.indeterminate = this.chosen.size > 0 && this.chosen.size < waiting.length;
@@ -97,19 +132,19 @@ export class AlarmsView {
 
   async countAlarms() {
     await this.page.connection.guarded(async () => {
-      const told = await call('/alarms/statistics');
+      const figures = await call('/alarms/statistics');
       const lines = [
-        ['In the last 10 minutes', String(told.last_10_min),
-          told.flood ? h('b', { class: 'chip badc' }, 'alarm flood') : `flood above ${FLOOD}`],
-        ['Per 10 minutes, mean of 24 h', fixed(told.per_10_min_average_24h, 2), 'at most 1 is wanted'],
-        ['Standing for more than 24 h', String(told.stale_over_24h), 'below 5 is wanted'],
+        ['In the last 10 minutes', String(figures.last_10_min),
+          figures.flood ? h('b', { class: 'chip badc' }, 'alarm flood') : `flood above ${FLOOD}`],
+        ['Per 10 minutes, mean of 24 h', fixed(figures.per_10_min_average_24h, 2), 'target ≤ 1'],
+        ['Standing alarms > 24 h', String(figures.stale_over_24h), `target < ${STALE_TARGET}`],
       ];
       put(this.statistics, lines.map(([name, figure, note]) => h('div', {},
         h('dt', {}, name), h('dd', {}, figure), h('dd', { class: 's mut' }, note))));
-      put(this.frequent, told.most_frequent.map(({ kind, channel, count }) => h('li', {},
+      put(this.frequent, figures.most_frequent.map(({ kind, channel, count }) => h('li', {},
         h('b', {}, String(count)), ` ${kind}`,
         channel && h('span', { class: 'mut' }, `, ${channelName(channel).toLowerCase()}`))));
-      if (!told.most_frequent.length) put(this.frequent, h('li', { class: 'mut' }, 'none'));
+      if (!figures.most_frequent.length) put(this.frequent, h('li', { class: 'mut' }, 'none'));
     });
   }
 }

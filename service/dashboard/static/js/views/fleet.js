@@ -1,4 +1,4 @@
-// All assets, the worst first: the same three answers, smaller.
+// All assets, the worst first: the same answers, smaller.
 import { call } from '../api.js';
 import { AssetCard } from '../card.js';
 import { h, put, setText } from '../dom.js';
@@ -11,28 +11,59 @@ const GROUPS = [
 ];
 const COUNT_EVERY_MS = 10000;
 const FLOOD = 10;
+const MOST_CARDS = 6; // with more assets, tiles
+const MOST_COLUMNS = 6; // of tiles that grow to fill a wall
 
 export class FleetView {
   constructor(box, page) {
     this.page = page;
-    this.cards = [...page.connection.feeds.values()].map((feed) => new AssetCard(feed, page.clock));
-    this.counts = GROUPS.map(([, text, symbol]) => {
-      const figure = h('b', {});
-      const element = h('span', {}, icon(symbol[0], symbol[1], '1.3em'), ' ', figure, text);
-      return { figure, element };
-    });
+    const feeds = [...page.connection.feeds.values()];
+    const dense = feeds.length > MOST_CARDS;
+    this.cards = feeds.map((feed) => new AssetCard(feed, page.clock, dense));
+    this.chosen = null; // the group of verdicts that alone is shown, null for all
+    this.counts = GROUPS.map(([group, text, symbol]) => this.createChip(group, text, symbol));
+    this.hall = this.createHall(feeds);
     this.recent = h('b', {}, '–');
     this.flood = h('span', { class: 'chip badc', hidden: true }, 'alarm flood');
-    this.grid = h('div', { class: 'cards' }, this.cards.map((card) => card.element));
+    this.nothing = h('p', { class: 'mut pad', role: 'status', hidden: true },
+      'No asset is in this state.');
+    this.grid = h('div', { class: dense ? 'cards dense' : 'cards' },
+      this.cards.map((card) => card.element));
+    const columns = Math.ceil(Math.sqrt(feeds.length));
+    if (dense) this.grid.style.setProperty('--columns', columns <= MOST_COLUMNS ? columns : 99);
     put(box, h('h1', { class: 'vh' }, 'Fleet'),
-      h('div', { class: 'fsum' }, this.counts.map((one) => one.element), h('span', { class: 'sp' }),
+      h('div', { class: 'fsum' },
+        h('div', { class: 'fchips', role: 'group', 'aria-label': 'Show only' },
+          this.counts.map((one) => one.element)), this.hall, h('span', { class: 'sp' }),
         h('span', { class: 's mut' }, 'Alarms in the last 10 min: ', this.recent,
-          ` (flood above ${FLOOD}) `, this.flood)), this.grid);
+          ` (flood above ${FLOOD}) `, this.flood)), this.nothing, this.grid);
     this.update();
     this.open();
     this.countAlarms();
     this.timers = [setInterval(() => this.update(), 1000),
       setInterval(() => this.countAlarms(), COUNT_EVERY_MS)];
+  }
+
+  /** How many assets are in a state; pressed, only these are shown. */
+  createChip(group, text, symbol) {
+    const figure = h('b', {});
+    const element = h('button', {
+      type: 'button', 'aria-pressed': 'false', 'data-group': group,
+      onclick: () => {
+        this.chosen = this.chosen === group ? null : group;
+        this.update();
+      },
+    }, icon(symbol[0], symbol[1], '1.3em'), ' ', figure, text);
+    return { figure, element };
+  }
+
+  /** The choice among the groups of the configuration; null where there are none. */
+  createHall(feeds) {
+    const groups = [...new Set(feeds.map(({ store }) => store.get('asset')?.group).filter(Boolean))];
+    if (!groups.length) return null;
+    return h('select', { 'aria-label': 'Group', onchange: () => this.update() },
+      h('option', { value: '' }, 'all groups'),
+      groups.sort().map((group) => h('option', { value: group }, group)));
   }
 
   destroy() {
@@ -60,17 +91,27 @@ export class FleetView {
   update() {
     const verdicts = new Map(this.cards.map((card) => [card, card.update()]));
     const rank = (card) => verdicts.get(card).rank;
-    const order = [...this.cards].sort((a, b) => rank(a) - rank(b)
-      || a.feed.assetId.localeCompare(b.feed.assetId));
-    if (order.some((card, i) => this.grid.children[i] !== card.element)) {
+    const hall = this.hall?.value;
+    const ofHall = this.cards.filter(({ feed }) => !hall || feed.store.get('asset')?.group === hall);
+    const order = ofHall.filter((card) => !this.chosen || this.isIn(verdicts.get(card), this.chosen))
+      .sort((a, b) => rank(a) - rank(b) || a.feed.assetId.localeCompare(b.feed.assetId));
+    const { children } = this.grid;
+    if (order.length !== children.length || order.some((card, i) => children[i] !== card.element)) {
       const focused = document.activeElement;
       this.grid.replaceChildren(...order.map((card) => card.element));
       if (this.grid.contains(focused)) focused.focus();
     }
+    this.nothing.hidden = order.length > 0;
     GROUPS.forEach(([group], i) => {
-      const count = [...verdicts.values()].filter((verdict) => verdict.group === group).length;
+      const count = ofHall.filter((card) => this.isIn(verdicts.get(card), group)).length;
       setText(this.counts[i].figure, String(count));
       this.counts[i].element.classList.toggle('mut', count === 0);
+      this.counts[i].element.setAttribute('aria-pressed', String(group === this.chosen));
     });
+  }
+
+  /** An asset over a limit whose data are lost belongs to both groups. */
+  isIn(verdict, group) {
+    return verdict.group === group || (group === 'lost' && verdict.lost === true);
   }
 }
