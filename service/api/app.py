@@ -42,6 +42,7 @@ from service.api.routes import (
 )
 from service.api.snapshots import Snapshots, SnapshotShortcut
 from service.api.trail import Trail
+from service.api.turns import Turns
 from service.security import AuditTrail, Authenticator
 
 API_PREFIX = "/api/v1"
@@ -74,6 +75,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         finally:
             beating.cancel()
             context.bus.close()
+            turns.close()
             await asyncio.gather(beating, return_exceptions=True)
 
     security = context.settings.security
@@ -82,6 +84,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     )
     trail = AuditTrail(context.outbox)
     snapshots = Snapshots()
+    turns = Turns()
     app = FastAPI(
         title="Bearing Twin",
         version=version("bearing-twin"),
@@ -114,6 +117,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.authenticator = authenticator
     app.state.trail = trail
     app.state.snapshots = snapshots
+    app.state.turns = turns
     install_handlers(app)
     for module in (
         assets,

@@ -22,6 +22,7 @@ from service.api.context import (
     NotReadyError,
     RequestRefusedError,
 )
+from service.shares import BusyError
 from service.store import StoreUnavailableError
 
 MEDIA_TYPE = "application/problem+json"
@@ -186,7 +187,12 @@ def install_handlers(app: FastAPI) -> None:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
         return _answer(request, Problem(503, "the store does not answer now", headers=headers))
 
+    async def on_busy(request: Request, error: BusyError) -> Response:
+        headers = {"Retry-After": str(RETRY_AFTER_S)}
+        return _answer(request, Problem(503, str(error), headers=headers))
+
     handlers: dict[type[Exception], Any] = {
+        BusyError: on_busy,
         HTTPException: on_http_exception,
         RequestValidationError: on_validation_error,
         JobConflictError: on_conflict,

@@ -1,7 +1,7 @@
 """From the drivers to the live twins and the store."""
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 
@@ -19,6 +19,8 @@ from service.store import Store, WriteCounts
 #: Wall seconds before a driver that failed is started again: first, and at most.
 RESTART_FIRST_S = 1.0
 RESTART_LAST_S = 30.0
+#: Pushed samples that are looked at in one go.
+PORTION = 250
 #: Wall seconds that a store which does not answer is given when the service stops.
 DRAIN_S = 5.0
 
@@ -69,6 +71,7 @@ class Ingest:
         self._writer = SampleWriter(store, spool, self._ledger)
         watch_queues(lambda: self._writer.queued, spool, clock, registry)
         self._unmarked_gaps: dict[tuple[str, str], int] = {}
+        self._accepting = asyncio.Lock()
 
     @property
     def problem(self) -> str | None:
@@ -132,13 +135,40 @@ class Ingest:
         StoreUnavailableError
             If the store cannot take them now; send them again later.
         """
+        return await (await self.take_in(samples))
+
+    async def take_in(self, samples: Sequence[Sample]) -> Awaitable[WriteCounts]:
+        """Take pushed samples: the live twins have them, and they are on their way to the store.
+
+        Parameters
+        ----------
+        samples : sequence of Sample
+            In any order.
+
+        Returns
+        -------
+        awaitable of WriteCounts
+            Done when they are on the disk; fails as `accept` does.
+        """
         if not samples:
-            return WriteCounts(0, 0)
+            return _nothing()
         # The checks compare each sample with the one before; a gateway may send them in any order.
-        samples = self._checks.judge(sorted(samples, key=attrgetter("time_us")))
-        stored = asyncio.wrap_future(self._writer.put_and_tell(samples))
-        self._hand_over(Batch(list(samples)))
-        return await stored
+        samples = sorted(samples, key=attrgetter("time_us"))
+        judged: list[Sample] = []
+        async with self._accepting:
+            # In portions: a poll that is due meanwhile comes between two of them.
+            for begin in range(0, len(samples), PORTION):
+                judged += self._checks.judge(samples[begin : begin + PORTION])
+                await asyncio.sleep(0)
+            stored = asyncio.wrap_future(self._writer.put_and_tell(judged))
+            # What is stored reaches the twins, also when the caller has gone meanwhile.
+            await asyncio.shield(asyncio.ensure_future(self._hand_over_portions(judged)))
+        return stored
+
+    async def _hand_over_portions(self, samples: Sequence[Sample]) -> None:
+        for begin in range(0, len(samples), PORTION):
+            self._hand_over(Batch(list(samples[begin : begin + PORTION])))
+            await asyncio.sleep(0)
 
     def refuse_too_old(self, samples: Sequence[Sample]) -> None:
         """Count and report samples from before the time from which the store keeps them."""
@@ -216,3 +246,7 @@ class Ingest:
                     )
                 )
         self.submit(marks)
+
+
+async def _nothing() -> WriteCounts:
+    return WriteCounts(0, 0)

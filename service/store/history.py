@@ -1,21 +1,19 @@
 """Statistics of the samples per bucket of time: rollups for people, minutes for the twin."""
 
-import heapq
 from collections.abc import Sequence
-from operator import attrgetter
 
 import numpy as np
 from sqlalchemy import Connection, func, select
 
 from service.store import buckets
 from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US, Bucket
+from service.store.merging import merged
 from service.store.records import MinuteTable, Rollup
 from service.store.samples import channel_ids, first_time_us, raw_horizon_us
 from service.store.section import Section
 from service.store.tables import RollupRow, SampleRow, StaleRollupRow
 
 _SECOND_US = 1_000_000
-_in_time_order = attrgetter("time_us", "channel")
 
 
 class History(Section):
@@ -57,15 +55,17 @@ class History(Section):
         end_us = -(-end_us // bucket_us) * bucket_us
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
-            per_channel = []
-            for name, channel_id in ids.items():
-                begin_us = first_us
-                if after is not None:
-                    begin_us = max(first_us, after[0] + bucket_us * (name <= after[1]))
-                rows = _read(connection, channel_id, begin_us, end_us, bucket_us, limit)
-                per_channel.append([Rollup(name, *row) for row in rows])
-        merged = heapq.merge(*per_channel, key=_in_time_order)
-        return [rollup for rollup, _ in zip(merged, range(limit), strict=False)]
+
+            def read(name: str, from_us: int, count: int) -> list[Rollup]:
+                rows = _read(connection, ids[name], from_us, end_us, bucket_us, count)
+                return [Rollup(name, *row) for row in rows]
+
+            def begin_us(name: str) -> int:
+                if after is None:
+                    return first_us
+                return max(first_us, after[0] + bucket_us * (name <= after[1]))
+
+            return merged(ids, read, lambda row: row.time_us + bucket_us, begin_us, limit)
 
     def minute_averages(
         self,

@@ -1,10 +1,8 @@
 """Raw samples: written in batches, each time of a channel once, read in order."""
 
-import heapq
 import math
 from collections.abc import Collection, Iterable, Sequence
 from itertools import compress
-from operator import itemgetter
 from typing import NoReturn
 
 from sqlalchemy import Connection, func, insert, select, text
@@ -13,13 +11,13 @@ from adapters.samples import Quality, Sample, is_bad, is_good
 from service.store.buckets import HOUR_US
 from service.store.database import PATIENCE_S, Database, SampleColumns
 from service.store.errors import StoreUnavailableError
+from service.store.merging import merged
 from service.store.records import StoredSample, WriteCounts
 from service.store.section import Section
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
 _LONG = 2**63
 _BYTES = frozenset(range(256))
-_in_time_order = itemgetter(1, 0)
 
 
 class Samples(Section):
@@ -116,27 +114,26 @@ class Samples(Section):
         """
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
-            # One ordered walk along the primary key per channel, then a merge: the work is
-            # bounded by the limit however long the span is.
-            per_channel = []
-            for name, channel_id in ids.items():
-                first_us = start_us
-                if after is not None:
-                    first_us = max(start_us, after[0] + (name <= after[1]))
+
+            def read(name: str, from_us: int, count: int) -> list[StoredSample]:
                 query = (
                     select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
                     .where(
-                        SampleRow.channel_id == channel_id,
-                        SampleRow.time_us >= first_us,
+                        SampleRow.channel_id == ids[name],
+                        SampleRow.time_us >= from_us,
                         SampleRow.time_us < end_us,
                     )
                     .order_by(SampleRow.time_us)
-                    .limit(limit)
+                    .limit(count)
                 )
-                rows = connection.execute(query)
-                per_channel.append([StoredSample(name, *row) for row in rows])
-        merged = heapq.merge(*per_channel, key=_in_time_order)
-        return [sample for sample, _ in zip(merged, range(limit), strict=False)]
+                return [StoredSample(name, *row) for row in connection.execute(query)]
+
+            def first_us(name: str) -> int:
+                return start_us if after is None else max(start_us, after[0] + (name <= after[1]))
+
+            # Ordered walks along the primary key: the work is bounded by the limit however long
+            # the span is.
+            return merged(ids, read, lambda row: row.time_us + 1, first_us, limit)
 
     def span_of_samples(
         self,

@@ -4,13 +4,13 @@ import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 from adapters.tables import load_pyarrow
 from service.channels import unit_of
 from service.clock import rfc3339
 from service.files import replacing
-from service.store import Store
+from service.store import Rollup, Store, StoredSample
 from service.transfer.errors import TransferError
 from service.transfer.mapping import REQUIRED as ORDER
 from service.transfer.pages import RAW, Place, as_csv, csv_header, read_pages
@@ -49,30 +49,63 @@ def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
     TableFileError
         If pyarrow is not installed.
     """
-    pa, parquet = load_pyarrow()
-    channels = place.channels if place.channels is not None else store.channels(asset)
-    units = {f"unit:{name}": unit_of(name) or "1" for name in channels}
-    values = ["value"] if place.resolution == RAW else ["mean", "min", "max"]
-    fields = [
-        pa.field("time", pa.timestamp("us", tz="UTC"), nullable=False),
-        pa.field("channel", pa.string(), nullable=False),
-        *(pa.field(name, pa.float64()) for name in values),
-        *([] if place.resolution == RAW else [pa.field("count", pa.int64(), nullable=False)]),
-        pa.field("quality", pa.uint8(), nullable=False),
-    ]
-    facts = {"asset": asset, "resolution": place.resolution, **units}
-    schema = pa.schema(fields, metadata=facts)
-    count = 0
-    with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
-        for page in read_pages(store, asset, place, PAGE_ROWS):
-            names = ("time_us", *schema.names[1:])
-            columns = [[getattr(row, name) for row in page] for name in names]
-            arrays = [
-                pa.array(column, one.type) for column, one in zip(columns, schema, strict=True)
-            ]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-            count += len(page)
-    return count
+    writer = ParquetPages(file, asset, place, place.channels or store.channels(asset))
+    with writer:
+        return sum(map(writer.write, read_pages(store, asset, place, PAGE_ROWS)))
+
+
+class ParquetPages:
+    """A Parquet file that is written page by page, with units in the metadata of the schema.
+
+    Parameters
+    ----------
+    file
+        A binary file to write to; it need not be seekable.
+    asset, place
+        What is written.
+    channels : sequence of str
+        Names of the channels in it.
+
+    Raises
+    ------
+    TableFileError
+        If pyarrow is not installed.
+    """
+
+    def __init__(self, file: Any, asset: str, place: Place, channels: Sequence[str]) -> None:
+        self._pa, parquet = load_pyarrow()
+        pa = self._pa
+        units = {f"unit:{name}": unit_of(name) or "1" for name in channels}
+        values = ["value"] if place.resolution == RAW else ["mean", "min", "max"]
+        fields = [
+            pa.field("time", pa.timestamp("us", tz="UTC"), nullable=False),
+            pa.field("channel", pa.string(), nullable=False),
+            *(pa.field(name, pa.float64()) for name in values),
+            *([] if place.resolution == RAW else [pa.field("count", pa.int64(), nullable=False)]),
+            pa.field("quality", pa.uint8(), nullable=False),
+        ]
+        facts = {"asset": asset, "resolution": place.resolution, **units}
+        self._schema = pa.schema(fields, metadata=facts)
+        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, rows: Sequence[StoredSample | Rollup]) -> int:
+        """Write a page; returns how many rows."""
+        pa, schema = self._pa, self._schema
+        names = ("time_us", *schema.names[1:])
+        columns = [[getattr(row, name) for row in rows] for name in names]
+        arrays = [pa.array(column, one.type) for column, one in zip(columns, schema, strict=True)]
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+        return len(rows)
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        self._writer.close()
 
 
 def export_file(path: Path, store: Store, asset: str, place: Place) -> int:

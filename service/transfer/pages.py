@@ -139,12 +139,5 @@ def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
     )
 
 
-def csv_lines(store: Store, asset: str, place: Place, page_rows: int) -> Iterator[str]:
-    """Give the whole answer of a query as CSV, page by page."""
-    yield csv_header(place.resolution)
-    for rows in read_pages(store, asset, place, page_rows):
-        yield as_csv(rows)
-
-
 def _cell(value: float | None) -> str:
     return "" if value is None else repr(value)

@@ -42,6 +42,10 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[Course, Course]:
         ("gzip_tail_with_key", "gateway"),
         ("drip", "gateway"),
         ("idle_connections", "viewer"),
+        ("pushes", "gateway"),
+        ("rejected_pushes", "gateway"),
+        ("large_reads", "viewer"),
+        ("downloads", "viewer"),
     ],
 )
 def test_no_caller_makes_a_poll_late(stand: Stand, name: str, role: Role) -> None:

@@ -2,13 +2,15 @@
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
+from functools import partial
 from typing import Annotated, Literal
 
+from anyio import to_thread
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 
 from service.alarms import statistics_document, transition_document
 from service.api.access import secured
@@ -17,6 +19,7 @@ from service.api.cursors import decode_cursor, encode_cursor, next_link
 from service.api.deps import Context, json_response
 from service.api.problems import parameter_problem
 from service.api.times import Instant
+from service.api.turns import HeldResponse, Turns, caller_of, turns_of
 from service.security.roles import VIEWER
 from service.store import AlarmTransition, JournalFilter, Store
 
@@ -60,7 +63,7 @@ class JournalPlace(BaseModel):
         },
     ),
 )
-def get_journal(
+async def get_journal(
     context: Context,
     request: Request,
     asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
@@ -89,12 +92,15 @@ def get_journal(
     wanted = JournalFilter(
         asset, alarm, start, end, None if line_class is None else line_class == "event"
     )
-    context.outbox.flush(_FLUSH_S)  # what an operator has just done is in the answer
+    # What an operator has just done is in the answer.
+    await to_thread.run_sync(context.outbox.flush, _FLUSH_S)
+    turns, caller = turns_of(request), caller_of(request)
     if format == "csv" and limit is None:
-        return StreamingResponse(
-            _pages(context.store, wanted, before), media_type=CSV, headers=_FILE
-        )
-    page = context.store.alarm_journal(wanted, limit or LIMIT, before)
+        await turns.long_reads.enter(caller)
+        pages = _pages(turns, caller, context.store, wanted, before)
+        leave = partial(turns.long_reads.leave, caller)
+        return HeldResponse(pages, leave, media_type=CSV, headers=_FILE)
+    page = await turns.read(caller, context.store.alarm_journal, wanted, limit or LIMIT, before)
     following = None
     if page.next_cursor is not None:
         following = encode_cursor(JournalPlace(before=page.next_cursor))
@@ -129,14 +135,19 @@ def get_statistics(
 _FILE = {"Content-Disposition": 'attachment; filename="alarm-journal.csv"'}
 
 
-def _pages(store: Store, wanted: JournalFilter, before: int | None) -> Iterator[str]:
+async def _pages(
+    turns: Turns, caller: str, store: Store, wanted: JournalFilter, before: int | None
+) -> AsyncIterator[str]:
+    def read(before: int | None) -> tuple[str, int | None]:
+        page = store.alarm_journal(wanted, LIMIT_MAX, before)
+        return _csv_lines(page.items), page.next_cursor
+
     yield _csv([_COLUMNS])
     while True:
-        page = store.alarm_journal(wanted, LIMIT_MAX, before)
-        yield _csv_lines(page.items)
-        if page.next_cursor is None:
+        text, before = await turns.read(caller, read, before)
+        yield text
+        if before is None:
             return
-        before = page.next_cursor
 
 
 def _csv_lines(lines: list[AlarmTransition]) -> str:

@@ -1,9 +1,10 @@
 """Measurements: the history of channels, and the way in for gateways."""
 
 import asyncio
-import tempfile
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Literal
+import io
+from collections.abc import AsyncIterator, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from pydantic_core import to_json
@@ -17,11 +18,12 @@ from service.api.context import AssetTwin, ServiceContext
 from service.api.cursors import decode_cursor, encode_cursor, next_link
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
-from service.api.pushes import PushRequest, judge
+from service.api.pushes import PushRequest, PushRoute, Verdict, give_turn_back, in_thread, judge
 from service.api.times import Instant
+from service.api.turns import HeldResponse, Turns, caller_of, turns_of, while_there
 from service.security.roles import PUSH, VIEWER
-from service.store import Rollup, StoredSample, StoreUnavailableError
-from service.transfer.exporting import write_parquet
+from service.store import Store, StoreUnavailableError
+from service.transfer.exporting import ParquetPages
 from service.transfer.pages import (
     Place,
     Resolution,
@@ -29,7 +31,6 @@ from service.transfer.pages import (
     as_items,
     choose_resolution,
     csv_header,
-    csv_lines,
     is_resolution,
     read_page,
 )
@@ -41,15 +42,19 @@ PUSH_PATIENCE_S = 10.0
 DEFAULT_SPAN_US = 3600 * 1_000_000
 CSV = "text/csv; charset=utf-8"
 PARQUET = "application/vnd.apache.parquet"
+_MEDIA_TYPES = {"json": "application/json", "csv": CSV, "parquet": PARQUET}
 _CSV_PAGE_ROWS = 5000
-_JSON_PIECE_ROWS = 1000
-_CHUNK_BYTES = 1 << 18
+_PARQUET_PAGE_ROWS = 10_000
+_PIECE_ROWS = 1000
 
-router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements"])
+_PREFIX = "/assets/{asset_id}/measurements"
+
+router = APIRouter(tags=["measurements"])
+_pushing = APIRouter(route_class=PushRoute)
 
 
 @router.get(
-    "",
+    _PREFIX,
     response_model=Measurements,
     summary="History with quality",
     **secured(
@@ -69,7 +74,7 @@ router = APIRouter(prefix="/assets/{asset_id}/measurements", tags=["measurements
         },
     ),
 )
-def get_measurements(
+async def get_measurements(
     context: Context,
     asset: Asset,
     request: Request,
@@ -113,68 +118,90 @@ def get_measurements(
     ] = None,
 ) -> Response:
     """Ascending by time, then by channel; `start` is included, `end` is not."""
+    turns, caller = turns_of(request), caller_of(request)
     if cursor is not None:
         place = decode_cursor(cursor, Place)
         if not is_resolution(place.resolution):
             raise parameter_problem("cursor", "expected the `next` of the page before")
     else:
-        place = _new_query(context, asset, channel, start, end, resolution)
-    if format == "csv" and limit is None:
-        lines = csv_lines(context.store, asset.id, place, _CSV_PAGE_ROWS)
-        return StreamingResponse(lines, media_type=CSV, headers=_file_name(asset))
-    if format == "parquet":
-        return _parquet(context, asset, place)
-    page = read_page(context.store, asset.id, place, limit or LIMIT)
-    following = None if page.following is None else encode_cursor(page.following)
-    headers = next_link(request, following)
-    if format == "csv":
-        text = csv_header(place.resolution) + as_csv(page.rows)
-        return Response(text, media_type=CSV, headers=headers | _file_name(asset))
-    pieces = _json_pieces(place.resolution, page.rows, following)
-    return StreamingResponse(pieces, media_type="application/json", headers=headers)
+        place = await turns.read(
+            caller, _new_query, context, asset, channel, start, end, resolution
+        )
+    rows_max = None if format == "parquet" or (format == "csv" and limit is None) else limit
+    if rows_max is None and format == "json":
+        rows_max = LIMIT
+    if rows_max is not None and rows_max <= LIMIT:
+        reading = turns.read(caller, _page, context.store, asset.id, place, format, rows_max)
+        page, following = await while_there(request, reading)
+        return StreamingResponse(_pieces(page), **_options(request, asset, format, following))
+    await turns.long_reads.enter(caller)
+    leave = partial(turns.long_reads.leave, caller)
+    try:
+        following = None
+        pieces: AsyncIterator[bytes]
+        if rows_max is not None:
+            reading = turns.read(caller, _page, context.store, asset.id, place, format, rows_max)
+            page, following = await while_there(request, reading)
+            pieces = _pieces(page)
+        elif format == "csv":
+            pieces = _csv(turns, caller, context.store, asset.id, place)
+        else:
+            pieces = await _parquet(turns, caller, context.store, asset.id, place)
+        return HeldResponse(pieces, leave, **_options(request, asset, format, following))
+    except BaseException:
+        leave()
+        raise
 
 
-@router.post(
-    "",
+@_pushing.post(
+    _PREFIX,
     response_model=Pushed,
     summary="Push samples",
     **secured(PUSH, 404, 409, audit=None),
 )
-async def post_measurements(context: Context, asset: Asset, request: PushRequest) -> Response:
+async def post_measurements(
+    context: Context, asset: Asset, request: Request, body: PushRequest
+) -> Response:
     """Take in samples of pushed channels, each judged for itself; sending again does no harm.
 
     The answer means that what was taken is on the disk. The first good value of a time wins; a
-    good one replaces a bad or uncertain one.
+    good one replaces a bad or uncertain one. `rejected` names every sample that was not taken; of
+    many only the first 100 say why.
     """
-    wired = {
-        str(sample["channel"]): index
-        for index, sample in reversed(list(enumerate(request.samples)))
-        if isinstance(sample, dict) and _is_wired(asset, sample.get("channel"))
-    }
-    if wired:
+    channels = asset.channels
+    now_us, rate = context.clock.now_us(), context.clock.rate
+
+    async def judged() -> Verdict:
+        kept_from_us = context.store.kept_from_us
+        given = (body.samples, asset.id, channels, now_us, rate, kept_from_us)
+        verdict: Verdict = await in_thread(request, len(body.samples), judge, *given)
+        return verdict
+
+    verdict = await judged()
+    if verdict.wired:
         raise Problem(
             409,
-            f"channel {', '.join(sorted(wired))}: comes from a source of its own and "
+            f"channel {', '.join(sorted(verdict.wired))}: comes from a source of its own and "
             'takes no pushes, expected channels with source = "push"',
             errors=[
                 {
                     "pointer": f"/samples/{index}/channel",
-                    "detail": f"{name} comes from {asset.channels[name]!r}",
+                    "detail": f"{name} comes from {channels[name]!r}",
                 }
-                for name, index in sorted(wired.items())
+                for name, index in sorted(verdict.wired.items())
             ],
         )
-    now_us, rate = context.clock.now_us(), context.clock.rate
-    verdict = judge(request.samples, asset, now_us, rate, context.store.kept_from_us)
     context.ingest.refuse_too_old(verdict.too_old)
+    stored = await context.ingest.take_in(verdict.samples)
+    await give_turn_back(request)
     try:
         async with asyncio.timeout(PUSH_PATIENCE_S):
-            counts = await context.ingest.accept(verdict.samples)
+            counts = await stored
     except TimeoutError as error:
         raise StoreUnavailableError("pushed samples are not on the disk yet") from error
     if counts.stored + counts.duplicates < len(verdict.samples):
         # The time from which samples are kept moved on meanwhile.
-        verdict = judge(request.samples, asset, now_us, rate, context.store.kept_from_us)
+        verdict = await judged()
     return json_response(
         {
             "accepted": counts.stored,
@@ -184,19 +211,103 @@ async def post_measurements(context: Context, asset: Asset, request: PushRequest
     )
 
 
-def _json_pieces(
-    resolution: str, rows: Sequence[StoredSample | Rollup], following: str | None
-) -> Iterator[bytes]:
-    """Give the answer piece by piece: of a long one memory holds no second copy as text."""
-    yield b'{"resolution":' + to_json(resolution) + b',"items":['
-    for begin in range(0, len(rows), _JSON_PIECE_ROWS):
-        items = to_json(as_items(rows[begin : begin + _JSON_PIECE_ROWS]), inf_nan_mode="null")
-        yield (b"," if begin else b"") + items[1:-1]
-    yield b'],"next":' + to_json(following) + b"}"
+router.include_router(_pushing)
 
 
-def _is_wired(asset: AssetTwin, channel: object) -> bool:
-    return isinstance(channel, str) and asset.channels.get(channel, "push") != "push"
+def _page(
+    store: Store, asset: str, place: Place, format: str, rows_max: int
+) -> tuple[list[bytes], str | None]:
+    """One page of the answer, in pieces that are compressed one at a time, and the next cursor."""
+    page = read_page(store, asset, place, rows_max)
+    following = None if page.following is None else encode_cursor(page.following)
+    begins = range(0, len(page.rows), _PIECE_ROWS)
+    if format == "csv":
+        texts = (as_csv(page.rows[begin : begin + _PIECE_ROWS]).encode() for begin in begins)
+        return [csv_header(place.resolution).encode(), *texts], following
+    pieces = [b'{"resolution":' + to_json(place.resolution) + b',"items":[']
+    for begin in begins:
+        items = to_json(as_items(page.rows[begin : begin + _PIECE_ROWS]), inf_nan_mode="null")
+        pieces.append((b"," if begin else b"") + items[1:-1])
+    return [*pieces, b'],"next":' + to_json(following) + b"}"], following
+
+
+async def _pieces(pieces: Sequence[bytes]) -> AsyncIterator[bytes]:
+    for piece in pieces:
+        yield piece
+        await asyncio.sleep(0)  # others have their turn between two pieces
+
+
+async def _csv(
+    turns: Turns, caller: str, store: Store, asset: str, place: Place
+) -> AsyncIterator[bytes]:
+    """Give the whole answer of a query as CSV, page by page."""
+
+    def read(place: Place) -> tuple[bytes, Place | None]:
+        page = read_page(store, asset, place, _CSV_PAGE_ROWS)
+        return as_csv(page.rows).encode(), page.following
+
+    yield csv_header(place.resolution).encode()
+    following: Place | None = place
+    while following is not None:
+        text, following = await turns.read(caller, read, following)
+        yield text
+
+
+async def _parquet(
+    turns: Turns, caller: str, store: Store, asset: str, place: Place
+) -> AsyncIterator[bytes]:
+    """Give the whole answer of a query as Parquet, page by page; no file is needed for it."""
+    sink = _Sink()
+
+    def begin() -> ParquetPages:
+        return ParquetPages(sink, asset, place, place.channels or store.channels(asset))
+
+    def write(place: Place) -> Place | None:
+        page = read_page(store, asset, place, _PARQUET_PAGE_ROWS)
+        file.write(page.rows)
+        return page.following
+
+    async def pieces() -> AsyncIterator[bytes]:
+        following: Place | None = place
+        while following is not None:
+            following = await turns.read(caller, write, following)
+            yield sink.take()
+        await turns.read(caller, file.close)
+        yield sink.take()
+
+    try:
+        file = await turns.read(caller, begin)
+    except TableFileError as error:
+        raise parameter_problem("format", f"{error}; expected json or csv") from None
+    return pieces()
+
+
+class _Sink(io.RawIOBase):
+    """A file that hands on what was written to it."""
+
+    def __init__(self) -> None:
+        self._written = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self._written += data
+        return len(data)
+
+    def take(self) -> bytes:
+        taken, self._written = bytes(self._written), bytearray()
+        return taken
+
+
+def _options(
+    request: Request, asset: AssetTwin, format: str, following: str | None
+) -> dict[str, Any]:
+    """What the response is to be made with."""
+    headers = dict(next_link(request, following))
+    if format != "json":
+        headers["Content-Disposition"] = f'attachment; filename="{asset.id}-measurements.{format}"'
+    return {"media_type": _MEDIA_TYPES[format], "headers": headers}
 
 
 def _new_query(
@@ -224,28 +335,3 @@ def _new_query(
     if resolution == "auto":
         chosen = choose_resolution(store, asset.id, channels, start_us, end_us)
     return Place(resolution=chosen, start_us=start_us, end_us=end_us, channels=channels)
-
-
-def _parquet(context: ServiceContext, asset: AssetTwin, place: Place) -> Response:
-    # On the disk first: the file of a long span is larger than what memory should hold.
-    file = tempfile.TemporaryFile(suffix=".parquet")  # noqa: SIM115 - closed by `chunks`
-    try:
-        write_parquet(file, context.store, asset.id, place)
-    except TableFileError as error:
-        file.close()
-        raise parameter_problem("format", f"{error}; expected json or csv") from None
-    except BaseException:
-        file.close()
-        raise
-
-    def chunks() -> Iterator[bytes]:
-        with file:
-            file.seek(0)
-            while chunk := file.read(_CHUNK_BYTES):
-                yield chunk
-
-    return StreamingResponse(chunks(), media_type=PARQUET, headers=_file_name(asset, "parquet"))
-
-
-def _file_name(asset: AssetTwin, suffix: str = "csv") -> dict[str, str]:
-    return {"Content-Disposition": f'attachment; filename="{asset.id}-measurements.{suffix}"'}

@@ -1,5 +1,6 @@
 """GET measurements, on the real store."""
 
+import asyncio
 import csv
 import io
 from typing import Any
@@ -249,3 +250,23 @@ async def test_a_long_answer_comes_packed_and_in_pieces(world: Any) -> None:
     values = [item["value"] for item in plain.json()["items"]]
     assert values == [60.0 + n for n in range(2500)]
     assert plain.json()["next"] is None
+
+
+async def test_a_key_has_so_many_long_reads_at_once(world: Any) -> None:
+    world.write("bench-1", "t_inner_ring_c", world.clock.now_us() - 3_000_000_000, [60.0] * 20_000)
+    span = {"start": "2020-01-01T00:00:00Z", "end": "2040-01-01T00:00:00Z"}
+    for wanted in ({"format": "csv"}, {"format": "parquet"}, {"limit": 50_000}):
+        answers = await asyncio.gather(
+            *(world.client("viewer").get(PATH, params=span | wanted) for _ in range(6)),
+            world.client("admin").get(PATH, params=span | wanted),
+        )
+        assert [one.status_code for one in answers[:-1]].count(200) == 2, "two of one key"
+        refused = next(one for one in answers if one.status_code == 503)
+        assert "Retry-After" in refused.headers
+        assert "long reads" in refused.json()["detail"]
+        assert answers[-1].status_code == 200, "another key has a share of its own"
+        # Short reads wait for their turn instead.
+        answers = await asyncio.gather(
+            *(world.client("viewer").get(PATH, params=span | {"limit": 100}) for _ in range(12))
+        )
+        assert {one.status_code for one in answers} == {200}

@@ -1,5 +1,6 @@
 """POST measurements, through the real ingest into the real store."""
 
+import asyncio
 import gzip
 import json
 import zlib
@@ -126,6 +127,37 @@ async def test_nothing_to_store_is_fine(world: Any) -> None:
 async def test_many_samples_in_one_call(world: Any) -> None:
     samples = [sample(world, 3000 - number, value=number) for number in range(3000)]
     assert (await push(world, *samples)).accepted == 3000
+
+
+async def test_the_answer_to_many_wrong_samples_is_bounded(world: Any) -> None:
+    samples = [sample(world) | {"channel": "nowhere" * 1000}] + [
+        sample(world) | {"channel": f"nowhere_{number}"} for number in range(19_999)
+    ]
+    response = await world.client("gateway").post(PATH, json={"samples": samples})
+    assert response.status_code == 200, response.text[:1000]
+    assert len(response.content) < 2_000_000
+    rejected = response.json()["rejected"]
+    assert [one["index"] for one in rejected] == list(range(20_000))
+    assert "pushed channels are" in rejected[99]["detail"]
+    assert max(len(one["detail"]) for one in rejected) < 300
+
+
+async def test_a_key_has_so_many_pushes_at_once(world: Any) -> None:
+    samples = [sample(world, number / 1000) for number in range(2000)]
+    client = world.client("gateway")
+    answers = await asyncio.gather(
+        *(client.post(PATH, json={"samples": samples}) for _ in range(24)),
+        world.client("admin").post(PATH, json={"samples": samples}),
+    )
+    assert {one.status_code for one in answers} == {200, 503}
+    assert answers[-1].status_code == 200, "another key has a share of its own"
+    refused = [one for one in answers if one.status_code == 503]
+    assert "Retry-After" in refused[0].headers
+    assert "pushes" in refused[0].json()["detail"]
+    # One at a time goes on, and nothing was counted twice.
+    assert (await push(world, *samples)).duplicates == 2000
+    accepted = sum(one.json()["accepted"] for one in answers if one.status_code == 200)
+    assert accepted == len({one["time"] for one in samples})
 
 
 async def push_packed(world: Any, body: bytes, encoding: str = "gzip") -> Any:

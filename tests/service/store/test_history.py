@@ -1,4 +1,6 @@
+import tracemalloc
 import uuid
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -231,3 +233,30 @@ def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -
     assert store.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
     (hour,) = store.read_rollup("a", None, 0, HOUR_US, HOUR_US, 9)
     assert (hour.mean, hour.min, hour.max, hour.count) == (2.0, 1.0, 3.0, 2)
+
+
+def test_the_memory_of_a_read_does_not_grow_with_the_number_of_channels(store: Store) -> None:
+    rows = 4000
+    for number in range(40):
+        asset = "one" if number == 0 else "many"
+        store.write_samples(
+            [Sample(asset, f"c{number:02}", 1_000_000 * k, 1.0, 192, 0) for k in range(rows)]
+        )
+
+    def peak(read: Callable[[str], int], asset: str) -> int:
+        tracemalloc.start()
+        try:
+            assert read(asset) == rows
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    def samples(asset: str) -> int:
+        return len(store.read_samples(asset, None, 0, 10**10, rows))
+
+    def rollups(asset: str) -> int:
+        return len(store.read_rollup(asset, None, 0, 10**10, 1_000_000, rows))
+
+    for read in (samples, rollups):
+        read("one")  # what is made once
+        assert peak(read, "many") < 4 * peak(read, "one")
