@@ -4,6 +4,7 @@ Every setting can also come from the environment as ``BEARING_TWIN__SECTION__KEY
 text), which wins over the file. Errors name the key, the value and what was expected.
 """
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
@@ -39,12 +40,24 @@ SENSOR_CHANNELS = OPERATING_CHANNELS + RING_SENSORS
 PAPER_NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 
 
+def _network(text: str) -> str:
+    try:
+        ipaddress.ip_network(text)
+    except ValueError:
+        raise ValueError(
+            "expected an address such as 127.0.0.1, or a network such as 10.0.0.0/24"
+        ) from None
+    return text
+
+
 class ServiceSection(Section):
     """Where the service listens and keeps its data."""
 
     host: str = "127.0.0.1"
     port: int = Field(8080, ge=0, le=65535)
     data_dir: Path = Path("var")
+    #: Addresses and networks whose X-Forwarded-For and X-Forwarded-Proto are believed.
+    trusted_proxies: tuple[Annotated[str, AfterValidator(_network)], ...] = ()
     database_url: str = ""
     #: Disk that samples may take while they wait for a store that is away.
     spool_mib: int = Field(512, ge=1)

@@ -218,6 +218,7 @@ class WebServer(uvicorn.Server):
                 limit_concurrency=most_connections - most_connections // 8,
                 log_config=None,
                 access_log=False,
+                proxy_headers=False,  # the application knows which proxies to believe
                 timeout_graceful_shutdown=2,
                 server_header=False,
                 ws_per_message_deflate=False,

@@ -20,6 +20,7 @@ from service.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem, parameter_p
 from service.security import Actor, AuditTrail, Authenticator, Principal, guesses
 from service.security.keys import key_prefix
 from service.security.roles import Roles
+from service.security.sites import site_of
 from service.store import StoreUnavailableError
 
 SESSION_PATH = "/api/v1/session"
@@ -41,7 +42,8 @@ SECURITY_SCHEMES: Final = {
         "type": "apiKey",
         "in": "cookie",
         "name": "bearing_twin_PORT",
-        "description": f"Browser session opened by `POST {SESSION_PATH}`.",
+        "description": f"Browser session opened by `POST {SESSION_PATH}`; over HTTPS the name "
+        "begins with `__Host-`.",
     },
 }
 _ANY_SCHEME: Final[list[dict[str, list[str]]]] = [{name: []} for name in SECURITY_SCHEMES]
@@ -199,9 +201,8 @@ def make_door(
             limit = authenticator.requests.per_minute
             raise too_many(f"more than {limit:g} requests a minute with this key", wait_s)
         authenticator.requests.count(principal.key_id)
-        unsafe = request.method not in SAFE_METHODS
-        if principal.session and unsafe and not is_same_origin(request, unknown_is=False):
-            raise _cross_site()
+        if request.method not in SAFE_METHODS:
+            refuse_other_sites(request, principal)
         request.scope[_PRINCIPAL] = principal
 
     return door
@@ -221,7 +222,7 @@ async def authenticate(
         key = offered_key(connection)
         if key is None:
             cookie = connection.cookies.get(cookie_name(connection))
-            return await authenticator.by_session(cookie) if cookie else None
+            return await _by_session(connection, authenticator, cookie) if cookie else None
         if key_prefix(key) is None:  # no guess, and nothing to look up
             return None
         if authenticator.knows(key):  # also a wrong one: a client that goes on costs nothing
@@ -233,6 +234,22 @@ async def authenticate(
             "the store that keeps the keys does not answer now",
             headers={"Retry-After": str(RETRY_AFTER_S)},
         ) from error
+
+
+async def _by_session(
+    connection: HTTPConnection, authenticator: Authenticator, cookie: str
+) -> Principal | None:
+    """Look up a session; of those that nobody knows an address has only so many."""
+    if authenticator.knows_session(cookie):
+        return await authenticator.by_session(cookie)
+    site = site_of(address_of(connection))
+    wait_s = authenticator.strangers.wait_s(site)
+    if wait_s:
+        raise too_many("too many unknown sessions from this address", wait_s)
+    principal = await authenticator.by_session(cookie)
+    if principal is None:
+        authenticator.strangers.count(site)
+    return principal
 
 
 async def new_key(
@@ -279,12 +296,39 @@ def offered_key(connection: HTTPConnection) -> str | None:
 def cookie_name(connection: HTTPConnection) -> str:
     """Name of the session cookie: browsers share cookies between the ports of a host."""
     port = connection.url.port
+    secure = is_secure(connection)
     if port is None:
-        port = 443 if connection.url.scheme in ("https", "wss") else 80
-    return f"bearing_twin_{port}"
+        port = 443 if secure else 80
+    # The prefix has browsers refuse it from any other host, and without encryption.
+    return f"{'__Host-' if secure else ''}bearing_twin_{port}"
 
 
-def is_same_origin(connection: HTTPConnection, *, unknown_is: bool) -> bool:
+def is_secure(connection: HTTPConnection) -> bool:
+    """Tell whether the caller talks HTTPS, to the service or to a proxy before it."""
+    return connection.url.scheme in ("https", "wss")
+
+
+def refuse_other_sites(connection: HTTPConnection, principal: Principal) -> None:
+    """Refuse what another site's page has a browser send, whatever the credential is.
+
+    Browsers keep a Basic password as they keep a cookie, and send it for any site's form.
+
+    Raises
+    ------
+    Problem
+        With status 403.
+    """
+    if principal.session:
+        allowed = is_same_origin(connection, unknown_is=False)
+    else:
+        allowed = is_same_origin(connection, unknown_is=True, by_hand_is=True)
+    if not allowed:
+        raise _cross_site()
+
+
+def is_same_origin(
+    connection: HTTPConnection, *, unknown_is: bool, by_hand_is: bool = False
+) -> bool:
     """Tell whether a browser sent this from our own page.
 
     Parameters
@@ -293,10 +337,12 @@ def is_same_origin(connection: HTTPConnection, *, unknown_is: bool) -> bool:
         The request, or the WebSocket to be opened.
     unknown_is : bool
         The answer for a caller that says nothing, as programs do.
+    by_hand_is : bool
+        The answer for a request that no page has caused.
     """
     site = connection.headers.get("Sec-Fetch-Site")
     if site is not None:
-        return site == "same-origin"
+        return site == "same-origin" or (site == "none" and by_hand_is)
     origin = connection.headers.get("Origin")
     if origin is None:
         return unknown_is
@@ -305,10 +351,10 @@ def is_same_origin(connection: HTTPConnection, *, unknown_is: bool) -> bool:
 
 def unauthorized(connection: HTTPConnection) -> Problem:
     """Build the problem of a caller without a valid key."""
-    # A script's request must not make the browser ask for a password; everybody else learns
-    # that Basic works.
-    by_script = connection.headers.get("Sec-Fetch-Mode", "navigate") != "navigate"
-    challenge = f'{"ApiKey" if by_script else "Basic"} realm="Bearing Twin"'
+    # A browser must not ask for a password: it would send it with the requests of other sites'
+    # pages, too. Programs learn that Basic works.
+    by_browser = "Sec-Fetch-Mode" in connection.headers or "Origin" in connection.headers
+    challenge = f'{"ApiKey" if by_browser else "Basic"} realm="Bearing Twin"'
     return Problem(
         401,
         f"expected a valid key in the header {KEY_HEADER}, as HTTP Basic password, "
@@ -327,7 +373,7 @@ def subprotocol_key(connection: HTTPConnection) -> tuple[str, str] | None:
 
 
 def _cross_site() -> Problem:
-    return Problem(403, "a browser session may only be used from the service's own page")
+    return Problem(403, "a browser may do this from the service's own page only")
 
 
 def _basic_password(connection: HTTPConnection) -> str | None:

@@ -22,7 +22,9 @@ from service.api.middleware import (
     Packing,
     SecurityHeaders,
 )
+from service.api.page import page_route
 from service.api.problems import install_handlers
+from service.api.proxies import KnownProxies
 from service.api.routes import (
     advice,
     alarm_journal,
@@ -76,6 +78,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             beating.cancel()
             context.bus.close()
             turns.close()
+            trail.settle()
             await asyncio.gather(beating, return_exceptions=True)
 
     security = context.settings.security
@@ -101,6 +104,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             "auto_configure": False,
         },
         middleware=[
+            Middleware(KnownProxies, proxies=context.settings.service.trusted_proxies),
             Middleware(SecurityHeaders),
             Middleware(Packing, excluded=(measurements.PARQUET,)),
             Middleware(LastResort),
@@ -138,5 +142,6 @@ def create_app(context: ServiceContext) -> FastAPI:
         app.include_router(module.router, prefix=API_PREFIX)
     app.include_router(health.router)
     install_docs(app)
+    app.router.routes.append(page_route(_DASHBOARD / "index.html"))
     app.frontend("/", directory=_DASHBOARD, fallback=None)
     return app

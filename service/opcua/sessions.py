@@ -25,7 +25,7 @@ class KeyedServer(InternalServer):  # type: ignore[misc]  # the library has no t
     Parameters
     ----------
     users
-        Are told from where a session is activated.
+        Who may activate a session.
     """
 
     def __init__(self, users: KeyUsers) -> None:
@@ -59,9 +59,30 @@ class _Session(InternalSession):  # type: ignore[misc]
         self.auth_token = ua.NodeId(secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString)
         self._users = users
         self._address = peer[0]
+        self._admitted: User | None = None
+
+    async def admit(self, params: ua.ActivateSessionParameters) -> None:
+        """Have the key checked before the session is activated, which cannot wait.
+
+        Raises
+        ------
+        ServiceError
+            As `KeyUsers.admit`.
+        """
+        self._admitted = None
+        token, password = params.UserIdentityToken, None
+        if isinstance(token, ua.UserNameIdentityToken):
+            try:
+                _, password = self.iserver.decrypt_user_token(self, token)
+            except Exception:
+                return  # the library comes to the same, and says what
+        self._admitted = await self._users.admit(password, self._address)
 
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
-        self._users.address = self._address
-        return super().activate_session(params, peer_certificate)
+        self._users.admitted, self._admitted = self._admitted, None
+        try:
+            return super().activate_session(params, peer_certificate)
+        finally:
+            self._users.admitted = None

@@ -1,6 +1,5 @@
 """Who may use the OPC UA server: whoever has a key, checked, counted and noted as over HTTP."""
 
-import asyncio
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +12,6 @@ from service.security import AuditTrail, Authenticator, guesses
 from service.security.keys import key_prefix
 from service.security.roles import VIEWER
 from service.store import StoreUnavailableError
-
-#: The library asks in the event loop and cannot wait, so the store has little time to answer.
-KEY_PATIENCE_S = 1.0
 
 _log = structlog.get_logger(__name__)
 
@@ -41,25 +37,22 @@ class KeyUsers:
 
     Attributes
     ----------
-    address : str
-        Of the caller whose session is being activated.
+    admitted : asyncua.crypto.permission_rules.User, optional
+        Who may activate the session that is being activated, as `admit` has found out.
     """
 
     def __init__(self, authenticator: Authenticator, trail: AuditTrail, anonymous: bool) -> None:
         self._authenticator = authenticator
         self._trail = trail
         self._anonymous = anonymous
-        self._noting: set[asyncio.Task[None]] = set()
-        self.address = ""
+        self.admitted: User | None = None
 
-    def get_user(
-        self,
-        iserver: Any,
-        username: str | None = None,
-        password: str | bytes | None = None,
-        certificate: Any = None,
-    ) -> User | None:
-        """Give a user, or None; the library calls this when a session is activated.
+    def get_user(self, iserver: Any, **offered: Any) -> User | None:
+        """Give the user, or None; the library calls this in the event loop and cannot wait."""
+        return self.admitted
+
+    async def admit(self, password: str | bytes | None, address: str) -> User | None:
+        """Find out whether a password lets in, from this address.
 
         Raises
         ------
@@ -72,18 +65,16 @@ class KeyUsers:
         if key_prefix(text) is None:  # no guess, and nothing to look up
             return None
         keys, guess = self._authenticator, not self._authenticator.knows(text)
-        if guess and guesses.wait_s(keys, guesses.REFUSED, self.address):
+        if guess and guesses.wait_s(keys, guesses.REFUSED, address):
             raise ServiceError(ua.StatusCodes.BadTooManyOperations)
         try:
-            principal = keys.by_key_now(text, KEY_PATIENCE_S)
+            principal = await keys.by_key(text)
         except StoreUnavailableError as error:
             _log.warning("opcua_key_not_checked", reason=str(error))
             raise ServiceError(ua.StatusCodes.BadResourceUnavailable) from error
         if principal is None and guess:
-            guesses.count_wrong_key(keys, guesses.REFUSED, self.address)
-            note = guesses.note_wrong_key(self._trail, guesses.REFUSED, self.address, text)
-            self._noting.add(task := asyncio.create_task(note))
-            task.add_done_callback(self._noting.discard)
+            guesses.count_wrong_key(keys, guesses.REFUSED, address)
+            await guesses.note_wrong_key(self._trail, guesses.REFUSED, address, text)
         if principal is None or principal.role not in VIEWER:
             return None
         return KeyUser(role=UserRole.User, key=text)

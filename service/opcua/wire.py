@@ -9,8 +9,9 @@ from asyncua.common.connection import TransportLimits
 from asyncua.common.utils import Buffer, ServiceError
 from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from asyncua.server.uaprocessor import UaProcessor
+from asyncua.ua.ua_binary import struct_from_binary
 
-from service.security.guesses import site_of
+from service.security.sites import site_of
 
 KIB = 1024
 #: Of a message in pieces; the announced size of a piece is at most 64 KiB.
@@ -33,6 +34,7 @@ _DISCOVERY: Final = tuple(
     )
 )
 _CREATE_SESSION = ua.NodeId(ua.ObjectIds.CreateSessionRequest_Encoding_DefaultBinary)
+_ACTIVATE_SESSION = ua.NodeId(ua.ObjectIds.ActivateSessionRequest_Encoding_DefaultBinary)
 
 _log = structlog.get_logger(__name__)
 
@@ -195,4 +197,6 @@ class _Processor(UaProcessor):  # type: ignore[misc]
         if typeid == _CREATE_SESSION and self.session is not None:
             # One at a time: the library forgets the one before, and what it holds.
             await self.session.close_session()
+        if typeid == _ACTIVATE_SESSION and self.session is not None:
+            await self.session.admit(struct_from_binary(ua.ActivateSessionParameters, body.copy()))
         return await super()._process_message(typeid, requesthdr, seqhdr, body)

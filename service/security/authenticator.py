@@ -5,12 +5,13 @@ is refused within `MEMORY_S`. Times are wall time.
 """
 
 import asyncio
+import re
 import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import structlog
 from anyio import CapacityLimiter, to_thread
@@ -23,9 +24,22 @@ MEMORY_S = 0.6
 MEMORY_WITHOUT_STORE_S = 600.0
 SESSION_S = 12 * 3600
 SESSION_RENEWAL_S = 600
+#: However often it is used, a session ends after so long.
+LONGEST_SESSION_S = 7 * 86_400
+MOST_SESSIONS = 20
 FAILED_LOGINS_PER_MINUTE = 10
+LOGINS_PER_MINUTE = 120
+UNKNOWN_SESSIONS_PER_MINUTE = 30
 REQUESTS_PER_MINUTE = 120_000
+#: Seconds that the store has to say whether a key is still valid, and whether an unknown one is.
+KNOWN_PATIENCE_S = 2.0
+UNKNOWN_PATIENCE_S = 5.0
 _MOST_REMEMBERED = 1024
+_MOST_UNKNOWN_AT_ONCE = 64
+_COOKIE_BYTES = 32
+_COOKIE = re.compile(r"[A-Za-z0-9_-]{43}")
+
+Answer = TypeVar("Answer")
 
 _log = structlog.get_logger(__name__)
 
@@ -67,6 +81,12 @@ class _Remembered:
     at_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    look_up: "asyncio.Future[Principal | None]"
+    since_s: float
+
+
 class Authenticator:
     """Verifies keys and sessions; used in the event loop.
 
@@ -81,8 +101,9 @@ class Authenticator:
 
     Attributes
     ----------
-    failures, requests : RateLimit
-        Wrong keys by address, requests by the key's id; whoever asks counts them.
+    failures, logins, strangers, requests : RateLimit
+        Wrong keys by address, log-ins by address and by key, unknown sessions by address,
+        requests by the key's id; whoever asks counts them.
     """
 
     def __init__(
@@ -93,14 +114,17 @@ class Authenticator:
     ) -> None:
         self._store = store
         self.failures = RateLimit(failed_logins_per_minute)
+        self.logins = RateLimit(LOGINS_PER_MINUTE)
+        self.strangers = RateLimit(UNKNOWN_SESSIONS_PER_MINUTE)
         self.requests = RateLimit(requests_per_minute)
         # Wrong keys are wrong for ever: a client that goes on with one costs no look-up.
         self._wrong: OrderedDict[str, None] = OrderedDict()
         self._memory: OrderedDict[str, _Remembered] = OrderedDict()
-        # One at a time, apart from the threads that serve long queries: a poll never waits
-        # behind a report, and a session is never renewed twice at once.
-        self._limiter = CapacityLimiter(1)
-        self._pending: dict[str, asyncio.Future[Principal | None]] = {}
+        # Apart from the threads that serve long queries: a poll never waits behind a report; and
+        # who is known never waits behind those who are not.
+        self._limiter, self._unknown_limiter = CapacityLimiter(1), CapacityLimiter(1)
+        self._unknown_waiting = 0
+        self._pending: dict[str, _Pending] = {}
 
     async def by_key(self, text: str) -> Principal | None:
         """Who a key belongs to; None when it opens nothing."""
@@ -112,60 +136,61 @@ class Authenticator:
             self._remember_wrong(sha256)
         return principal
 
-    def by_key_now(self, text: str, patience_s: float) -> Principal | None:
-        """Who a key belongs to, as `by_key`, for a caller that cannot await.
-
-        The event loop stands still meanwhile, so the store has only `patience_s` to answer.
-        """
-        sha256 = fingerprint(text)
-        if sha256 in self._wrong:
-            return None
-        name, now_s = f"key {sha256}", time.monotonic()
-        thread = ThreadPoolExecutor(1, thread_name_prefix="key")
-        try:
-            principal = thread.submit(self._verify_key, text).result(patience_s)
-        except TimeoutError:
-            late = StoreUnavailableError(f"the store did not answer within {patience_s:g} s")
-            return self._known_without_store(name, now_s, late)
-        except StoreUnavailableError as error:
-            return self._known_without_store(name, now_s, error)
-        finally:
-            thread.shutdown(wait=False)
-        self._remember(name, principal, now_s)
-        if principal is None:
-            self._remember_wrong(sha256)
-        return principal
-
     def knows(self, text: str) -> bool:
         """Tell whether a key was looked up lately, with whatever result."""
         sha256 = fingerprint(text)
         return sha256 in self._wrong or f"key {sha256}" in self._memory
 
+    def knows_session(self, cookie: str) -> bool:
+        """Tell whether a session cookie was looked up lately, or cannot be one."""
+        if not _COOKIE.fullmatch(cookie):
+            return True
+        sha256 = fingerprint(cookie)
+        return sha256 in self._wrong or f"session {sha256}" in self._memory
+
     async def by_session(self, cookie: str) -> Principal | None:
         """Who a session cookie belongs to; using it keeps the session alive."""
+        if not _COOKIE.fullmatch(cookie):
+            return None
         sha256 = fingerprint(cookie)
-        return await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
+        if sha256 in self._wrong:
+            return None
+        principal = await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
+        if principal is None:  # made of random bits, it is never any other session's
+            self._remember_wrong(sha256)
+        return principal
 
     async def log_in(self, principal: Principal) -> tuple[str, Principal]:
-        """Open a browser session; returns the cookie's value and the caller as of now."""
-        cookie = secrets.token_urlsafe(32)
+        """Open a browser session; returns the cookie's value and the caller as of now.
+
+        Of more than `MOST_SESSIONS` of a key those end that were opened first.
+        """
+        cookie = secrets.token_urlsafe(_COOKIE_BYTES)
         now_us = wall_us()
-        session = await to_thread.run_sync(
+        session = await self._in_time(
             lambda: self._store.add_session(
                 sha256=fingerprint(cookie),
                 key_id=principal.key_id,
                 created_us=now_us,
                 expires_us=now_us + SESSION_S * 1_000_000,
-            ),
-            limiter=self._limiter,
+                most=MOST_SESSIONS,
+            )
         )
         return cookie, _of_session(session.key, session.expires_us)
 
     async def log_out(self, cookie: str) -> None:
         """End a browser session."""
         sha256 = fingerprint(cookie)
-        await to_thread.run_sync(self._store.end_session, sha256, limiter=self._limiter)
+        await self._in_time(lambda: self._store.end_session(sha256))
         self._memory.pop(f"session {sha256}", None)
+
+    async def _in_time(self, work: Callable[[], Answer]) -> Answer:
+        """Work with the store in a thread; one that hangs is left behind."""
+        try:
+            async with asyncio.timeout(UNKNOWN_PATIENCE_S):
+                return await to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=True)
+        except TimeoutError:
+            raise _hangs(UNKNOWN_PATIENCE_S) from None
 
     def forget(self, key_id: str) -> None:
         """Look a key and its sessions up anew: it was revoked here and now."""
@@ -179,11 +204,9 @@ class Authenticator:
         if known is not None and now_s - known.at_s < MEMORY_S:
             return known.principal
         try:
-            principal = await self._look_up_once(name, look_up)
+            return await self._look_up_once(name, look_up, known is not None)
         except StoreUnavailableError as error:
             return self._known_without_store(name, now_s, error)
-        self._remember(name, principal, now_s)
-        return principal
 
     def _known_without_store(
         self, name: str, now_s: float, error: StoreUnavailableError
@@ -213,21 +236,39 @@ class Authenticator:
             self._wrong.popitem(last=False)
 
     async def _look_up_once(
-        self, name: str, look_up: Callable[[], Principal | None]
+        self, name: str, look_up: Callable[[], Principal | None], known: bool
     ) -> Principal | None:
-        """Look up in a thread; hundreds of streams with one key wait for one look-up together."""
+        """Look up in a thread; hundreds of streams with one key wait for one look-up together.
+
+        A store that hangs is asked once for each key, and nobody waits for it longer than that.
+        """
+        limiter = self._limiter if known else self._unknown_limiter
+        patience_s = KNOWN_PATIENCE_S if known else UNKNOWN_PATIENCE_S
         pending = self._pending.get(name)
         if pending is None:
-            pending = asyncio.ensure_future(to_thread.run_sync(look_up, limiter=self._limiter))
+            if not known and self._unknown_waiting >= _MOST_UNKNOWN_AT_ONCE:
+                raise StoreUnavailableError("too many unknown keys wait for the store")
+            pending = _Pending(
+                asyncio.ensure_future(to_thread.run_sync(look_up, limiter=limiter)),
+                time.monotonic(),
+            )
             self._pending[name] = pending
+            since_s = pending.since_s
+            self._unknown_waiting += not known
 
             def ended(done: "asyncio.Future[Principal | None]") -> None:
                 self._pending.pop(name, None)
-                if not done.cancelled():
-                    done.exception()  # whoever asked may be gone by now
+                self._unknown_waiting -= not known
+                # Also when whoever asked is gone by now.
+                if not done.cancelled() and done.exception() is None:
+                    self._remember(name, done.result(), since_s)
 
-            pending.add_done_callback(ended)
-        return await asyncio.shield(pending)
+            pending.look_up.add_done_callback(ended)
+        left_s = pending.since_s + patience_s - time.monotonic()
+        done, _ = await asyncio.wait({pending.look_up}, timeout=max(left_s, 0.0))
+        if not done:
+            raise _hangs(patience_s)
+        return pending.look_up.result()
 
     def _verify_key(self, text: str) -> Principal | None:
         key = verify_key(self._store, text)
@@ -240,11 +281,12 @@ class Authenticator:
     def _verify_session(self, sha256: str) -> Principal | None:
         session = self._store.find_session(sha256)
         now_us = wall_us()
-        if session is None or not session.is_valid(now_us):
+        ends_us = 0 if session is None else session.created_us + LONGEST_SESSION_S * 1_000_000
+        if session is None or not session.is_valid(now_us) or ends_us <= now_us:
             return None
-        expires_us = now_us + SESSION_S * 1_000_000
+        expires_us = min(now_us + SESSION_S * 1_000_000, ends_us)
         if expires_us - session.expires_us < SESSION_RENEWAL_S * 1_000_000:
-            return _of_session(session.key, session.expires_us)
+            return _of_session(session.key, min(session.expires_us, ends_us))
         self._store.end_session(sha256)
         self._store.add_session(
             sha256=sha256,
@@ -253,6 +295,10 @@ class Authenticator:
             expires_us=expires_us,
         )
         return _of_session(session.key, expires_us)
+
+
+def _hangs(patience_s: float) -> StoreUnavailableError:
+    return StoreUnavailableError(f"the store did not answer within {patience_s:g} s")
 
 
 def _of_session(key: ApiKey, expires_us: int) -> Principal:

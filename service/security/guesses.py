@@ -1,13 +1,12 @@
-"""Wrong keys: an address has only so many, and each leaves a line in the audit trail.
+"""Wrong keys: an address has only so many, and they leave lines in the audit trail.
 
 The same for every way by which a key may come; what a caller is told is the way's own.
 """
 
-import ipaddress
-
 from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator
 from service.security.keys import Actor, key_prefix
+from service.security.sites import site_of
 
 REFUSED = "key.refuse"
 
@@ -23,21 +22,11 @@ def count_wrong_key(authenticator: Authenticator, action: str, address: str) -> 
 
 
 async def note_wrong_key(trail: AuditTrail, action: str, address: str, key: str) -> None:
-    """Write a wrong key into the audit trail, by its prefix alone."""
+    """Write a wrong key into the audit trail, by its prefix alone; at most a line a minute."""
     offered = key_prefix(key)
     detail = f"a wrong key ({offered})" if offered else "no key of this service"
-    await trail.note(Actor("unknown", address), action, "", detail)
+    await trail.note_repeated(Actor("unknown", address), action, detail)
 
 
 def _caller(action: str, address: str) -> str:
     return f"{action} {site_of(address)}"
-
-
-def site_of(address: str) -> str:
-    """What one caller has for sure: an IPv4 address, or the network of an IPv6 one."""
-    try:
-        if ipaddress.ip_address(address).version == 4:
-            return address
-        return str(ipaddress.ip_network(f"{address.partition('%')[0]}/64", strict=False))
-    except ValueError:
-        return address

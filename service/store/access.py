@@ -93,7 +93,13 @@ class Access(Section):
         return found is not None
 
     def add_session(
-        self, *, sha256: str, key_id: str, created_us: int, expires_us: int
+        self,
+        *,
+        sha256: str,
+        key_id: str,
+        created_us: int,
+        expires_us: int,
+        most: int | None = None,
     ) -> BrowserSession:
         """Store a browser session of a key; sessions that are over by then are cleared away.
 
@@ -105,6 +111,8 @@ class Access(Section):
             The key that opened the session.
         created_us, expires_us : int
             Wall time, UTC microseconds.
+        most : int, optional
+            Sessions that the key has then; the ones opened first end.
 
         Raises
         ------
@@ -130,6 +138,15 @@ class Access(Section):
                     expires_us=expires_us,
                 )
             )
+            if most is not None:
+                oldest = (
+                    select(BrowserSessionRow.id)
+                    .where(BrowserSessionRow.key_id == key_id)
+                    .order_by(BrowserSessionRow.created_us.desc(), BrowserSessionRow.id)
+                    .offset(most)
+                )
+                ended = list(connection.scalars(oldest))
+                connection.execute(delete(BrowserSessionRow).where(BrowserSessionRow.id.in_(ended)))
         return session
 
     def find_session(self, sha256: str) -> BrowserSession | None:

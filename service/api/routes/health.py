@@ -161,10 +161,19 @@ async def _may_see_details(request: Request, keys: Keys) -> bool:
     return principal is not None and principal.role in VIEWER
 
 
+_OF_A_PROXY = (
+    "Forwarded",
+    "Via",
+    "X-Forwarded-For",
+    "X-Forwarded-Host",
+    "X-Forwarded-Proto",
+    "X-Real-IP",
+)
+
+
 def _is_loopback(request: Request) -> bool:
     """Tell whether the caller sits on this machine, and not only a proxy on its behalf."""
-    forwarded = any(name in request.headers for name in ("Forwarded", "X-Forwarded-For"))
-    if request.client is None or forwarded:
+    if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
         return False
     try:
         return ipaddress.ip_address(request.client.host.partition("%")[0]).is_loopback

@@ -13,7 +13,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from service.api.access import (
     authenticate,
-    is_same_origin,
+    refuse_other_sites,
     secured,
     subprotocol_key,
 )
@@ -111,8 +111,7 @@ async def _admit(
         raise Problem(403, "expected a valid key by header, session cookie or bearer subprotocol")
     if principal.role not in VIEWER:
         raise Problem(403, f"a key of role {principal.role} may not read the stream")
-    if principal.session and not is_same_origin(websocket, unknown_is=False):
-        raise Problem(403, "a browser session may only be used from the service's own page")
+    refuse_other_sites(websocket, principal)
     return principal, offered and offered[1]
 
 

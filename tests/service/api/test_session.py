@@ -35,7 +35,11 @@ async def test_cookie_is_secure_over_https(world: Any) -> None:
     client = world.client(base_url="https://bench.example")
     response = await client.post(SESSION, json={"key": world.keys["viewer"]})
     assert "Secure" in response.headers["set-cookie"]
-    assert response.headers["set-cookie"].startswith("bearing_twin_443=")
+    assert response.headers["set-cookie"].startswith("__Host-bearing_twin_443=")
+    assert (await client.get(SESSION)).status_code == 200
+    ended = (await client.delete(SESSION, headers=PAGE)).headers["set-cookie"]
+    assert ended.startswith("__Host-bearing_twin_443=")
+    assert "Secure" in ended
 
 
 async def test_session_opens_what_its_key_opens(world: Any) -> None:

@@ -1,6 +1,7 @@
 """The stream over a real server and real sockets."""
 
 import asyncio
+import base64
 import contextlib
 import json
 import socket
@@ -148,6 +149,31 @@ async def test_session_cookie_opens_the_stream_from_our_own_page_only(
                 async with server.open(headers=headers | origin):
                     pass
             assert refusal.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("by", ["header", "basic", "subprotocol"])
+async def test_a_stream_for_another_site_is_refused(world: Any, server: Any, by: str) -> None:
+    key = world.keys["viewer"]
+    options: dict[str, Any] = {"headers": {}}
+    if by == "header":
+        options["key"] = key
+    elif by == "basic":
+        options["headers"]["Authorization"] = (
+            f"Basic {base64.b64encode(b'any:' + key.encode()).decode()}"
+        )
+    else:
+        options["subprotocols"] = [f"bearer.{key}"]
+    for foreign in (
+        {"Origin": "http://evil.example"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ):
+        with pytest.raises(InvalidStatus) as refusal:
+            async with server.open(**options | {"headers": options["headers"] | foreign}):
+                pass
+        assert refusal.value.response.status_code == 403
+    async with server.open(**options) as websocket:
+        assert await websocket.recv()
 
 
 @pytest.mark.parametrize("role", [None, "wrong", "gateway"])

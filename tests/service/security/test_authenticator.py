@@ -1,12 +1,15 @@
 import asyncio
+import secrets
 import sqlite3
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from service.security import Authenticator, Principal, create_key, revoke_key
-from service.security.authenticator import MEMORY_S, SESSION_S
+from service.security.authenticator import MEMORY_S, MOST_SESSIONS, SESSION_S
 from service.security.keys import fingerprint, wall_us
 from service.store import Store, StoreUnavailableError
 
@@ -83,22 +86,6 @@ async def test_known_key_is_trusted_while_the_store_is_away(store: Store, tmp_pa
     assert await authenticator.by_key(known.text) is not None
     with pytest.raises(StoreUnavailableError):
         await authenticator.by_key(unknown.text)
-
-
-async def test_who_cannot_wait_is_told_the_same(store: Store, tmp_path: Path) -> None:
-    authenticator = Authenticator(store)
-    known, revoked, unknown = (create_key(store, "viewer") for _ in range(3))
-    wrong = "bt_00000000_" + "A" * 43
-    assert authenticator.by_key_now(known.text, 30.0) == await authenticator.by_key(known.text)
-    assert authenticator.by_key_now(wrong, 30.0) is None
-    assert authenticator.by_key_now(revoked.text, 30.0) is not None
-    revoke_key(store, revoked.record.id)
-    assert authenticator.by_key_now(revoked.text, 30.0) is None
-    take_away(store, tmp_path)
-    assert authenticator.by_key_now(known.text, 30.0) is not None
-    assert authenticator.by_key_now(wrong, 30.0) is None
-    with pytest.raises(StoreUnavailableError):
-        authenticator.by_key_now(unknown.text, 30.0)
 
 
 async def logged_in(store: Store) -> tuple[Authenticator, str, Principal]:
@@ -183,3 +170,119 @@ async def test_unknown_keys_take_no_memory(store: Store) -> None:
     for number in range(50):
         await authenticator.by_key(f"bt_{number:08x}_{'A' * 43}")
     assert not authenticator._memory
+
+
+async def test_a_session_ends_after_a_week_however_often_it_is_used(
+    store: Store, tmp_path: Path
+) -> None:
+    _, cookie, _ = await logged_in(store)
+    for days in (6.9, 0.2):
+        with sqlite3.connect(tmp_path / "bearing-twin.db") as connection:
+            connection.execute(
+                "UPDATE browser_sessions SET created_us = created_us - ?",
+                (round(days * 86_400e6),),
+            )
+        connection.close()
+        principal = await Authenticator(store).by_session(cookie)
+        if days > 1:
+            assert principal is not None
+            assert principal.expires_us is not None
+            assert principal.expires_us - wall_us() < 0.11 * 86_400e6  # a tenth of a day is left
+    assert principal is None
+
+
+async def test_a_key_has_only_so_many_sessions_and_the_oldest_end(store: Store) -> None:
+    authenticator = Authenticator(store)
+    principal = await authenticator.by_key(create_key(store, "operator").text)
+    other = await authenticator.by_key(create_key(store, "viewer").text)
+    assert principal is not None
+    assert other is not None
+    others, _ = await authenticator.log_in(other)
+    cookies = [(await authenticator.log_in(principal))[0] for _ in range(MOST_SESSIONS + 3)]
+    found = [await authenticator.by_session(cookie) is not None for cookie in cookies]
+    assert found == [False] * 3 + [True] * MOST_SESSIONS
+    assert await authenticator.by_session(others) is not None
+
+
+class Hanging:
+    """A store whose look-ups hang while it is told to; a database that is frozen, not gone."""
+
+    def __init__(self, store: Store) -> None:
+        self.store, self.runs = store, threading.Event()
+        self.runs.set()
+        self.asked: list[str] = []
+
+    def __getattr__(self, name: str) -> Any:
+        asked = getattr(self.store, name)
+
+        def look(*arguments: Any, **named: Any) -> Any:
+            self.asked.append(name)
+            assert self.runs.wait(300)
+            return asked(*arguments, **named)
+
+        return look
+
+
+async def test_known_callers_are_answered_from_memory_while_the_store_hangs(store: Store) -> None:
+    hanging = Hanging(store)
+    authenticator = Authenticator(hanging)  # type: ignore[arg-type]
+    known, stranger = create_key(store, "viewer"), create_key(store, "admin")
+    principal = await authenticator.by_key(known.text)
+    assert principal is not None
+    cookie, _ = await authenticator.log_in(principal)
+    assert await authenticator.by_session(cookie) is not None
+    hanging.runs.clear()
+    try:
+        await asyncio.sleep(MEMORY_S + 0.05)
+        assert await authenticator.by_key(known.text) == principal
+        assert await authenticator.by_session(cookie) is not None
+        asked = len(hanging.asked)
+        for _ in range(200):  # the store is not asked again, and nobody waits for it again
+            assert await authenticator.by_key(known.text) == principal
+        assert len(hanging.asked) == asked
+        with pytest.raises(StoreUnavailableError):
+            await authenticator.by_key(stranger.text)
+        with pytest.raises(StoreUnavailableError):
+            await authenticator.log_in(principal)
+        revoke_key(store, known.record.id)
+    finally:
+        hanging.runs.set()
+    async with asyncio.timeout(60):
+        while await authenticator.by_key(known.text) is not None:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.02)
+        assert await authenticator.by_key(stranger.text) is not None
+
+
+async def test_known_callers_do_not_wait_behind_unknown_ones(store: Store) -> None:
+    hanging = Hanging(store)
+    authenticator = Authenticator(hanging)  # type: ignore[arg-type]
+    known = create_key(store, "viewer")
+    assert await authenticator.by_key(known.text) is not None
+    await asyncio.sleep(MEMORY_S + 0.05)
+    hanging.runs.clear()
+    strangers = [
+        asyncio.create_task(authenticator.by_session(secrets.token_urlsafe(32))) for _ in range(300)
+    ]
+    await asyncio.sleep(0.1)
+    hanging.asked.clear()
+    asking = asyncio.create_task(authenticator.by_key(known.text))
+    async with asyncio.timeout(60):
+        while "find_api_key" not in hanging.asked:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.01)
+    hanging.runs.set()
+    assert await asking is not None
+    answers = await asyncio.gather(*strangers, return_exceptions=True)
+    assert any(answer is None for answer in answers)
+    # No more wait than there is room for; the rest are told at once.
+    assert sum(isinstance(answer, StoreUnavailableError) for answer in answers) > 200
+
+
+async def test_an_unknown_session_is_looked_up_once_and_nonsense_never(store: Store) -> None:
+    hanging = Hanging(store)
+    authenticator = Authenticator(hanging)  # type: ignore[arg-type]
+    cookie = secrets.token_urlsafe(32)
+    for _ in range(10):
+        assert await authenticator.by_session(cookie) is None
+        assert await authenticator.by_session("nonsense") is None
+        assert await authenticator.by_session(cookie + "A") is None
+    assert hanging.asked == ["find_session"]

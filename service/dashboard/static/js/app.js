@@ -52,6 +52,7 @@ const live = new Live(clock, () => start('Your key is no longer valid, or your s
 onRefusedKey(() => live.isLoggedOut());
 const main = find('#main');
 let session = null;
+let offeredKey = ''; // of a link that somebody followed, not logged in with yet
 let assets = [];
 let view = null;
 let latest = 0; // number of the view that was asked for last
@@ -265,7 +266,8 @@ async function start(reason = '') {
   header.showAssets([], null);
   session = await whileAway(currentSession);
   while (!session) {
-    await showLogin(main, reason);
+    await showLogin(main, reason, offeredKey);
+    offeredKey = '';
     session = await whileAway(currentSession);
   }
   header.showSession(session);
@@ -287,8 +289,8 @@ window.addEventListener('hashchange', () => {
   if (feed) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
-await Promise.all([
-  document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612'),
+[offeredKey] = await Promise.all([
   whileAway(logInFromAddress),
+  document.fonts.load('400 16px B612'), document.fonts.load('700 16px B612'),
 ]);
 await start();

@@ -3,6 +3,8 @@ import { call } from './api.js';
 import { h, put } from './dom.js';
 import { logo } from './icons.js';
 
+const PREFIX_LENGTH = 'bt_00000000'.length;
+
 const logIn = (key) => call('/session', { method: 'POST', body: { key } });
 
 /** Who is logged in: { role, … }, or null. */
@@ -17,24 +19,46 @@ export async function currentSession() {
 
 export const logOut = () => call('/session', { method: 'DELETE' });
 
-/** Log in once with `#key=…` of the address and take it out of the address bar and the history. */
+let linkedKey = null; // kept while the service does not answer
+
+function takeKey() {
+  const key = new URLSearchParams(location.hash.slice(1)).get('key') ?? '';
+  if (key) history.replaceState(null, '', `${location.pathname}${location.search}`);
+  return key;
+}
+
+/**
+ * Take `#key=…` out of the address bar and the history, and log in with it once; resolves with the
+ * key where somebody has to be asked before.
+ *
+ * A link on another site must not log anybody in unasked, nor end the session that there is: its
+ * user would act in another's name.
+ */
 export async function logInFromAddress() {
-  const key = new URLSearchParams(location.hash.slice(1)).get('key');
-  if (!key) return;
-  history.replaceState(null, '', `${location.pathname}${location.search}`);
+  linkedKey ??= takeKey();
+  const key = linkedKey;
+  if (!key || await currentSession()) return '';
+  if (document.documentElement.dataset.opened !== 'by-hand') return key;
   try {
     await logIn(key);
   } catch (error) {
     if (error.status === 0) throw error;
   }
+  return '';
 }
 
-/** Show the form, with the reason why it is there again; resolves once a key was accepted. */
-export function showLogin(main, reason = '') {
+/**
+ * Show the form, with the reason why it is there again and a key that came with a link; resolves
+ * once a key was accepted.
+ */
+export function showLogin(main, reason = '', offered = '') {
   const key = h('input', {
     id: 'key', name: 'key', type: 'password', autocomplete: 'current-password', required: true,
-    spellcheck: 'false',
+    spellcheck: 'false', value: offered,
   });
+  const asked = offered ? [h('p', { class: 'note' },
+    'This link brings the key ', h('code', {}, offered.slice(0, PREFIX_LENGTH)),
+    '. Log in with it only if you know where the link comes from.')] : [];
   const problem = h('p', { class: 'problem', role: 'alert' }, reason);
   const button = h('button', { class: 'btn pri', type: 'submit' }, 'Log in');
   return new Promise((resolve) => {
@@ -56,7 +80,7 @@ export function showLogin(main, reason = '') {
     };
     put(main, h('form', { class: 'panel login', onsubmit: submit },
       h('div', { class: 'brand' }, logo(), h('h1', {}, 'Bearing Twin')),
-      h('label', { for: 'key' }, 'Access key'), key, problem, button,
+      ...asked, h('label', { for: 'key' }, 'Access key'), key, problem, button,
       h('p', { class: 's mut' }, 'A key is made on the machine of the service with ',
         h('code', {}, 'bearing-twin keys create --role operator'), '.')));
     key.focus();
