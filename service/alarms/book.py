@@ -15,6 +15,7 @@ from service.alarms.lives import (
     normal_alarm,
     updated,
     urgency,
+    with_peak,
 )
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
@@ -89,7 +90,7 @@ class AlarmBook:
                 timer.pause()
             elif holds == alarm.present:
                 timer.reset()
-                alarm = self._renew(alarm, condition)
+                alarm = self._renew(alarm, condition, now_us)
             elif timer.run(now_us) >= (condition.on_delay_s if holds else condition.off_delay_s):
                 timer.reset()
                 alarm = self._turn(alarm, condition, holds, now_us)
@@ -300,6 +301,7 @@ class AlarmBook:
                 raised_at_us=alarm.raised_at_us or now_us,
                 returned_at_us=None,
             )
+            alarm = with_peak(alarm, now_us)
             event = AlarmEvent.SUPPRESS if condition.suppressed_reason else AlarmEvent.RAISE
         else:
             alarm = replace(alarm, present=False, returned_at_us=now_us)
@@ -324,12 +326,12 @@ class AlarmBook:
                 return self._replace(replace(alarm, suppressed_reason=reason))
         return alarm
 
-    def _renew(self, alarm: Alarm, condition: AlarmCondition) -> Alarm:
+    def _renew(self, alarm: Alarm, condition: AlarmCondition, now_us: int) -> Alarm:
         """Keep the figures fresh; only a new text or priority of an open alarm is news."""
         normal = alarm.state == AlarmState.NORM
         if not (alarm.present or normal):
             return alarm  # what was wrong when it returned stays to be read
-        renewed = updated(alarm, condition)
+        renewed = with_peak(updated(alarm, condition), now_us)
         if normal or (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
             self._keep(renewed)
             return renewed

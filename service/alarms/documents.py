@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from service.alarms.lives import duration_s
 from service.clock import rfc3339
 from service.store import Alarm, AlarmTransition
 
@@ -31,6 +32,8 @@ def alarm_document(alarm: Alarm) -> dict[str, Any]:
         "value": alarm.value,
         "limit_value": alarm.limit_value,
         "unit": alarm.unit,
+        "peak": _peak(alarm.peak_value, alarm.peak_at_us),
+        "duration_s": duration_s(alarm),
         "predicted": alarm.predicted,
         "lead_time_s": alarm.lead_time_s,
         "probability": alarm.probability,
@@ -55,8 +58,14 @@ def transition_document(line: AlarmTransition) -> dict[str, Any]:
         "comment": line.comment,
         "shelved_until": _time(line.until_us),
         "value": line.value,
+        "peak": _peak(line.peak_value, line.peak_at_us),
+        "duration_s": line.duration_s,
         "message": line.message,
     }
+
+
+def _peak(value: float | None, time_us: int | None) -> dict[str, Any] | None:
+    return None if value is None else {"value": value, "time": _time(time_us)}
 
 
 def _time(time_us: int | None) -> str | None:

@@ -64,7 +64,29 @@ def journal_line(
         event=event,
         priority=alarm.priority,
         until_us=alarm.shelved_until_us,
+        peak_value=alarm.peak_value,
+        peak_at_us=alarm.peak_at_us,
+        duration_s=duration_s(alarm),
     )
+
+
+def duration_s(alarm: Alarm) -> float | None:
+    """Process seconds from the raise to the return; None before it has returned.
+
+    None as well where the clock was set back in between.
+    """
+    if not alarm.raised_at_us or alarm.returned_at_us is None:
+        return None
+    seconds = (alarm.returned_at_us - alarm.raised_at_us) / 1e6
+    return seconds if seconds >= 0 else None
+
+
+def with_peak(alarm: Alarm, now_us: int) -> Alarm:
+    """Note the value of an alarm whose condition is there, if it is the highest of its life."""
+    value, peak = alarm.value, alarm.peak_value
+    if not alarm.present or value is None or (peak is not None and value <= peak):
+        return alarm
+    return replace(alarm, peak_value=value, peak_at_us=now_us)
 
 
 def normal_alarm(condition: AlarmCondition, now_us: int) -> Alarm:

@@ -70,6 +70,13 @@ class AcknowledgeManyRequest(RequestBody):
 
 
 # ---------------------------------------------------------------------------- what is answered
+class Peak(_Answer):
+    """The highest value while the condition was there."""
+
+    value: float = Field(examples=[93.2])
+    time: Time
+
+
 class AlarmDocument(_Answer):
     """One alarm; states after ISA-18.2."""
 
@@ -80,7 +87,7 @@ class AlarmDocument(_Answer):
     state: AlarmState = Field(examples=["UNACK"])
     active: bool = Field(description="Whether the condition is there, whatever the state.")
     channel: str | None = Field(examples=["t_inner_ring_c"])
-    message: str = Field(examples=["Inner ring will pass warning 90 °C"])
+    message: str = Field(examples=["Inner ring will exceed warning 90 °C"])
     raised_at: Time | None = Field(
         description="Null for an alarm that was set aside before it was ever raised."
     )
@@ -91,12 +98,21 @@ class AlarmDocument(_Answer):
     shelved_by: str | None
     suppressed_reason: str | None = Field(
         description="Why the alarm means nothing now, in state DSUPR.",
-        examples=["the machine stands"],
+        examples=["standstill"],
     )
     latched: bool = Field(description="It stays after its return to normal until it is reset.")
     comment: str | None = Field(description="The latest one.")
+    peak: Peak | None = Field(
+        None, description="Of this alarm's life, in its `unit`; null where nothing is compared."
+    )
+    duration_s: Number = Field(
+        None, description="Process seconds from raise to return; null until it has returned."
+    )
     predicted: bool = Field(description="Not measured, but forecast.")
-    lead_time_s: Number = Field(description="Process seconds until it is expected to happen.")
+    lead_time_s: Number = Field(
+        description="Process seconds until the limit is exceeded at the earliest (2.5 % of the "
+        "forecasts), as `seconds_to_limit` of a verdict."
+    )
     probability: Number
 
 
@@ -136,6 +152,10 @@ class AlarmJournalLine(_Answer):
     event: str | None = Field(examples=["acknowledge"])
     who: str = Field(examples=["operator bt_1a2b3c4d"])
     comment: str | None
+    peak: Peak | None = Field(None, description="Of the alarm's life up to this line.")
+    duration_s: Number = Field(
+        None, description="Process seconds from raise to return; null until it has returned."
+    )
     message: str
 
 

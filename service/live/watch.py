@@ -145,7 +145,8 @@ class AlarmWatch:
         self._book.record_event(
             self._settings.id,
             "model rolled back" if back else "model activated",
-            f"The twin {'is back' if back else 'runs'} on model version {version} (was {before})",
+            f"The twin {'returned to' if back else 'runs on'} model version {version} "
+            f"(was {before})",
             who,
             comment,
         )
@@ -268,10 +269,10 @@ class AlarmWatch:
             self._trusted = trusted
             version = self._estimate.active.version
             if trusted:
-                message = f"Model version {version} works again"
+                message = f"Model version {version} recovered"
                 self._book.record_event(self._settings.id, "model trusted again", message)
             else:
-                message = f"Model version {version} fails on this machine's data"
+                message = f"Model version {version} failed on the data of this machine"
                 self._book.record_event(self._settings.id, "model not trusted", message)
 
     def _withdraw(self, known: set[tuple[str, str, str, str]]) -> None:

@@ -10,7 +10,8 @@ class Alarm:
 
     ``value`` and ``limit_value`` are in ``unit``; ``since_us`` is when the present state began;
     ``raised_at_us`` is 0 for one that was set aside before it was ever raised; ``present`` is what
-    was last known of its condition, delays included; ``comment`` is the latest one.
+    was last known of its condition, delays included; ``comment`` is the latest one;
+    ``peak_value`` is the highest value while the condition was there.
     """
 
     id: str
@@ -38,13 +39,16 @@ class Alarm:
     shelved_by: str | None
     suppressed_reason: str | None
     comment: str | None
+    peak_value: float | None = None
+    peak_at_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmTransition:
     """One line of the alarm journal: who or what moved an alarm from one state to another.
 
-    A comment leaves the state as it is. ``until_us`` is when shelving ends. A line without an
+    A comment leaves the state as it is. ``until_us`` is when shelving ends; ``duration_s``
+    is how long the condition was there, once it has returned. A line without an
     alarm is an event: worth knowing, but no alarm; its states and level are empty.
     """
 
@@ -63,6 +67,9 @@ class AlarmTransition:
     event: str = ""
     priority: int | None = None
     until_us: int | None = None
+    peak_value: float | None = None
+    peak_at_us: int | None = None
+    duration_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

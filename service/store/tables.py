@@ -226,6 +226,8 @@ class AlarmRow(Base):
     shelved_by: Mapped[str | None]
     suppressed_reason: Mapped[str | None]
     comment: Mapped[str | None]
+    peak_value: Mapped[float | None]
+    peak_at_us: Mapped[int | None]
 
 
 class AlarmTransitionRow(Base):
@@ -253,6 +255,9 @@ class AlarmTransitionRow(Base):
     event: Mapped[str]
     priority: Mapped[int | None] = mapped_column(SmallInteger)
     until_us: Mapped[int | None]
+    peak_value: Mapped[float | None]
+    peak_at_us: Mapped[int | None]
+    duration_s: Mapped[float | None]
 
 
 class DeliveryRow(Base):

@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import AsyncIterator
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Query
@@ -29,7 +29,8 @@ CSV = "text/csv; charset=utf-8"
 _FLUSH_S = 1.0
 _COLUMNS = (
     "time", "class", "asset", "kind", "channel", "limit_level", "priority", "event", "from", "to",
-    "who", "comment", "shelved_until", "value", "message", "alarm_id",
+    "who", "comment", "shelved_until", "value", "peak_value", "peak_time", "duration_s", "message",
+    "alarm_id",
 )  # fmt: skip
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
@@ -56,7 +57,8 @@ class JournalPlace(BaseModel):
                         "example": ",".join(_COLUMNS)
                         + "\r\n2026-11-21T08:00:00.000Z,alarm,bench-1,measured limit,"
                         "t_inner_ring_c,warning,2,acknowledge,UNACK,ACKED,operator bt_1a2b3c4d,"
-                        "load is being reduced,,91.5,Inner ring over warning 90 °C,5d0c9a3e\r\n",
+                        "load is being reduced,,91.5,93.2,2026-11-21T07:58:12.000Z,,"
+                        "Inner ring over warning 90 °C,5d0c9a3e\r\n",
                     }
                 }
             }
@@ -151,8 +153,13 @@ async def _pages(
 
 
 def _csv_lines(lines: list[AlarmTransition]) -> str:
-    documents = [transition_document(line) for line in lines]
+    documents = [_flat(transition_document(line)) for line in lines]
     return _csv([tuple(document[name] for name in _COLUMNS) for document in documents])
+
+
+def _flat(document: dict[str, Any]) -> dict[str, Any]:
+    peak = document["peak"] or {"value": None, "time": None}
+    return document | {"peak_value": peak["value"], "peak_time": peak["time"]}
 
 
 def _csv(rows: list[tuple[object, ...]]) -> str:

@@ -44,7 +44,7 @@ def above_ambient(scene: Scene) -> Iterator[AlarmCondition]:
 def forecast_limits(
     scene: Scene, crossings: Mapping[str, Mapping[str, LimitCrossing]]
 ) -> Iterator[AlarmCondition]:
-    """Forecast that passes a limit ahead with a probability worth an operator's attention.
+    """Forecast that exceeds a limit ahead with a probability worth an operator's attention.
 
     Between the probability that raises and the one that clears, an alarm stays as it is.
     """
@@ -58,17 +58,17 @@ def forecast_limits(
             elif crossing.probability < rule.clear_probability:
                 active = False
             likely = crossing.median_s is not None
-            will = "will" if likely else "may"
+            verb = "will" if likely else "may"
             yield scene.condition(
                 rule,
                 "forecast limit",
                 channel,
                 level,
                 active,
-                f"{label(channel)} {will} pass {level} {limit_c:g} °C",
+                f"{label(channel)} {verb} exceed {level} {limit_c:g} °C",
                 limit_value=limit_c,
                 unit="°C",
                 predicted=True,
-                lead_time_s=crossing.median_s if likely else crossing.earliest_s,
+                lead_time_s=crossing.earliest_s,
                 probability=crossing.probability,
             )

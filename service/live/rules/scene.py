@@ -145,13 +145,13 @@ class Scene:
             kind in _RUNNING_KINDS
             or (kind in ("measured limit", "above ambient") and level == "warning")
         ):
-            return "the machine stands"
+            return "standstill"
         if kind == "forecast limit" and self.is_present("measured limit", channel, level):
-            return "the limit is passed already"
+            return "the limit is exceeded already"
         if kind == "stale data" and channel in self.channels:
             source = self.channels[channel].source
             if self.is_present("stale data", source_channel(source), ""):
-                return f"{source} gives no data at all"
+                return f"source {source} lost"
         if kind in ("sensor fault", *_RUNNING_KINDS) and self._has_no_data(channel):
             return f"no data for {label(channel).lower()}"
         if kind in ("forecast limit", "twin difference", "twin residual"):

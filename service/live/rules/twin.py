@@ -27,7 +27,7 @@ def twin_difference(
             channel,
             difference_k,
             rule.limits,
-            "{limit:g} K hotter than its model says ({level})",
+            "{limit:g} K hotter than the model alone ({level})",
             deadband=rule.deadband_k,
             unit="K",
         )
@@ -80,7 +80,7 @@ def twin_residual(
             channel,
             "",
             cusum.value > threshold,
-            f"{label(channel)} keeps being {side} than its twin expects",
+            f"{label(channel)} repeatedly {side} than the twin expects",
             value=round(cusum.value, 2),
             limit_value=threshold,
             deadband=0.5 * threshold,

@@ -18,6 +18,7 @@ from service.alarms import (
     next_state,
     transition_document,
 )
+from service.clock import rfc3339
 from service.store.opening import FILE_NAME
 
 
@@ -275,6 +276,8 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "value": 106.0,
         "limit_value": 105.0,
         "unit": "°C",
+        "peak": {"value": 106.0, "time": "2025-11-21T04:40:00.000Z"},
+        "duration_s": None,
         "predicted": True,
         "lead_time_s": 600.0,
         "probability": 0.25,
@@ -295,6 +298,8 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "comment": "seen",
         "shelved_until": None,
         "value": 106.0,
+        "peak": {"value": 106.0, "time": "2025-11-21T04:40:00.000Z"},
+        "duration_s": None,
         "message": "Inner ring over alarm 105 °C",
     }
 
@@ -329,3 +334,33 @@ def test_a_limit_that_is_exceeded_counts_while_its_data_are_lost(bench: Bench) -
     found = alarm_summary(bench.book.active())
     assert found["over_limit"] == "alarm"
     assert (found["active"], found["highest_priority"]) == (3, 1)
+
+
+def test_a_returned_alarm_has_its_peak_and_how_long_it_lasted(bench: Bench) -> None:
+    bench.after(0, HOT)
+    bench.after(600, replace(HOT, value=113.4))
+    peak_us = bench.clock.us
+    bench.after(600, replace(HOT, value=108.0))
+    assert alarm_document(bench.only())["duration_s"] is None, "it stands"
+    bench.after(60, UNKNOWN)
+    bench.after(60, COLD)
+    returned = alarm_document(bench.only())
+    assert returned["state"] == "RTNUN"
+    assert returned["peak"] == {"value": 113.4, "time": rfc3339(peak_us)}
+    assert returned["duration_s"] == 1320.0
+    line = transition_document(bench.journal()[-1])
+    assert (line["peak"], line["duration_s"]) == (returned["peak"], 1320.0)
+    bench.after(600, replace(HOT, value=115.0))
+    assert alarm_document(bench.only())["peak"]["value"] == 115.0, "raised again in the same life"
+    bench.after(60, COLD)
+    bench.book.acknowledge(bench.only().id, "eva")
+    bench.after(60, HOT)
+    assert alarm_document(bench.only())["peak"]["value"] == HOT.value, "a new life"
+
+
+def test_the_peak_outlives_a_restart(bench: Bench) -> None:
+    bench.after(0, replace(HOT, value=120.0))
+    bench.restart()
+    bench.after(10, HOT)
+    bench.after(10, COLD)
+    assert alarm_document(bench.only())["peak"]["value"] == 120.0

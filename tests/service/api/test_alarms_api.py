@@ -222,6 +222,8 @@ async def test_the_journal_is_filtered_and_exported(world: Any) -> None:
     rows = list(csv.DictReader(io.StringIO(whole.text)))
     assert [row["class"] for row in rows] == ["event", "alarm", "alarm", "alarm"]
     assert rows[1]["comment"] == 'he said "why, now?"'
+    assert rows[1]["peak_value"] == "91.0"
+    assert rows[1]["peak_time"] == rows[-1]["time"]
     part = await client.get(f"{ALARMS}/journal", params={"format": "csv", "limit": 1})
     assert len(part.text.splitlines()) == 2
     assert "next" in part.links
