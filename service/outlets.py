@@ -16,7 +16,7 @@ Outlet = tuple[str, Callable[[], Coroutine[Any, Any, None]]]
 """Name of a task and its work, which goes on until it is cancelled."""
 
 
-def check_outlets(settings: Settings) -> None:
+def check_ports(settings: Settings) -> None:
     """Make sure that what is enabled can be had here, before anything else starts.
 
     Raises

@@ -79,11 +79,17 @@ class Upkeep:
                 agrees_since_s = now_s
             expire_at_s = max(expire_at_s, agrees_since_s + self._trust_after_s)
             try:
-                await to_thread.run_sync(_refresh, self._store, self._clock.now_us() - _SETTLE_US)
+                await to_thread.run_sync(
+                    _refresh,
+                    self._store,
+                    self._clock.now_us() - _SETTLE_US,
+                    abandon_on_cancel=True,  # a store that hangs does not hold up the stop
+                )
                 if now_s >= expire_at_s:
                     expire_at_s = now_s + EXPIRE_EVERY_S
                     removed = await to_thread.run_sync(
-                        partial(self._expire, self._clock.now_us(), wall_us())
+                        partial(self._expire, self._clock.now_us(), wall_us()),
+                        abandon_on_cancel=True,
                     )
                     if removed:
                         _log.info("expired", rows=removed)

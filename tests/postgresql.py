@@ -4,7 +4,7 @@ import fcntl
 import signal
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,28 @@ class PostgreSQL:
     def start(self) -> None:
         """Start it again."""
         self.server.start()
+
+    @contextmanager
+    def frozen(self) -> Iterator[Callable[[], None]]:
+        """Stop all its processes where they are; they run again at the end, or when told to."""
+        postmaster = self.server.get_postmaster_info().process
+        # The postmaster first: it would start others.
+        stopped = [postmaster]
+        postmaster.suspend()
+        for process in postmaster.children(recursive=True):
+            process.suspend()
+            stopped.append(process)
+
+        def thaw() -> None:
+            while stopped:
+                process = stopped.pop()
+                if process.is_running():
+                    process.resume()
+
+        try:
+            yield thaw
+        finally:
+            thaw()
 
     def close(self) -> None:
         """Stop the server for good, without a thought for its data."""

@@ -290,7 +290,7 @@ def _serve_empty() -> None:
     import uvicorn
     from fastapi import FastAPI
 
-    from service.app import bind
+    from service.web_side import bind
 
     app = FastAPI()
 

@@ -54,8 +54,8 @@ def demo(
     import httpx2
     from rich.console import Console
 
-    from service.app import bind
     from service.demo.processes import DemoError
+    from service.web_side import bind
 
     # Now, not after the minute that the preparation may take.
     with contextlib.closing(bind("127.0.0.1", port)):

@@ -1,5 +1,6 @@
-"""Commands and how they end: 0 done, 1 failure, 2 something the user can mend."""
+"""Commands and how they end: 0 done, 1 failure, 2 something the user can mend, 75 try again."""
 
+import os
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -20,6 +21,7 @@ from service.cli.serve import serve
 from service.cli.study import study
 from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
+from service.errors import ServiceError, TemporaryError
 
 _OURS = ("service", "adapters", "twin_core")
 
@@ -66,9 +68,11 @@ def _options(
 def main() -> None:
     """Run the command line.
 
-    Our own kinds of ValueError, and options that do not fit, are what a user can mend: they end
-    with one line per error on standard error and exit status 2. Any other exception is a fault of
-    ours and keeps its traceback.
+    Our own kinds of ValueError, a store that cannot be used and options that do not fit are what a
+    user can mend: they end with one line per error on standard error and exit status 2. Trouble
+    that passes by itself ends with one line and status 75 (EX_TEMPFAIL of sysexits.h): whoever
+    started the command may start it again. Any other exception is a fault of ours and keeps its
+    traceback.
     """
     try:
         status = app(standalone_mode=False)
@@ -77,6 +81,8 @@ def main() -> None:
         if message:
             _refuse(message)
         sys.exit(2)  # called without arguments: the help has been shown
+    except ServiceError as error:
+        _refuse(str(error), status=os.EX_TEMPFAIL if isinstance(error, TemporaryError) else 2)
     except ValueError as error:
         if type(error).__module__.partition(".")[0] not in _OURS:
             raise
@@ -84,7 +90,7 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _refuse(*messages: str) -> NoReturn:
+def _refuse(*messages: str, status: int = 2) -> NoReturn:
     for message in messages:
         sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
-    sys.exit(2)
+    sys.exit(status)

@@ -8,7 +8,7 @@ from typing import Annotated
 import structlog
 import typer
 
-from service.cli.signals import leave_threads_behind, stop_on_signals
+from service.cli.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.logs import configure_logging
 from service.settings import Settings
 
@@ -39,9 +39,10 @@ def serve(config: ConfigFile = None) -> None:
 async def _serve(settings: Settings) -> None:
     stop = stop_on_signals()
     # Imported here: the compiled twin takes a second to load, which no other command should pay.
-    from service import app
+    from service import start
 
     # What has been loaded stays: a garbage collection need not look through it while samples,
     # of which every one is an object, come and go.
     gc.freeze()
-    await app.serve(settings, announce=lambda address: typer.echo(address), stop=stop)
+    await start.serve(settings, announce=lambda address: typer.echo(address), stop=stop)
+    await leave_tasks_behind()

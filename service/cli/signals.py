@@ -23,6 +23,22 @@ def stop_on_signals(*more: signal.Signals) -> asyncio.Event:
     return stop
 
 
+async def leave_tasks_behind() -> None:
+    """End the process with status 0 if tasks still wait for a store that does not answer.
+
+    `asyncio.run` would wait for them as long as they take: requests, and threads behind them.
+    """
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    if others:
+        _, left = await asyncio.wait(others, timeout=_THREADS_WALL_S)
+        if left:
+            _log.warning("tasks_left_behind", tasks=sorted(task.get_name() for task in left))
+            sys.stdout.flush()
+            os._exit(0)
+
+
 def leave_threads_behind() -> None:
     """End the process with status 0 if threads still wait for a store that does not answer.
 

@@ -1,7 +1,9 @@
 """From the drivers to the live twins and the store."""
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from operator import attrgetter
 
@@ -14,7 +16,7 @@ from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks
 from service.ingest.spool import Spool
 from service.ingest.writer import SampleWriter
-from service.store import Store, WriteCounts
+from service.store import Store, StoreUnavailableError, WriteCounts
 
 #: Wall seconds before a driver that failed is started again: first, and at most.
 RESTART_FIRST_S = 1.0
@@ -23,6 +25,9 @@ RESTART_LAST_S = 30.0
 PORTION = 250
 #: Wall seconds that a store which does not answer is given when the service stops.
 DRAIN_S = 5.0
+#: Wall seconds after which a refused push may come again: after one refusal, and at most.
+RETRY_PUSH_S = 5.0
+RETRY_PUSH_LAST_S = 60.0
 
 _log = structlog.get_logger(__name__)
 
@@ -36,8 +41,8 @@ class Ingest:
 
     Parameters
     ----------
-    store : Store
-        Where the samples go.
+    store : Store or None
+        Where the samples go; None while it is not open yet, see `attach`.
     spool : Spool
         Where they wait on the disk while the store is away.
     clock : Clock
@@ -53,7 +58,7 @@ class Ingest:
 
     def __init__(
         self,
-        store: Store,
+        store: Store | None,
         spool: Spool,
         clock: Clock,
         on_batch: Callable[[Batch], None],
@@ -68,10 +73,16 @@ class Ingest:
         self._on_batch = on_batch
         self._ledger = SampleLedger(registry)
         self._source_metrics = SourceMetrics(registry)
-        self._writer = SampleWriter(store, spool, self._ledger)
+        self._writer = SampleWriter(None, spool, self._ledger)
         watch_queues(lambda: self._writer.queued, spool, clock, registry)
-        self._unmarked_gaps: dict[tuple[str, str], int] = {}
         self._accepting = asyncio.Lock()
+        self._refused = 0
+        # Where channels ended in the last run; what waits on the spool is newer than the store.
+        ends = spool.newest()
+        self._unmarked_gaps = {name: end_us for name, end_us in ends.items() if end_us is not None}
+        # First times of this run, of channels whose end only the store knows.
+        self._known_ends = set(ends)
+        self._first_us: dict[tuple[str, str], int] = {}
 
     @property
     def problem(self) -> str | None:
@@ -111,7 +122,8 @@ class Ingest:
         drivers : sequence of Driver
             Not entered yet. May be empty when samples are only pushed.
         """
-        self._unmarked_gaps = await asyncio.to_thread(self._open_ends)
+        if self._store is not None:
+            self.attach(self._store, await asyncio.to_thread(self._store.open_ends))
         self._writer.start()
         try:
             async with asyncio.TaskGroup() as group:
@@ -121,6 +133,11 @@ class Ingest:
                 await asyncio.Event().wait()  # for ever: the group ends when it is cancelled
         finally:
             await asyncio.to_thread(self._writer.close, DRAIN_S)
+
+    @property
+    def retry_after_s(self) -> int:
+        """Wall seconds after which a refused push may be sent again; grows while all are."""
+        return int(min(RETRY_PUSH_S * 2 ** max(self._refused - 1, 0), RETRY_PUSH_LAST_S))
 
     async def accept(self, samples: Sequence[Sample]) -> WriteCounts:
         """Take pushed samples: the live twins get them, and they are on the disk at the end.
@@ -133,17 +150,22 @@ class Ingest:
         Raises
         ------
         StoreUnavailableError
-            If the store cannot take them now; send them again later.
+            If none of them was stored, or is going to be; send them again later.
         """
         return await (await self.take_in(samples))
 
-    async def take_in(self, samples: Sequence[Sample]) -> Awaitable[WriteCounts]:
+    async def take_in(
+        self, samples: Sequence[Sample], patience_s: float = math.inf
+    ) -> Awaitable[WriteCounts]:
         """Take pushed samples: the live twins have them, and they are on their way to the store.
 
         Parameters
         ----------
         samples : sequence of Sample
             In any order.
+        patience_s : float
+            Wall seconds that they may wait for their turn; once they are being written the end
+            of that is waited for.
 
         Returns
         -------
@@ -160,10 +182,31 @@ class Ingest:
             for begin in range(0, len(samples), PORTION):
                 judged += self._checks.judge(samples[begin : begin + PORTION])
                 await asyncio.sleep(0)
-            stored = asyncio.wrap_future(self._writer.put_and_tell(judged))
+            try:
+                written = self._writer.put_and_tell(judged)
+            except StoreUnavailableError:
+                self._refused += 1
+                raise
+            stored = asyncio.ensure_future(self._await(written, patience_s))
+            # Nobody may be there any more to hear that it failed.
+            stored.add_done_callback(lambda done: done.cancelled() or done.exception())
             # What is stored reaches the twins, also when the caller has gone meanwhile.
             await asyncio.shield(asyncio.ensure_future(self._hand_over_portions(judged)))
-        return stored
+        return asyncio.shield(stored)
+
+    async def _await(self, written: "Future[WriteCounts]", patience_s: float) -> WriteCounts:
+        """Wait until samples are on the disk; while their turn has not come they are taken back."""
+        ends = asyncio.wrap_future(written)
+        await asyncio.wait({ends}, timeout=None if math.isinf(patience_s) else patience_s)
+        try:
+            if not ends.done() and self._writer.withdraw(written):
+                raise StoreUnavailableError(f"their turn did not come within {patience_s:g} s")
+            counts = await ends
+        except StoreUnavailableError:
+            self._refused += 1
+            raise
+        self._refused = 0
+        return counts
 
     async def _hand_over_portions(self, samples: Sequence[Sample]) -> None:
         for begin in range(0, len(samples), PORTION):
@@ -179,15 +222,28 @@ class Ingest:
         if samples:
             self._writer.put(samples)
 
-    def _open_ends(self) -> dict[tuple[str, str], int]:
-        """Channels that were recorded when the last run ended, in the store or on the spool."""
-        ends = self._store.open_ends()
-        for channel, time_us in self._spool.newest().items():
-            if time_us is None:
-                ends.pop(channel, None)
+    def attach(self, store: Store, ends: Mapping[tuple[str, str], int]) -> None:
+        """Store samples from now on, those on the spool first.
+
+        Parameters
+        ----------
+        store : Store
+            Where samples go.
+        ends : mapping
+            Its `open_ends`, read before anything of this run is stored.
+        """
+        for channel, last_us in ends.items():
+            if channel in self._known_ends:
+                continue
+            first_us = self._first_us.get(channel)
+            if first_us is None:
+                self._unmarked_gaps[channel] = last_us
             else:
-                ends[channel] = max(time_us, ends.get(channel, time_us))
-        return ends
+                self.submit(self._gap_marks({channel: (last_us, first_us)}))
+        self._known_ends |= ends.keys()
+        self._first_us = {}
+        self._store = store
+        self._writer.attach(store)
 
     async def _pump(self, driver: Driver) -> None:
         wait_s = RESTART_FIRST_S
@@ -209,7 +265,7 @@ class Ingest:
 
     def _take(self, batch: Batch) -> None:
         if batch.samples:
-            if self._unmarked_gaps:
+            if self._unmarked_gaps or self._store is None:
                 self._mark_gaps(batch.samples)
             judged = self._checks.judge(batch.samples)
             if judged is not batch.samples:
@@ -230,22 +286,23 @@ class Ingest:
         Without the mark a reader would draw a line from the last value before the service was
         away to the first one after.
         """
-        marks = []
-        now_us = self._clock.now_us()
+        gaps = {}
         for sample in samples:
-            last_us = self._unmarked_gaps.pop((sample.asset, sample.channel), None)
-            if last_us is not None and last_us + 1 < sample.time_us:
-                marks.append(
-                    Sample(
-                        sample.asset,
-                        sample.channel,
-                        last_us + 1,
-                        float("nan"),
-                        Quality.OUT_OF_SERVICE,
-                        now_us,
-                    )
-                )
-        self.submit(marks)
+            channel = sample.asset, sample.channel
+            if self._store is None and channel not in self._known_ends:
+                self._first_us.setdefault(channel, sample.time_us)
+            last_us = self._unmarked_gaps.pop(channel, None)
+            if last_us is not None:
+                gaps[channel] = last_us, sample.time_us
+        self.submit(self._gap_marks(gaps))
+
+    def _gap_marks(self, gaps: Mapping[tuple[str, str], tuple[int, int]]) -> list[Sample]:
+        now_us = self._clock.now_us()
+        return [
+            Sample(asset, channel, last_us + 1, float("nan"), Quality.OUT_OF_SERVICE, now_us)
+            for (asset, channel), (last_us, first_us) in gaps.items()
+            if last_us + 1 < first_us
+        ]
 
 
 async def _nothing() -> WriteCounts:

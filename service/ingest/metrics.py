@@ -12,7 +12,14 @@ from service.ingest.spool import Spool
 from service.store import QueueUnavailableError
 
 #: Why an accepted sample may not reach the store.
-SKIP_REASONS = ("queue_full", "refused", "spool_full", "store_unavailable", "too_old")
+SKIP_REASONS = (
+    "queue_full",
+    "refused",
+    "spool_full",
+    "store_unavailable",
+    "too_old",
+    "withdrawn",
+)
 
 _PREFIX = "bearing_twin_samples"
 

@@ -20,18 +20,27 @@ from service.store import QueueUnavailableError, Store, StoreUnavailableError, W
 #: A transaction holds at least so many samples, or those of so many wall seconds.
 BATCH_SAMPLES = 5000
 BATCH_S = 0.5
+#: A push of more samples is a backlog. It is stored in portions of so many, and whatever else
+#: comes meanwhile goes first.
+PORTION_SAMPLES = 2000
 #: Samples that may wait in memory (about 40 MB): 40 s at 5000 samples/s.
 QUEUE_SAMPLES = 200_000
 #: The store is given so long per try, and is left alone so long in between.
 _PATIENCE_S = 1.0
 _RETRY_S = 0.2
+#: A store that stays away is asked less and less often: at least every so many wall seconds.
+_RETRY_LAST_S = 2.0
 #: The spool is emptied in portions of so many samples, for so long before new ones have a turn.
-_DRAIN_SAMPLES = 20_000
+_DRAIN_SAMPLES = 5000
 _DRAIN_S = 0.5
+#: At the stop a store that hangs has so long; then what it was given goes on the spool as well.
+_HANGS_S = 2.0
 
 _log = structlog.get_logger(__name__)
 
 _Parcel = tuple[Sequence[Sample], "Future[WriteCounts] | None"]
+"""Samples that came together, and who waits until they are on the disk."""
+
 _Write = Callable[[Sequence[Sample]], WriteCounts]
 
 
@@ -44,8 +53,8 @@ class SampleWriter:
 
     Parameters
     ----------
-    store : Store
-        Where the samples go.
+    store : Store or None
+        Where the samples go; None while it is not open yet, see `attach`.
     spool : Spool
         Where they wait while the store is away. What an earlier run left in it is stored first.
     ledger : SampleLedger
@@ -61,11 +70,14 @@ class SampleWriter:
         Samples that the store does not take because it has removed that time already.
     """
 
-    def __init__(self, store: Store, spool: Spool, ledger: SampleLedger) -> None:
+    def __init__(self, store: Store | None, spool: Spool, ledger: SampleLedger) -> None:
         self._store = store
         self._spool = spool
         self._ledger = ledger
         self._parcels: deque[_Parcel] = deque()
+        self._backlog: deque[_Parcel] = deque()
+        self._portions: list[WriteCounts | None] = []  # of the first parcel of the backlog
+        self._in_hand: Sequence[Sample] = ()
         self._queued = 0
         self._waiting_since = 0.0
         self._urgent = False
@@ -73,6 +85,8 @@ class SampleWriter:
         self._give_up_at: float | None = None
         self._thread: threading.Thread | None = None
         self._store_asked_at = 0.0
+        self._retry_s = _RETRY_S
+        self._answers = 0  # of the store and the spool, good or bad
         self.problem: str | None = None
         self.spool_problem: str | None = None
         self.too_old = TooOld()
@@ -87,6 +101,10 @@ class SampleWriter:
         """Begin to write; what was put in before waits until then."""
         self._thread = threading.Thread(target=self._run, name="sample-writer", daemon=True)
         self._thread.start()
+
+    def attach(self, store: Store) -> None:
+        """Store samples from now on; what waits on the spool goes first."""
+        self._store = store
 
     def put(self, samples: Sequence[Sample]) -> None:
         """Queue samples; those for which there is no room are skipped and counted."""
@@ -121,8 +139,13 @@ class SampleWriter:
                     + (f" ({self.problem})" if self.problem else "")
                 )
             self._ledger.accept(len(samples))
-            self._urgent = True
-            self._append(samples, future)
+            if len(samples) > PORTION_SAMPLES:
+                self._backlog.append((samples, future))
+                self._queued += len(samples)
+                self._condition.notify()
+            else:
+                self._urgent = True
+                self._append(samples, future)
         return future
 
     def refuse_too_old(self, samples: Sequence[Sample]) -> None:
@@ -130,7 +153,22 @@ class SampleWriter:
         if samples:
             self._ledger.accept(len(samples))
             self._ledger.skip(len(samples), "too_old")
-            self.too_old.add(samples, self._store.kept_from_us)
+            self.too_old.add(samples, self._store.kept_from_us if self._store else 0)
+
+    def withdraw(self, future: "Future[WriteCounts]") -> bool:
+        """Take queued samples back; False when they are being written, or are written already."""
+        with self._condition:
+            # Whoever writes has taken a short parcel out of its queue, and marked a long one.
+            if not future.cancel():
+                return False
+            for queue in (self._parcels, self._backlog):
+                for parcel in queue:
+                    if parcel[1] is future:
+                        queue.remove(parcel)
+                        self._queued -= len(parcel[0])
+                        self._ledger.skip(len(parcel[0]), "withdrawn")
+                        return True
+        return False
 
     def close(self, timeout_s: float) -> None:
         """Write everything that is queued, into the store or on the spool, then stop.
@@ -144,8 +182,37 @@ class SampleWriter:
         with self._condition:
             self._give_up_at = time.monotonic() + timeout_s
             self._condition.notify()
-        if self._thread is not None:
-            self._thread.join()
+        if self._thread is None:
+            return
+        while self._thread.is_alive():
+            seen = self._answers
+            self._thread.join(_HANGS_S)
+            if self._answers == seen and self._thread.is_alive():
+                self._rescue()
+                return
+
+    def _rescue(self) -> None:
+        """Put everything on the spool beside a thread that hangs in the store.
+
+        Should the store take it after all, it is the same sample once more, and known by then.
+        """
+        with self._condition:
+            parcels = [*self._parcels, *self._backlog]
+            samples = [*self._in_hand, *(one for parcel, _ in parcels for one in parcel)]
+            self._parcels.clear()
+            self._backlog.clear()
+        _log.warning("store_hangs", samples_on_spool=len(samples))
+        try:
+            if samples:
+                self._on_spool(samples)
+        except QueueUnavailableError as error:
+            _log.error("samples_lost", count=len(samples), error=str(error))
+            return
+        for _, future in parcels:
+            if future is None or future.done():
+                continue
+            if future.running() or future.set_running_or_notify_cancel():
+                future.set_result(WriteCounts(0, 0))
 
     def _append(self, samples: Sequence[Sample], future: "Future[WriteCounts] | None") -> None:
         if not self._parcels:
@@ -162,16 +229,35 @@ class SampleWriter:
             # Neighbours for whom nobody waits share a transaction; the others get their own counts.
             for future, group in groupby(parcels, key=itemgetter(1)):
                 samples = [one for parcel, _ in group for one in parcel]
-                awaited = future is not None and future.set_running_or_notify_cancel()
+                if future is not None and not future.set_running_or_notify_cancel():
+                    future = None  # whoever pushed is gone; the samples are kept all the same
                 counts = self._keep(samples)
                 with self._condition:
                     self._queued -= len(samples)
-                if future is None or not awaited:
-                    continue
-                if counts is None:
-                    future.set_exception(StoreUnavailableError("the samples were not stored"))
-                else:
-                    future.set_result(counts)
+                if future is not None:
+                    _settle(future, [counts])
+            self._keep_backlog()
+
+    def _keep_backlog(self) -> None:
+        """Keep one portion of a long push."""
+        with self._condition:
+            if not self._backlog:
+                return
+            samples, future = self._backlog[0]
+            if future is not None and not self._portions and not future.running():
+                future.set_running_or_notify_cancel()  # from now on it cannot be withdrawn
+        first = len(self._portions) * PORTION_SAMPLES
+        portion = samples[first : first + PORTION_SAMPLES]
+        self._portions.append(self._keep(portion))
+        with self._condition:
+            self._queued -= len(portion)
+            if first + len(portion) < len(samples):
+                return
+            counts, self._portions = self._portions, []
+            if self._backlog:
+                self._backlog.popleft()
+        if future is not None:
+            _settle(future, counts)
 
     def _next(self) -> list[_Parcel] | None:
         """Wait for the next batch; it may be empty while the spool is not.
@@ -183,7 +269,7 @@ class SampleWriter:
                 rest_s = self._waiting_since + BATCH_S - time.monotonic()
                 wait_s = max(rest_s, 0.0) if self._parcels else None
                 if len(self._spool):
-                    due_s = max(self._store_asked_at + _RETRY_S - time.monotonic(), 0.0)
+                    due_s = max(self._store_asked_at + self._retry_s - time.monotonic(), 0.0)
                     wait_s = due_s if wait_s is None else min(wait_s, due_s)
                 if not self._condition.wait(wait_s) and len(self._spool):
                     break
@@ -194,12 +280,12 @@ class SampleWriter:
                 count += len(batch[-1][0])
             if not self._parcels:
                 self._urgent = False
-            if not batch and self._give_up_at is not None:
+            if not (batch or self._backlog) and self._give_up_at is not None:
                 return None
             return batch
 
     def _due(self) -> bool:
-        if self._give_up_at is not None:
+        if self._give_up_at is not None or self._backlog:
             return True
         if not self._parcels:
             return False
@@ -209,6 +295,7 @@ class SampleWriter:
     def _keep(self, samples: Sequence[Sample]) -> WriteCounts | None:
         """Put samples into the store or on the spool; None when nothing was kept."""
         kept: list[WriteCounts] = []
+        self._in_hand = samples
         while True:
             if not len(self._spool):
                 counts, samples = self._write(samples, self._into_store)
@@ -221,16 +308,22 @@ class SampleWriter:
             if self._give_up_at is not None and time.monotonic() > self._give_up_at:
                 _log.error("samples_lost", count=len(samples), error=self.spool_problem)
                 self._ledger.skip(len(samples), "store_unavailable")
+                self._in_hand = ()
                 return None
+            self._in_hand = samples
             time.sleep(_RETRY_S)
             self._drain()
+        self._in_hand = ()
         if not kept:
             return None
         return WriteCounts(sum(one.stored for one in kept), sum(one.duplicates for one in kept))
 
     def _drain(self) -> None:
         """Move samples from the spool into the store, for a while, if the store takes them."""
-        if time.monotonic() < self._store_asked_at + _RETRY_S:
+        if time.monotonic() < self._store_asked_at + self._retry_s:
+            return
+        if self._store is None:
+            self._store_asked_at = time.monotonic()
             return
         until = time.monotonic() + _DRAIN_S
         while len(self._spool) and time.monotonic() < until:
@@ -265,13 +358,18 @@ class SampleWriter:
             part = parts.pop()
             try:
                 written.append(write(part))
+                self._answers += 1
             except StoreUnavailableError as error:
                 if self.problem is None:
                     _log.warning("store_unavailable", error=str(error), waiting=self._queued)
+                self._retry_s = (
+                    min(2.0 * self._retry_s, _RETRY_LAST_S) if self.problem else _RETRY_S
+                )
                 self.problem = str(error)
                 self._store_asked_at = time.monotonic()
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except QueueUnavailableError as error:
+                self._answers += 1
                 if self.spool_problem is None:
                     _log.error("spool_unavailable", error=str(error), waiting=self._queued)
                 self.spool_problem = str(error)
@@ -287,11 +385,14 @@ class SampleWriter:
         return written, []
 
     def _into_store(self, samples: Collection[Sample]) -> WriteCounts:
+        if self._store is None:
+            raise StoreUnavailableError("the store is not open yet")
         with self._ledger.write_seconds.time():
             counts = self._store.write_samples(samples, _PATIENCE_S)
         if self.problem is not None:
             _log.info("store_available", waiting=self._queued + len(self._spool))
         self.problem = self.spool_problem = None
+        self._retry_s = _RETRY_S
         self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
         if too_old := len(samples) - counts.stored - counts.duplicates:
             self._ledger.skip(too_old, "too_old")
@@ -307,3 +408,16 @@ class SampleWriter:
             _log.error("spool_full", samples_given_up=given_up, waiting=len(self._spool))
             self._ledger.skip(given_up, "spool_full")
         return WriteCounts(len(samples), 0)
+
+
+def _settle(future: "Future[WriteCounts]", counts: Sequence[WriteCounts | None]) -> None:
+    """Tell who waits what became of the portions of a push."""
+    if future.done():
+        return
+    kept = [one for one in counts if one is not None]
+    if len(kept) < len(counts):
+        future.set_exception(StoreUnavailableError("the samples were not stored"))
+    else:
+        future.set_result(
+            WriteCounts(sum(one.stored for one in kept), sum(one.duplicates for one in kept))
+        )

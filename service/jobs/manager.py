@@ -113,11 +113,14 @@ class IdentificationJobs:
         """Stop the workers; what was running waits in the store for the next start."""
         for task in self._tasks.values():
             task.cancel()
-        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+        if self._tasks:  # one may wait for a store that does not answer
+            await asyncio.wait(self._tasks.values(), timeout=STOP_WALL_S)
         self._shut_down_executor()
         try:
             async with asyncio.timeout(STOP_WALL_S):
-                for job in await anyio.to_thread.run_sync(self._store.unfinished_jobs):
+                for job in await anyio.to_thread.run_sync(
+                    self._store.unfinished_jobs, abandon_on_cancel=True
+                ):
                     # A clean stop is no failed attempt.
                     await self._update(
                         job.id,

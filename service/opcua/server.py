@@ -7,6 +7,7 @@ subscribes; what it sees is at most `PERIOD_S` behind.
 
 import asyncio
 import contextlib
+import errno
 import logging
 import math
 import socket
@@ -23,6 +24,7 @@ from asyncua import Server, ua
 
 from service.api.context import AssetTwin
 from service.configuration import SettingsError
+from service.errors import TemporaryError
 from service.live.guard import Guard
 from service.opcua.certificate import load_certificate
 from service.opcua.codes import status_code, unit_id
@@ -180,8 +182,10 @@ def check_port(section: OpcUaSection) -> None:
 
     Raises
     ------
+    TemporaryError
+        If the port is taken, or the machine does not have the address yet; names it.
     SettingsError
-        If it cannot; names it.
+        If it cannot be used at all; names it.
     """
     place = urlsplit(section.endpoint)
     family = socket.AF_INET6 if ":" in (place.hostname or "") else socket.AF_INET
@@ -190,7 +194,9 @@ def check_port(section: OpcUaSection) -> None:
         try:
             probe.bind((place.hostname, place.port))
         except OSError as error:
-            raise SettingsError(
+            passing = (errno.EADDRINUSE, errno.EADDRNOTAVAIL, socket.EAI_AGAIN)
+            kind = TemporaryError if error.errno in passing else SettingsError
+            raise kind(
                 f"opcua.endpoint = {section.endpoint!r}: cannot listen there "
                 f"({error.strerror or error}); expected a free port"
             ) from error

@@ -6,13 +6,16 @@ from service.store.records import JsonDocument
 from service.store.section import Section
 from service.store.tables import AssetStateRow
 
+#: Wall seconds to wait for other writers; the next document comes soon.
+_PATIENCE_S = 3.0
+
 
 class AssetStates(Section):
     """One JSON document per asset; a new one replaces the old one."""
 
     def save_asset_state(self, asset: str, document: JsonDocument) -> None:
         """Keep a document for `load_asset_state`."""
-        with self._database.writing() as connection:
+        with self._database.writing(_PATIENCE_S) as connection:
             connection.execute(delete(AssetStateRow).where(AssetStateRow.asset == asset))
             connection.execute(insert(AssetStateRow).values(asset=asset, document=document))
 

@@ -13,12 +13,19 @@ import structlog
 from sqlalchemy.engine import URL
 
 from service.store.closable import Closable
-from service.store.errors import DatabaseInUseError, StoreError
+from service.store.errors import DatabaseInUseError
 from service.store.opening import database_address
-from service.store.postgresql import CONNECT_ARGS
+from service.store.postgresql_connection import (
+    CONNECT_ARGS,
+    PatientConnection,
+    connection_error,
+)
 
 #: Wall seconds between two looks at the connection that holds the lock.
 CHECK_S = 2.0
+#: Wall seconds for an answer, of which ending an old connection may take five; and for the end.
+_ANSWER_S = 8.0
+_END_S = 1.0
 
 #: Number of the advisory lock, with the schema's beside it; any that nobody else uses.
 _SERVICE_LOCK = 0x42545773
@@ -60,7 +67,7 @@ class DatabaseLock(Closable):
     DatabaseInUseError
         If another service has it.
     StoreError
-        If there is no connection.
+        If there is no connection; a `StoreUnavailableError` if that may pass by itself.
     """
 
     def __init__(self, url: URL, on_lost: Callable[[], object]) -> None:
@@ -75,17 +82,18 @@ class DatabaseLock(Closable):
         try:
             self._connection = self._connect()
         except psycopg.Error as error:
-            raise StoreError(f"{self._name}: {' '.join(str(error).split())}") from error
+            raise connection_error(self._name, error) from error
         self._thread = threading.Thread(target=self._keep, name="database-lock", daemon=True)
         self._thread.start()
 
     def _connect(self) -> psycopg.Connection[Any]:
         """Connect and take the lock."""
-        connection = psycopg.connect(
+        connection = PatientConnection.connect(
             self._url.set(drivername="postgresql").render_as_string(hide_password=False),
             autocommit=True,
             **{**CONNECT_ARGS, "application_name": self._self},
         )
+        connection.answer_s = _ANSWER_S
         try:
             connection.execute(_NOTICE_LOSS)
             while not _first(connection.execute(f"SELECT {_LOCK}"))[0]:
@@ -128,8 +136,9 @@ class DatabaseLock(Closable):
     def close(self) -> None:
         """Give the database free."""
         self._ended.set()
-        self._thread.join()
-        self._connection.close()
+        self._thread.join(_END_S)
+        if not self._thread.is_alive():  # else the end of the process does it
+            self._connection.close()
 
 
 def _first(cursor: psycopg.Cursor[Any]) -> Any:

@@ -1,20 +1,55 @@
 """What can go wrong with the store."""
 
+import errno
+import sqlite3
 
-class StoreError(ValueError):
-    """The store cannot be used as it is configured; the text is one line for the user."""
+from service.errors import ServiceError, TemporaryError
+
+#: The state of a disk or of the machine; what is wrong with a path or with rights does not pass.
+_PASSING_ERRNOS = frozenset(
+    {
+        errno.EAGAIN,
+        errno.EBUSY,
+        errno.EDQUOT,
+        errno.EINTR,
+        errno.EIO,
+        errno.EMFILE,
+        errno.ENFILE,
+        errno.ENOMEM,
+        errno.ENOSPC,
+        errno.ESTALE,
+        errno.ETIMEDOUT,
+    }
+)
+_PASSING_CODES = frozenset(
+    {
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_NOMEM,
+        sqlite3.SQLITE_PROTOCOL,
+    }
+)
 
 
-class DataDirectoryInUseError(StoreError):
-    """Another service already works on this data directory."""
+class StoreError(ServiceError):
+    """The store cannot be used as it is configured; the text is one line for the user.
+
+    A person must mend it, unless it is a `StoreUnavailableError`.
+    """
 
 
-class DatabaseInUseError(StoreError):
-    """Another service already works on this database."""
+class StoreUnavailableError(StoreError, TemporaryError):
+    """The store does not answer now (locked, disk full, server away, I/O error); try again."""
 
 
-class StoreUnavailableError(RuntimeError):
-    """The store is there but does not answer now (locked, disk full, I/O error); try again."""
+class DataDirectoryInUseError(StoreUnavailableError):
+    """Another service works on this data directory."""
+
+
+class DatabaseInUseError(StoreUnavailableError):
+    """Another service works on this database."""
 
 
 class ActiveJobError(Exception):
@@ -29,3 +64,18 @@ class ActiveJobError(Exception):
     def __init__(self, job_id: str) -> None:
         super().__init__(f"job {job_id} is already queued or running for this asset")
         self.job_id = job_id
+
+
+def passes(cause: BaseException | None) -> bool:
+    """Tell whether an error of the operating system or of SQLite can pass by itself."""
+    if isinstance(cause, OSError):
+        return cause.errno in _PASSING_ERRNOS
+    # The low byte is the kind of error, the others say more about it.
+    return isinstance(cause, sqlite3.Error) and (
+        getattr(cause, "sqlite_errorcode", 0) & 0xFF in _PASSING_CODES
+    )
+
+
+def opening_error(text: str, cause: BaseException | None) -> StoreError:
+    """Make the error of a file that could not be opened, of the kind that its cause is."""
+    return StoreUnavailableError(text) if passes(cause) else StoreError(text)

@@ -1,11 +1,12 @@
 """One service per data directory."""
 
+import contextlib
 import fcntl
 import os
 from pathlib import Path
 
 from service.store.closable import Closable
-from service.store.errors import DataDirectoryInUseError, StoreError
+from service.store.errors import DataDirectoryInUseError, opening_error
 
 LOCK_FILE = "service.lock"
 
@@ -45,8 +46,8 @@ def lock_data_directory(data_dir: Path) -> DataDirectoryLock:
         data_dir.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise StoreError(
-            f"data directory {data_dir}: cannot be used ({error.filename}: {error.strerror})"
+        raise opening_error(
+            f"data directory {data_dir}: cannot be used ({error.filename}: {error.strerror})", error
         ) from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -58,6 +59,8 @@ def lock_data_directory(data_dir: Path) -> DataDirectoryLock:
             f"{f' (process {holder})' if holder else ''}; "
             "stop that one or give this one another service.data_dir"
         ) from None
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, f"{os.getpid()}\n".encode())
+    # Who holds it is a help for people; a full disk does not take it, and need not.
+    with contextlib.suppress(OSError):
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{os.getpid()}\n".encode())
     return DataDirectoryLock(descriptor)

@@ -6,7 +6,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError
 
 from service.store.database import Database
-from service.store.errors import StoreError
+from service.store.errors import StoreError, opening_error
 from service.store.postgresql import open_postgresql
 from service.store.sqlite import open_sqlite
 
@@ -27,8 +27,8 @@ def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Databa
     try:
         data_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(
-            f"data directory {error.filename}: cannot be made ({error.strerror})"
+        raise opening_error(
+            f"data directory {error.filename}: cannot be made ({error.strerror})", error
         ) from error
     if url.get_backend_name() == "postgresql":
         return open_postgresql(url, migrate=migrate)

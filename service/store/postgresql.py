@@ -22,20 +22,19 @@ from service.store.database import (
 )
 from service.store.errors import StoreError
 from service.store.migrations import is_current, upgrade
+from service.store.postgresql_connection import (
+    ANSWER_S,
+    CONNECT_ARGS,
+    CONNECT_S,
+    PatientConnection,
+    connection_error,
+)
 
 #: Samples of one partition: 2^41 microseconds, 25.5 days. Old ones can be dropped whole.
 PARTITION_US = 2**41
 
-#: How every connection is made.
-CONNECT_ARGS: dict[str, Any] = {
-    "connect_timeout": 10,
-    "application_name": "bearing-twin",
-    # A server that vanished from the network is noticed within seconds.
-    "keepalives_idle": 5,
-    "keepalives_interval": 2,
-    "keepalives_count": 3,
-    "tcp_user_timeout": 15_000,
-}
+#: Wall seconds beyond the patience of a transaction in which the server must answer.
+_ANSWER_MARGIN_S = 2.0
 _PATIENCE = "bearing_twin_patience_s"
 #: Number of the advisory lock that a writing transaction holds; any that nobody else uses.
 _WRITERS_LOCK = 0x42545772
@@ -87,9 +86,12 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
     ------
     StoreError
         If there is no connection, or the tables are not those of this version; one line.
+    StoreUnavailableError
+        If that may pass by itself: the server is not up yet, or does not answer.
     """
-    name = url.render_as_string(hide_password=True)
-    engine = _engine(url)
+    name = f"service.database_url = {url.render_as_string(hide_password=True)!r}"
+    # A migration may take its time.
+    engine = _engine(url, None if migrate else ANSWER_S)
     try:
         if not is_current(engine):
             if not migrate:
@@ -99,13 +101,13 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
             upgrade(engine)
     except DBAPIError as error:
         engine.dispose()
-        reason = " ".join(str(error.orig).split())
-        raise StoreError(f"service.database_url = {name!r}: {reason}") from error
+        raise connection_error(name, error.orig) from error
     except StoreError as error:
         engine.dispose()
-        raise StoreError(f"service.database_url = {name!r}: {error}") from error
+        raise type(error)(f"{name}: {error}") from error
     partitions: set[int] = set()
-    return Database(engine, name, Dialect(partial(_upsert_samples, partitions), _with_patience))
+    shown = url.render_as_string(hide_password=True)
+    return Database(engine, shown, Dialect(partial(_upsert_samples, partitions), _with_patience))
 
 
 def _upsert_samples(partitions: set[int], connection: Connection, columns: SampleColumns) -> int:
@@ -211,10 +213,13 @@ def _make_partition(connection: Connection, number: int) -> None:
 @contextmanager
 def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
     connection.info[_PATIENCE] = patience_s
-    yield
+    try:
+        yield
+    finally:
+        connection.info.pop(_PATIENCE, None)
 
 
-def _engine(url: URL) -> Engine:
+def _engine(url: URL, answer_s: float | None) -> Engine:
     engine = create_engine(
         url.set(drivername="postgresql+psycopg"),
         connect_args=CONNECT_ARGS,
@@ -225,15 +230,39 @@ def _engine(url: URL) -> Engine:
         pool_pre_ping=True,
     )
 
+    def connect(_dialect: Any, _record: Any, arguments: Any, options: Any) -> PatientConnection:
+        return PatientConnection.connect(*arguments, **options)
+
     def begin(connection: Connection) -> None:
-        if connection.get_execution_options().get(WRITES, False):
-            patience_s = connection.info.get(_PATIENCE, PATIENCE_S)
-            connection.exec_driver_sql(f"SET LOCAL lock_timeout = {round(patience_s * 1000)}")
+        writes = connection.get_execution_options().get(WRITES, False)
+        patience_s = connection.info.get(_PATIENCE, PATIENCE_S)
+        limit_s = answer_s
+        if writes and limit_s is not None:
+            limit_s = min(limit_s, patience_s + _ANSWER_MARGIN_S)
+        raw: Any = connection.connection.driver_connection
+        raw.answer_s = limit_s
+        # A server that is only slow ends by itself what nobody waits for any more.
+        limit_ms = 0 if limit_s is None else round(limit_s * 1000)
+        if writes:
+            connection.exec_driver_sql(
+                f"SET LOCAL lock_timeout = {round(patience_s * 1000)};"
+                f"SET LOCAL statement_timeout = {limit_ms}"
+            )
             # Writers of all programs take turns, as with SQLite: what one reads before it writes
             # is still true when it writes.
             connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS_LOCK})")
         else:
-            connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
+            connection.exec_driver_sql(
+                "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY;"
+                f"SET LOCAL statement_timeout = {limit_ms}"
+            )
 
+    def rest(raw: Any, _record: Any) -> None:
+        # Before its next use a connection is asked for a sign of life, and that is short.
+        if raw is not None:
+            raw.answer_s = CONNECT_S
+
+    event.listen(engine, "do_connect", connect)
     event.listen(engine, "begin", begin)
+    event.listen(engine, "checkin", rest)
     return engine

@@ -9,7 +9,7 @@ from typing import Self
 
 import structlog
 
-from service.store.errors import StoreError
+from service.store.errors import opening_error
 
 _DAMAGED = sqlite3.DatabaseError
 
@@ -80,8 +80,8 @@ class QueueFile:
                 )
                 return cls(connect(), path)
         except (sqlite3.Error, OSError) as error:
-            raise StoreError(
-                f"{path.stem} {path}: {error}; expected a file that may be written"
+            raise opening_error(
+                f"{path.stem} {path}: {error}; expected a file that may be written", error
             ) from error
 
     @contextlib.contextmanager

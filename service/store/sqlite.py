@@ -13,7 +13,7 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from adapters.samples import Quality
 from service.store.database import PATIENCE_S, WRITES, Database, Dialect, SampleColumns
-from service.store.errors import StoreError
+from service.store.errors import StoreError, opening_error
 from service.store.migrations import is_current, upgrade
 
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
@@ -38,13 +38,15 @@ def open_sqlite(url: URL) -> Database:
     ------
     StoreError
         If the file cannot be used, is not ours or is damaged; one line that names it.
+    StoreUnavailableError
+        If it stays locked, or the disk is full: that may pass by itself.
     """
     path = Path(url.database or "")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(
-            f"data directory {error.filename}: cannot be made ({error.strerror})"
+        raise opening_error(
+            f"data directory {error.filename}: cannot be made ({error.strerror})", error
         ) from error
     engine = _engine(url)
     try:
@@ -59,10 +61,10 @@ def open_sqlite(url: URL) -> Database:
     except (DBAPIError, sqlite3.Error) as error:
         engine.dispose()
         cause = error.orig if isinstance(error, DBAPIError) else error
-        raise StoreError(f"store {path}: {_explained(cause)}") from error
+        raise opening_error(f"store {path}: {_explained(cause)}", cause) from error
     except StoreError as error:
         engine.dispose()
-        raise StoreError(f"store {path}: {error}") from error
+        raise type(error)(f"store {path}: {error}") from error
     return Database(engine, str(path), Dialect(_upsert_samples, _with_patience))
 
 

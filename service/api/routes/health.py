@@ -1,5 +1,6 @@
 """Is it alive, is it ready, and the metrics."""
 
+import asyncio
 import ipaddress
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
@@ -23,6 +24,8 @@ from service.store import StoreUnavailableError
 router = APIRouter(tags=["health"])
 
 _DERIVED_SOURCE = "twin"
+#: Wall seconds in which the store must answer: whoever probes does not wait for long.
+_STORE_ANSWERS_S = 1.5
 _log = structlog.get_logger(__name__)
 
 
@@ -110,10 +113,14 @@ async def metrics(context: Context, request: Request, keys: Keys) -> Response:
 async def _store(context: ServiceContext) -> Check:
     ingest = context.ingest
     problem = ingest.problem
-    try:
-        await to_thread.run_sync(context.store.unfinished_jobs)
-    except StoreUnavailableError as error:
-        problem = problem or str(error)
+    if problem is None:  # else it was asked a moment ago
+        try:
+            async with asyncio.timeout(_STORE_ANSWERS_S):
+                await to_thread.run_sync(context.store.unfinished_jobs, abandon_on_cancel=True)
+        except TimeoutError:
+            problem = f"no answer within {_STORE_ANSWERS_S:g} s"
+        except StoreUnavailableError as error:
+            problem = str(error)
     if problem is None:
         return Check("store", "ok", "reads and writes")
     if ingest.spool_problem is not None:

@@ -192,13 +192,16 @@ async def post_measurements(
             ],
         )
     context.ingest.refuse_too_old(verdict.too_old)
-    stored = await context.ingest.take_in(verdict.samples)
-    await give_turn_back(request)
     try:
-        async with asyncio.timeout(PUSH_PATIENCE_S):
-            counts = await stored
-    except TimeoutError as error:
-        raise StoreUnavailableError("pushed samples are not on the disk yet") from error
+        stored = await context.ingest.take_in(verdict.samples, PUSH_PATIENCE_S)
+        await give_turn_back(request)
+        counts = await stored
+    except StoreUnavailableError as error:
+        raise Problem(
+            503,
+            f"none of the samples was stored: {error}; expected the same push again later",
+            headers={"Retry-After": str(context.ingest.retry_after_s)},
+        ) from error
     if counts.stored + counts.duplicates < len(verdict.samples):
         # The time from which samples are kept moved on meanwhile.
         verdict = await judged()

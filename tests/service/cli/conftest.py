@@ -60,6 +60,23 @@ def refused(
 
 
 @pytest.fixture
+def postponed(
+    cli: Callable[..., subprocess.CompletedProcess[str]],
+) -> Callable[..., str]:
+    """Run a command that must end with status 75, to be tried again; returns its last line."""
+
+    def run(*arguments: str) -> str:
+        ended = cli(*arguments)
+        assert ended.returncode == os.EX_TEMPFAIL, ended.stderr[-3000:]
+        assert ended.stdout == ""
+        line = ended.stderr.splitlines()[-1]
+        assert line.startswith("bearing-twin: ")
+        return line
+
+    return run
+
+
+@pytest.fixture
 def port() -> int:
     return free_port()
 

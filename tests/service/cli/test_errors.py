@@ -61,17 +61,19 @@ def test_a_truth_file_that_cannot_be_written(refused: Callable[..., str]) -> Non
 
 
 def test_a_port_of_the_service_in_use(
-    refused: Callable[..., str], configure: Callable[..., Path], taken: int
+    postponed: Callable[..., str], configure: Callable[..., Path], taken: int
 ) -> None:
     config = configure()
     config.write_text(config.read_text().replace("port =", "port = " + str(taken) + " #"))
-    line = refused("serve", "-c", str(config))
+    line = postponed("serve", "-c", str(config))
     assert f"service.port = {taken}" in line
     assert "expected a free port" in line
 
 
-def test_a_port_of_the_demo_in_use_is_told_at_once(refused: Callable[..., str], taken: int) -> None:
-    assert str(taken) in refused("demo", "--headless", "--port", str(taken))
+def test_a_port_of_the_demo_in_use_is_told_at_once(
+    postponed: Callable[..., str], taken: int
+) -> None:
+    assert str(taken) in postponed("demo", "--headless", "--port", str(taken))
 
 
 @pytest.mark.parametrize("command", [("serve",), ("keys", "list")])
@@ -167,9 +169,9 @@ def test_a_key_that_there_is_not(refused: Callable[..., str]) -> None:
 
 
 def test_an_opcua_endpoint_in_use_is_named(
-    configure: Callable[..., Path], refused: Callable[..., str], taken: int
+    configure: Callable[..., Path], postponed: Callable[..., str], taken: int
 ) -> None:
     endpoint = f"opc.tcp://127.0.0.1:{taken}/bearing-twin"
     config = configure(f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n')
-    line = refused("serve", "-c", str(config))
+    line = postponed("serve", "-c", str(config))
     assert f"opcua.endpoint = '{endpoint}': cannot listen there (Address already in use)" in line

@@ -2,16 +2,17 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from types import SimpleNamespace, TracebackType
+from typing import Any, Self
+
+import pytest
 
 from adapters.drivers import SourceHealth
 from adapters.samples import Batch
-from service.app import Service, bind
-from service.clock import ProcessClock
 from service.settings import ServiceSection, Settings
-from service.store import Store
+from service.start import serve
 from service.wiring import wire
 
 
@@ -49,16 +50,18 @@ class AbsentMinded:
 
 
 async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = Settings(service=ServiceSection(data_dir=tmp_path))
-    with Store.open("", tmp_path) as store, bind("127.0.0.1", 0) as listener:
-        service = Service(settings, wire(settings), store, ProcessClock())
-        driver = AbsentMinded()
-        service.drivers.append(driver)
-        stop = asyncio.Event()
-        running = asyncio.create_task(service.run(listener, stop))
-        await asyncio.wait_for(driver.begun.wait(), 30)
-        stop.set()
-        await asyncio.wait_for(running, 30)
-        assert driver.missed == 1
+    settings = Settings(service=ServiceSection(data_dir=tmp_path, port=0))
+    driver = AbsentMinded()
+    source: Any = SimpleNamespace(create=lambda clock: driver)
+    monkeypatch.setattr(
+        "service.start.wire", lambda settings: replace(wire(settings), sources=[source])
+    )
+    stop, ready = asyncio.Event(), asyncio.Event()
+    running = asyncio.create_task(serve(settings, announce=lambda _: ready.set(), stop=stop))
+    await asyncio.wait_for(driver.begun.wait(), 30)
+    await asyncio.wait_for(ready.wait(), 60)
+    stop.set()
+    await asyncio.wait_for(running, 30)
+    assert driver.missed == 1

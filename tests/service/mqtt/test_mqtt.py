@@ -237,10 +237,10 @@ def test_what_cannot_be_had_is_told_before_anything_starts(
         mqtt=MqttSection(enabled=True, tls=True, ca_file=Path("none.pem")), base_dir=tmp_path
     )
     with pytest.raises(SettingsError, match=r"mqtt.ca_file = .*none.pem'.*PEM certificates"):
-        outlets.check_outlets(wanted)
+        outlets.check_extras(wanted)
     monkeypatch.setattr(outlets, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match=r"mqtt.enabled = true: .*'bearing-twin\[mqtt\]'"):
-        outlets.check_outlets(wanted)
+        outlets.check_extras(wanted)
 
 
 @pytest.mark.parametrize("prefix", ["", "/a", "a/", "a//b", "a/+", "#", "$SYS", "a b"])

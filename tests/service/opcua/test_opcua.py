@@ -14,6 +14,7 @@ from adapters.samples import Quality
 from service import outlets
 from service.clock import from_rfc3339
 from service.configuration import SettingsError
+from service.errors import TemporaryError
 from service.opcua.codes import status_code, unit_id
 from service.security import create_key, revoke_key
 from service.security.authenticator import FAILED_LOGINS_PER_MINUTE
@@ -220,12 +221,12 @@ def test_what_cannot_be_had_is_told_before_anything_starts(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}/bearing-twin"
         wanted = Settings(opcua=OpcUaSection(enabled=True, endpoint=endpoint))
-        with pytest.raises(SettingsError, match=r"opcua.endpoint = .*already in use.*a free port"):
-            outlets.check_outlets(wanted)
+        with pytest.raises(TemporaryError, match=r"opcua.endpoint = .*already in use.*a free port"):
+            outlets.check_ports(wanted)
     monkeypatch.setattr(outlets, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match=r"opcua.enabled = true: .*'bearing-twin\[opcua\]'"):
-        outlets.check_outlets(wanted)
-    outlets.check_outlets(Settings())
+        outlets.check_extras(wanted)
+    outlets.check_extras(Settings())
 
 
 def test_only_an_endpoint_can_be_an_endpoint() -> None:
