@@ -18,6 +18,7 @@ EDGE_KINDS = (
     "speed-power",
 )
 SOURCE_KINDS = ("linear", "palmgren", "two-part")
+LOSS_KINDS = ("copper", "power", "speed")
 
 
 class SettingsError(ValueError):
@@ -74,7 +75,7 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
     for before, part in zip(("", *place), place, strict=False):
         # A kind in the place of a key is how pydantic tells which of several tables it checked.
         of_table = isinstance(before, int) or before == "source"
-        if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS)):
+        if part == "[key]" or (of_table and part in (*EDGE_KINDS, *SOURCE_KINDS, *LOSS_KINDS)):
             continue
         key += f"[{part}]" if isinstance(part, int) else f"{'.' if key else ''}{part}"
     message = error["msg"].removeprefix("Value error, ")
@@ -88,7 +89,10 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
         context = error["ctx"]
         shown = f".kind = {context['tag']!r}" if "tag" in context else ".kind"
         kinds = context.get("expected_tags") or ", ".join(
-            repr(kind) for kind in (SOURCE_KINDS if "source" in key else EDGE_KINDS)
+            repr(kind)
+            for kind in (
+                SOURCE_KINDS if "source" in key else LOSS_KINDS if "losses" in key else EDGE_KINDS
+            )
         )
         message = f"expected one of {kinds}"
     # A file that the configuration names has errors of its own, any number of them.

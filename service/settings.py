@@ -143,7 +143,7 @@ class ControllerSection(Section):
 
 def _channel_name(name: str, info: ValidationInfo) -> str:
     known = _temperatures(info.data)
-    if known is not None and name not in (*OPERATING_CHANNELS, *known):
+    if known is not None and name not in (*OPERATING_CHANNELS, *_inputs(info.data), *known):
         raise ValueError(f"unknown channel; expected one of {_listed(info.data)}")
     return name
 
@@ -163,10 +163,15 @@ def _temperatures(asset: dict[str, Any]) -> tuple[str, ...] | None:
     return RING_SENSORS + PAPER_NODES if network is None else network.temperature_names
 
 
+def _inputs(asset: dict[str, Any]) -> tuple[str, ...]:
+    network = asset.get("network")
+    return () if network is None else tuple(network.inputs)
+
+
 def _listed(asset: dict[str, Any]) -> str:
     if asset.get("network") is None:
         return f"{', '.join(SENSOR_CHANNELS)}, {PAPER_NODES[0]} to {PAPER_NODES[-1]}"
-    return ", ".join((*OPERATING_CHANNELS, *(_temperatures(asset) or ())))
+    return ", ".join((*OPERATING_CHANNELS, *_inputs(asset), *(_temperatures(asset) or ())))
 
 
 _RING_LIMITS = {
@@ -235,6 +240,11 @@ class AssetSection(Section):
     def network_name(self) -> str:
         """Name of the asset's network."""
         return BEARING_14 if self.network is None else self.network.name
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Channels that the asset's network asks for besides speed, load and ambient."""
+        return () if self.network is None else self.network.inputs
 
     @property
     def sensor_names(self) -> tuple[str, ...]:

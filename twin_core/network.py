@@ -39,6 +39,16 @@ class EdgeKind(IntEnum):
         Conductance c0 + c1 (n / 6000)^(2/3): a shaft end to air, rotating.
     ``SPEED_POWER``
         R = c0 (n / c1)^c2: the speed-dependent resistance of the paper's simple network.
+
+    Three more are heats of a node and no conductances; *u* is the value of their channel.
+
+    ``COPPER``
+        Heat c0 (1 + c1 (T - 20 degC)) u^2 of a current u in a resistance c0 at 20 degC. Its part
+        with T acts as a conductance of -c0 c1 u^2.
+    ``POWER``
+        Heat c0 u of a measured power u.
+    ``SPEED_LOSS``
+        Heat c0 (n / c1)^c2: iron and windage.
     """
 
     CONSTANT = 0
@@ -48,7 +58,13 @@ class EdgeKind(IntEnum):
     FILM = 4
     SHAFT_SINK = 5
     SPEED_POWER = 6
+    COPPER = 7
+    POWER = 8
+    SPEED_LOSS = 9
 
+
+LOSSES = (EdgeKind.COPPER, EdgeKind.POWER, EdgeKind.SPEED_LOSS)
+"""Kinds that are heats of a node."""
 
 COEFFICIENT_COUNT = {
     EdgeKind.CONSTANT: 1,
@@ -58,6 +74,9 @@ COEFFICIENT_COUNT = {
     EdgeKind.FILM: 2,
     EdgeKind.SHAFT_SINK: 2,
     EdgeKind.SPEED_POWER: 3,
+    EdgeKind.COPPER: 2,
+    EdgeKind.POWER: 1,
+    EdgeKind.SPEED_LOSS: 3,
 }
 
 
@@ -102,7 +121,11 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """A thermal resistance between two nodes; the second may be :data:`AMBIENT`."""
+    """A thermal resistance between two nodes; the second may be a boundary.
+
+    A boundary is :data:`AMBIENT` or one of the network's inputs, a temperature. The second of a
+    heat (:data:`LOSSES`) is the input that drives it, empty for one of the speed.
+    """
 
     first: str
     second: str
@@ -156,6 +179,8 @@ class Network:
         For reports.
     nodes, edges, source, sensors
         The parts; node and sensor names are unique.
+    inputs
+        Names of the channels that act on the network besides speed, load and ambient.
 
     Raises
     ------
@@ -168,17 +193,20 @@ class Network:
     edges: tuple[Edge, ...]
     source: HeatSource
     sensors: tuple[Sensor, ...]
+    inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = self.node_names
         _check_unique(self.name, "node", names)
         _check_unique(self.name, "sensor", [sensor.name for sensor in self.sensors])
+        _check_unique(self.name, "node or input", [*names, *self.inputs])
         if AMBIENT in names:
             raise ValueError(f"network {self.name!r}: {AMBIENT!r} is the boundary, not a node")
         for edge in self.edges:
             label = f"network {self.name!r}: edge {edge.first}-{edge.second}"
             self._check_node(edge.first, label, boundary=False)
-            self._check_node(edge.second, label, boundary=True)
+            if edge.kind is not EdgeKind.SPEED_LOSS:
+                self._check_node(edge.second, label, boundary=True)
             if edge.first == edge.second:
                 raise ValueError(f"{label}: expected two different nodes")
             if edge.kind is EdgeKind.FILM and edge.second != AMBIENT:
@@ -198,23 +226,32 @@ class Network:
         self._check_connected()
 
     @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The inputs that are temperatures of boundaries."""
+        seconds = {edge.second for edge in self.edges if edge.kind not in LOSSES}
+        return tuple(name for name in self.inputs if name in seconds)
+
+    @property
     def node_names(self) -> tuple[str, ...]:
         """Names of the state nodes in order."""
         return tuple(node.name for node in self.nodes)
 
     def _check_node(self, name: str, label: str, boundary: bool) -> None:
-        if name not in self.node_names and not (boundary and name == AMBIENT):
+        known = (*self.node_names, *((AMBIENT, *self.inputs) if boundary else ()))
+        if name not in known:
             raise ValueError(
                 f"{label}: unknown node {name!r}, expected one of {', '.join(self.node_names)}"
             )
 
     def _check_connected(self) -> None:
         """Every node must reach the ambient, or its temperature would have no limit."""
-        reached = {AMBIENT}
+        reached = {AMBIENT, *self.boundaries}
         grown = True
         while grown:
             grown = False
             for edge in self.edges:
+                if edge.kind in LOSSES:
+                    continue
                 pair = {edge.first, edge.second}
                 if pair & reached and not pair <= reached:
                     reached |= pair
@@ -228,7 +265,10 @@ class CompiledNetwork(NamedTuple):
     """A network as flat arrays for the kernels.
 
     ``*_parameter`` arrays hold the index of the parameter that multiplies the coefficient of the
-    same place, or -1. Node index N (the number of nodes) is the ambient.
+    same place, or -1. Node index N (the number of nodes) is the ambient, the indices from there on
+    are the other boundaries. ``inputs`` (k,) are the values at which the network's inputs are held
+    where no profile gives them; ``edge_input`` is the one that drives an edge's heat,
+    ``boundary_input`` (boundaries without the ambient,) those that are boundaries; -1 is none.
     """
 
     capacity: NDArray[np.float64]
@@ -244,6 +284,9 @@ class CompiledNetwork(NamedTuple):
     share_node: NDArray[np.int64]
     share_fraction: NDArray[np.float64]
     share_parameter: NDArray[np.int64]
+    edge_input: NDArray[np.int64]
+    boundary_input: NDArray[np.int64]
+    inputs: NDArray[np.float64]
 
 
 def compile_network(network: Network, parameter_names: Sequence[str]) -> CompiledNetwork:
@@ -281,6 +324,9 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
 
     node_index = {name: index for index, name in enumerate(network.node_names)}
     node_index[AMBIENT] = len(network.nodes)
+    for number, name in enumerate(network.boundaries, 1):
+        node_index[name] = len(network.nodes) + number
+    input_index = {name: index for index, name in enumerate(network.inputs)}
     capacity, capacity_parameter = bind([node.capacity for node in network.nodes])
     edge_coefficient = np.zeros((len(network.edges), MAX_COEFFICIENTS))
     edge_parameter = np.full((len(network.edges), MAX_COEFFICIENTS), -1, dtype=np.int64)
@@ -299,7 +345,10 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
         capacity=np.array(capacity),
         capacity_parameter=np.array(capacity_parameter, dtype=np.int64),
         edge_nodes=np.array(
-            [[node_index[edge.first], node_index[edge.second]] for edge in network.edges],
+            [
+                [node_index[edge.first], node_index[AMBIENT if loss else edge.second]]
+                for edge, loss in ((edge, edge.kind in LOSSES) for edge in network.edges)
+            ],
             dtype=np.int64,
         ),
         edge_kind=np.array([int(edge.kind) for edge in network.edges], dtype=np.int64),
@@ -312,6 +361,15 @@ def compile_network(network: Network, parameter_names: Sequence[str]) -> Compile
         share_node=np.array([node_index[s.node] for s in network.source.shares], dtype=np.int64),
         share_fraction=np.array(fraction),
         share_parameter=np.array(share_parameter, dtype=np.int64),
+        edge_input=np.array(
+            [
+                input_index.get(edge.second, -1) if edge.kind in LOSSES else -1
+                for edge in network.edges
+            ],
+            dtype=np.int64,
+        ),
+        boundary_input=np.array([input_index[name] for name in network.boundaries], dtype=np.int64),
+        inputs=np.full(len(network.inputs), np.nan),
     )
 
 

@@ -1,10 +1,11 @@
 """What can be simulated: any thermal network together with its parameters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.network import CompiledNetwork, Network
 from twin_core.parameters import ParameterSet
@@ -108,6 +109,8 @@ class NetworkModel:
         What is left between a sensor and the model.
     reference_point
         A usual operating point, speed in rpm and load in N.
+    reference_inputs
+        The network's inputs there; a boundary's are not used, it counts as at ambient.
     runaway
         From where on a runaway counts as not excluded; None for a machine without a bearing's
         friction, of which only a simulation that fails has run away.
@@ -119,6 +122,7 @@ class NetworkModel:
     compiled: CompiledNetwork
     errors: ErrorModel = field(default=ErrorModel(), kw_only=True)
     reference_point: tuple[float, float] = field(default=(4000.0, 2650.0), kw_only=True)
+    reference_inputs: tuple[float, ...] = field(default=(), kw_only=True)
     runaway: RunawayLimits | None = field(default=RunawayLimits(), kw_only=True)
 
     @property
@@ -135,6 +139,39 @@ class NetworkModel:
     def sensor_names(self) -> tuple[str, ...]:
         """Names of the standard sensors."""
         return tuple(sensor.name for sensor in self.network.sensors)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs besides speed, load and ambient, in the order of their values."""
+        return self.network.inputs
+
+    def holding(self, inputs: ArrayLike) -> Self:
+        """Return the model with its inputs held at values, shape (k,), wherever no profile is.
+
+        Raises
+        ------
+        ValueError
+            If there are more or fewer values than inputs, or one is not finite.
+        """
+        values = np.ascontiguousarray(inputs, np.float64).reshape(-1)
+        if values.size != len(self.input_names) or not np.isfinite(values).all():
+            raise ValueError(
+                f"inputs are {values.tolist()}, expected one number for each of "
+                f"{', '.join(self.input_names) or 'none'}"
+            )
+        return (
+            replace(self, compiled=self.compiled._replace(inputs=values)) if values.size else self
+        )
+
+    def at_reference(self, ambient_c: float) -> Self:
+        """Return the model at its reference inputs, all boundaries as warm as the ambient."""
+        boundaries = self.network.boundaries
+        return self.holding(
+            [
+                ambient_c if name in boundaries else value
+                for name, value in zip(self.input_names, self.reference_inputs, strict=True)
+            ]
+        )
 
     def sensor_row(self, name: str) -> NDArray[np.float64]:
         """Weights of the nodes in a sensor's reading.

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.models import ThermalModel
+from twin_core.network import CompiledNetwork
 from twin_core.process_noise import LONG_RUN_IN, disturbance_structure, transition_and_noise
 from twin_core.simulation import (
     OperatingProfile,
@@ -132,6 +133,7 @@ class Observer:
         self._elapsed_s: dict[str, float] = {}
         self._bound = kernels.bind_network(model.compiled, self._values)
         self._point: tuple[float, float] | None = None
+        self._inputs: tuple[float, ...] = ()
         self._ambient_c = 0.0
         self._modes: tuple[NDArray[np.float64], ...] = ()
         self._tie_w_k = np.zeros(nodes)
@@ -165,6 +167,11 @@ class Observer:
         if self._point is None:
             return None
         return (*self._point, self._ambient_c)
+
+    @property
+    def inputs(self) -> tuple[float, ...]:
+        """The network's inputs of the last step; empty before the first."""
+        return self._inputs
 
     @property
     def std_c(self) -> NDArray[np.float64]:
@@ -201,13 +208,22 @@ class Observer:
         spread = self._covariance[: self._nodes, : self._nodes]
         return float(row @ self._state[: self._nodes]), float(np.sqrt(row @ spread @ row))
 
-    def predict(self, dt_s: float, speed_rpm: float, load_n: float, ambient_c: float) -> None:
+    def predict(
+        self,
+        dt_s: float,
+        speed_rpm: float,
+        load_n: float,
+        ambient_c: float,
+        inputs: ArrayLike = (),
+    ) -> None:
         """Advance by *dt_s* at a constant operating point; any length, zero does nothing.
+
+        The network's inputs, if it has any, are (k,) in its order.
 
         Raises
         ------
         ValueError
-            If *dt_s* is negative or an argument is not finite.
+            If *dt_s* is negative, an argument is not finite or an input is missing.
         SimulationError
             If the model runs away; the state is left as it was.
         """
@@ -219,15 +235,17 @@ class Observer:
         if dt_s == 0.0:
             return
         speed, load = abs(float(speed_rpm)), max(float(load_n), 0.0)
-        compiled, nodes = self._model.compiled, self._nodes
-        if self._point != (speed, load):
+        held = self._model.holding(inputs)
+        given = tuple(held.compiled.inputs.tolist())
+        compiled, nodes = held.compiled, self._nodes
+        if self._point != (speed, load) or self._inputs != given:
             capacity, coefficient, _, _ = self._bound
             self._modes = kernels.decompose(compiled, capacity, coefficient, speed, load)
             rate, modes, _, _ = self._modes
             # The diagonal of C^1/2 V lam V' C^1/2: what ties each node to all others.
             self._tie_w_k = capacity**2 * (modes**2 @ rate)
-            self._point = (speed, load)
-        heat_w = max(self._friction_w(speed, load), self._heat_w)
+            self._point, self._inputs = (speed, load), given
+        heat_w = max(self._heat_generated_w(compiled, speed, load), self._heat_w)
         disturbance_w = self._disturbance_w(heat_w)
         self._ambient_c = float(ambient_c)
         fading = 1.0 / DISTURBANCE_TIME_S
@@ -241,6 +259,7 @@ class Observer:
             np.array([speed, speed]),
             np.array([load, load]),
             np.array([ambient_c, ambient_c], dtype=np.float64),
+            np.stack((compiled.inputs, compiled.inputs)),
             self._state[:nodes].copy(),
             self._revolutions,
             heat,
@@ -364,12 +383,13 @@ class Observer:
         observer._heat_w = heat_w
         return observer
 
-    def _friction_w(self, speed: float, load: float) -> float:
-        """Friction heat at the present state."""
-        compiled = self._model.compiled
-        friction = self._bound[2]
+    def _heat_generated_w(self, compiled: CompiledNetwork, speed: float, load: float) -> float:
+        """Heat of friction and losses at the present state."""
+        _, coefficient, friction, _ = self._bound
+        temperatures = self._state[: self._nodes]
+        losses = kernels.loss_heats_w(compiled, coefficient, temperatures, speed)
         point = kernels.friction_at_point(compiled.friction_kind, friction, speed, load)
-        return float(
+        return float(losses.sum()) + float(
             kernels.friction_heat_w(
                 compiled.friction_kind,
                 friction,
@@ -410,6 +430,7 @@ def initial_state(
     load_n: float,
     at_rest: bool,
     past: Sequence[tuple[float, float]] = (),
+    inputs: ArrayLike = (),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Temperatures to start an observer with, and how little is known about them.
 
@@ -433,6 +454,8 @@ def initial_state(
         state may also be one on the way towards each of these, with the present operating point
         for the last half hour or less: where the duty varies, a body that follows slowly is not on
         the way to where a momentary load would lead it.
+    inputs
+        The network's inputs at present, (k,).
 
     Returns
     -------
@@ -456,6 +479,7 @@ def initial_state(
             nodes
         )
     else:
+        model = model.holding(inputs)
         states = _possible_states(model, values, ambient_c, speed_rpm, load_n)
         if past:
             states = np.concatenate(
@@ -473,6 +497,19 @@ def initial_state(
     return observer.temperatures_c, observer.covariance
 
 
+def _hot_inputs(model: ThermalModel) -> NDArray[np.float64]:
+    """Inputs (k,) of a heavy duty: drives well above the present and the usual ones."""
+    boundaries = model.network.boundaries
+    return np.array(
+        [
+            now if name in boundaries else 1.3 * max(abs(now), 0.75 * abs(usual))
+            for name, now, usual in zip(
+                model.input_names, model.compiled.inputs, model.reference_inputs, strict=True
+            )
+        ]
+    )
+
+
 def _possible_states(
     model: ThermalModel, values: ArrayLike, ambient_c: float, speed_rpm: float, load_n: float
 ) -> NDArray[np.float64]:
@@ -484,12 +521,18 @@ def _possible_states(
     heating_s = 4.0 * 3600.0
     cold = np.full(len(model.node_names), float(ambient_c))
     present = (np.full(minutes.size, float(speed_rpm)), np.full(minutes.size, float(load_n)))
-    warming = OperatingProfile(minutes * 60.0, *present, np.full(minutes.size, float(ambient_c)))
+    warming = OperatingProfile(
+        minutes * 60.0,
+        *present,
+        np.full(minutes.size, float(ambient_c)),
+        np.tile(model.compiled.inputs, (minutes.size, 1)),
+    )
     heated = OperatingProfile(
         np.array([0.0, heating_s / 8.0, heating_s]),
         np.full(3, hot_speed),
         np.full(3, hot_load),
         np.full(3, float(ambient_c)),
+        np.tile(_hot_inputs(model), (3, 1)),
     )
     up = simulate(model, values, warming, cold, LONG_RUN_IN).temperatures_c
     states = [up]
@@ -516,7 +559,9 @@ def _varying_states(
         point: tuple[float, float], times_s: NDArray[np.float64], start: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         speed, load = (np.full(times_s.size, float(value)) for value in point)
-        profile = OperatingProfile(times_s, speed, load, np.full(times_s.size, float(ambient_c)))
+        ambient = np.full(times_s.size, float(ambient_c))
+        held = np.tile(model.compiled.inputs, (times_s.size, 1))
+        profile = OperatingProfile(times_s, speed, load, ambient, held)
         return simulate(model, values, profile, start, LONG_RUN_IN).temperatures_c
 
     warm = path(past, _PAST_S, cold)[1:]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.models import ThermalModel
-from twin_core.network import EdgeKind
+from twin_core.network import LOSSES, EdgeKind
 from twin_core.simulation import heat_balance_w, kernels, steady_state
 
 FRICTION_ERROR = 0.12
@@ -17,12 +17,15 @@ RESISTANCE_ERROR = {
     EdgeKind.FILM: 0.25,
     EdgeKind.SHAFT_SINK: 1.0,
     EdgeKind.SPEED_POWER: 0.5,
+    EdgeKind.COPPER: 0.0,
+    EdgeKind.POWER: 0.0,
+    EdgeKind.SPEED_LOSS: 0.0,
 }
 NODE_ERROR = 0.01
-"""Standard deviations of the heat disturbances: of the friction heat as a whole; of each node's
-share of it; of the heat through an edge, by its kind; of any node's heat, as a part of the
-friction heat. They are those of a model that has met its bench, somewhat less than the priors.
-Heat flows are taken in the steady state of the model's reference point."""
+"""Standard deviations of the heat disturbances: of the friction heat as a whole, to which the
+losses count; of each node's share of it; of the heat through an edge, by its kind; of any node's
+heat, as a part of the friction heat. They are those of a model that has met its bench, somewhat
+less than the priors. Heat flows are taken in the steady state of the model's reference point."""
 
 JOINT_ERROR = 1.0 / 3.0
 """How far a body that exchanges heat through joints alone may lie from where the model has it, by
@@ -55,17 +58,19 @@ def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> N
     SimulationError
         If the model has no steady state at the reference point.
     """
+    model = model.at_reference(0.0)
     compiled = model.compiled
     nodes, edges = len(model.node_names), compiled.edge_kind.size
     speed, load = model.reference_point
     rise = steady_state(model, values, speed, load, 0.0, LONG_RUN_IN)
     _, friction = heat_balance_w(model, values, rise, speed, load, 0.0, LONG_RUN_IN)
-    _, coefficient, _, share = kernels.bind_network(compiled, values)
+    _, coefficient, _, _ = kernels.bind_network(compiled, values)
+    share = heat_shares(model, values, rise)
     conductance = kernels.edge_conductances(compiled, coefficient, speed, load)
-    # Heat through an edge leaves its first node and enters its second; the ambient is row N.
+    # Heat through an edge leaves its first node and enters its second; boundaries are row N.
     incidence = np.zeros((nodes + 1, edges))
     incidence[compiled.edge_nodes[:, 0], np.arange(edges)] = 1.0
-    incidence[compiled.edge_nodes[:, 1], np.arange(edges)] = -1.0
+    incidence[np.minimum(compiled.edge_nodes[:, 1], nodes), np.arange(edges)] = -1.0
     error = np.array([RESISTANCE_ERROR[EdgeKind(kind)] for kind in compiled.edge_kind.tolist()])
     flow = conductance * (np.append(rise, 0.0) @ incidence) / friction
     through = incidence[:nodes] * (error * flow)
@@ -76,6 +81,19 @@ def disturbance_structure(model: ThermalModel, values: NDArray[np.float64]) -> N
     )
     factor: NDArray[np.float64] = np.linalg.cholesky(covariance)
     return factor
+
+
+def heat_shares(
+    model: ThermalModel, values: NDArray[np.float64], temperatures_c: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shares (nodes,) of the heat of friction and losses, at the model's reference point."""
+    _, coefficient, _, share = kernels.bind_network(model.compiled, values)
+    if not any(edge.kind in LOSSES for edge in model.network.edges):
+        return np.asarray(share)
+    speed, load = model.reference_point
+    losses = kernels.loss_heats_w(model.compiled, coefficient, temperatures_c, speed)
+    _, total = heat_balance_w(model, values, temperatures_c, speed, load, 0.0, LONG_RUN_IN)
+    return np.asarray((share * (total - losses.sum()) + losses) / total)
 
 
 def hidden_spread(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,6 +118,7 @@ def hidden_spread(model: ThermalModel, values: NDArray[np.float64]) -> NDArray[n
     SimulationError
         If the model has no steady state at the reference point.
     """
+    model = model.at_reference(0.0)
     speed, load = model.reference_point
     structure = disturbance_structure(model, values)
     rise = steady_state(model, values, speed, load, 0.0, LONG_RUN_IN)
@@ -131,10 +150,11 @@ def between_joints(model: ThermalModel) -> tuple[NDArray[np.int64], NDArray[np.i
     ends = compiled.edge_nodes[joint]
     # Not those with a film, a grease, a contact, a source, a joint to the ambient, or a sensor.
     others = compiled.edge_nodes[~joint].ravel()
-    outside = ends[ends[:, 1] == nodes, 0]
+    outside = ends[ends[:, 1] >= nodes, 0]
     seen = np.abs(model.sensor_matrix(model.sensor_names)) > 0.5
     sensed = np.flatnonzero(seen.any(axis=0))
-    known = np.concatenate((others, compiled.share_node, outside, [nodes], sensed))
+    boundaries = np.arange(nodes, nodes + 1 + compiled.boundary_input.size)
+    known = np.concatenate((others, compiled.share_node, outside, boundaries, sensed))
     bodies = np.setdiff1d(ends, known)
     pairs = np.concatenate((ends, ends[:, ::-1]))
     pairs = pairs[np.isin(pairs[:, 0], bodies)]

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.network import AMBIENT, Edge, EdgeKind
+from twin_core.network import AMBIENT, LOSSES, Edge, EdgeKind
 from twin_core.network_model import NetworkModel
 from twin_core.process_noise import LONG_RUN_IN
 from twin_core.simulation import SimulationError, heat_balance_w, kernels, steady_state
@@ -79,7 +79,7 @@ def parameter_groups(model: NetworkModel) -> dict[str, Group]:
     ]
     uses += [(share.fraction.parameter, "heat split") for share in network.source.shares]
     uses += [
-        (coefficient.parameter, _group_of(edge))
+        (coefficient.parameter, "friction" if edge.kind in LOSSES else _group_of(edge))
         for edge in network.edges
         for coefficient in edge.coefficients
     ]
@@ -118,6 +118,7 @@ def reference_point(
         version; 60 where the model has no steady state.
     """
     values = model.parameters.values_from_z(z)
+    model = model.at_reference(_AMBIENT_C)
     node = model.node_names.index(model.network.source.temperature_node)
     try:
         warm = steady_state(model, values, speed_rpm, load_n, _AMBIENT_C, LONG_RUN_IN)[node]
@@ -170,6 +171,7 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
     ndarray
         (k,) in the units of the quantities; NaN for steady rises that do not exist.
     """
+    model = model.at_reference(_AMBIENT_C)
     values = model.parameters.values_from_z(z)
     capacity, coefficient, _, _ = kernels.bind_network(model.compiled, values)
     conductance = kernels.edge_conductances(
@@ -177,7 +179,7 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
     )
     of_group: dict[Group, list[float]] = {group: [] for group in GROUPS}
     for number, edge in enumerate(model.network.edges):
-        if any(one.parameter for one in edge.coefficients):
+        if edge.kind not in LOSSES and any(one.parameter for one in edge.coefficients):
             of_group[_group_of(edge)].append(float(conductance[number]))
     warm = np.full(len(model.node_names), point.temperature_c)
     _, heat_w = heat_balance_w(

@@ -5,7 +5,7 @@ time to the next row's time, its temperatures are instantaneous at its time.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,9 @@ class MinuteData:
     temperatures_c
         Shape (n,) for every sensor; NaN where the sensor had no good value.
     good
-        Shape (n,): speed, load and ambient of the row can be relied upon.
+        Shape (n,): speed, load, ambient and inputs of the row can be relied upon.
+    inputs
+        Shape (n,) for every input of a network of one's own, in its order; default none.
 
     Raises
     ------
@@ -59,8 +61,14 @@ class MinuteData:
     ambient_c: FloatArray
     temperatures_c: Mapping[str, FloatArray]
     good: BoolArray
+    inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(
+            self,
+            "inputs",
+            {name: np.ascontiguousarray(of, np.float64) for name, of in self.inputs.items()},
+        )
         for name in ("time_s", "speed_rpm", "load_n", "ambient_c"):
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))
         object.__setattr__(self, "good", np.ascontiguousarray(self.good, np.bool_))
@@ -76,6 +84,7 @@ class MinuteData:
             "speed_rpm": self.speed_rpm,
             "load_n": self.load_n,
             "ambient_c": self.ambient_c,
+            **self.inputs,
             **self.temperatures_c,
         }
         for name, column in [*columns.items(), ("good", self.good)]:
@@ -89,7 +98,7 @@ class MinuteData:
                 f"minutes: time_s[{row + 1}] = {self.time_s[row + 1]} does not come after "
                 f"time_s[{row}] = {self.time_s[row]}"
             )
-        for name in ("speed_rpm", "load_n", "ambient_c"):
+        for name in ("speed_rpm", "load_n", "ambient_c", *self.inputs):
             missing = self.good & ~np.isfinite(columns[name])
             if np.any(missing):
                 row = int(np.flatnonzero(missing)[0])
@@ -114,7 +123,16 @@ class MinuteData:
             self.ambient_c[rows],
             {name: values[rows] for name, values in self.temperatures_c.items()},
             self.good[rows],
+            {name: values[rows] for name, values in self.inputs.items()},
         )
+
+    def inputs_at(self, row: int) -> tuple[float, ...]:
+        """Return the inputs of a row, in order."""
+        return tuple(float(values[row]) for values in self.inputs.values())
+
+    def input_table(self) -> FloatArray:
+        """Return the inputs as one array, (n, k)."""
+        return np.array(list(self.inputs.values())).reshape(-1, self.size).T
 
     def between(self, start_s: float, end_s: float) -> "MinuteData":
         """Return the rows from ``start_s`` to ``end_s``, both inclusive."""

@@ -153,7 +153,9 @@ def _plain_parts(model: ThermalModel) -> tuple[FloatArray, ...]:
     inverses = []
     to_ambient = np.empty(0)
     for speed in SPEEDS_RPM:
-        matrix, to_ambient = kernels.conductance_matrix(model.compiled, coefficient, speed, LOAD_N)
+        net = model.compiled
+        matrix, outside = kernels.conductance_matrix(net, coefficient, speed, LOAD_N, net.inputs)
+        to_ambient = outside[0]
         inverses.append(np.linalg.inv(np.diag(capacity) + 60.0 * matrix))
     return np.array(inverses), capacity, to_ambient, friction, share
 

@@ -60,13 +60,13 @@ def forecast(
         )
 
         identified = IdentifiedModel.load(model)
-        rows = read_profile(profile)
+        network = identified.machine.network
+        rows = read_profile(profile, network)
         check_writable(out)
         began = time.monotonic()
         try:
             if history is not None:
-                names = identified.machine.temperature_names
-                present = follow(identified, read_recording(history, names))
+                present = follow(identified, read_recording(history, network))
             else:
                 present = cold(identified, initial_temperature_c or 0.0)
         except FollowError as error:

@@ -108,7 +108,7 @@ def identify(
         procedure = check_options(method, budget, seed, loss)
         check_writable(out)
         machine = Machine(*chosen_machine)
-        recording = read_recording(data, machine.temperature_names)
+        recording = read_recording(data, machine.network)
         began = time.monotonic()
         try:
             with _progress_bar() as tell:

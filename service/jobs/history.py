@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 
 from adapters.drivers import Clock
 from service.clock import rfc3339
+from service.machines.machine import Machine
+from service.offline.rows import row_step_s
 from service.settings import AssetSection
 from service.store import MinuteTable, Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.time_constants import fastest_time_s
 from twin_core.windows import (
     STANDING_RPM,
     LowRiskRegion,
@@ -56,6 +59,10 @@ class AssetHistory:
         self._region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
         self._temperatures = tuple(name for name in settings.channels if name.startswith("t_"))
         self._sensors = settings.sensor_names
+        self._operating = (*OPERATING_CHANNELS, *settings.input_names)
+        self._inputs = settings.input_names
+        self._machine = Machine(settings.model, settings.bearing, settings.network)
+        self._fastest_s: float | None = None
         self._has_ambient = "ambient_c" in settings.channels
         self._store = store
         self._clock = clock
@@ -123,7 +130,7 @@ class AssetHistory:
         """Data set of given spans; raises ValueError when there is nothing good in them."""
         windows = []
         for start_us, end_us in spans_us:
-            minutes = await self._minutes(start_us, end_us)
+            minutes = await self._minutes(start_us, end_us, finely=True)
             if minutes is None:
                 raise ValueError(f"no data from {rfc3339(start_us)} to {rfc3339(end_us)}")
             revolutions = await self._revolutions_before(start_us)
@@ -143,29 +150,49 @@ class AssetHistory:
         return float(np.nansum(minutes.speed_rpm))
 
     async def _minutes(
-        self, start_us: int | None = None, end_us: int | None = None
+        self, start_us: int | None = None, end_us: int | None = None, finely: bool = False
     ) -> MinuteData | None:
-        """Read the whole minutes of a span; by default the last days'."""
+        """Read the whole minutes of a span; by default the last days'.
+
+        Finely: in the steps that the asset's network needs, where they are shorter.
+        """
         settled_us = self._clock.now_us() - round(SETTLING_WALL_S * self._clock.rate * 1e6)
         last_us = (settled_us // MINUTE_US - 1) * MINUTE_US
         end_us = last_us if end_us is None else min(end_us, last_us)
         start_us = end_us - LOOK_BACK_US if start_us is None else start_us
         start_us, end_us = -(-start_us // MINUTE_US) * MINUTE_US, end_us // MINUTE_US * MINUTE_US
-        return await anyio.to_thread.run_sync(self._read, start_us, end_us)
+        return await anyio.to_thread.run_sync(self._read, start_us, end_us, finely)
 
-    def _read(self, start_us: int, end_us: int) -> MinuteData | None:
-        """Operating point over each minute, temperatures around its beginning."""
+    def _step_us(self, start_us: int, end_us: int) -> int:
+        """Step of the rows that the asset's network is identified from, by its data's spacing."""
+        if self._machine.network is None:
+            return MINUTE_US
+        if self._fastest_s is None:
+            self._fastest_s = fastest_time_s(self._machine.build())
+        names = (*self._operating, *(name for name in self._sensors if name in self._temperatures))
+        table = self._store.minute_averages(self._asset, names, start_us, end_us)
+        counts = [count[count > 0] for count in table.good_count.values()]
+        fewest = min((float(np.median(count)) for count in counts if count.size), default=1.0)
+        spacing_s = 60.0 / max(fewest, 1.0)
+        return round(1e6 * row_step_s(self._fastest_s, spacing_s, (end_us - start_us) / 1e6))
+
+    def _read(self, start_us: int, end_us: int, finely: bool = False) -> MinuteData | None:
+        """Operating point over each step, temperatures around its beginning."""
         if end_us <= start_us or not self._temperatures:
             return None
-        over = self._store.minute_averages(self._asset, OPERATING_CHANNELS, start_us, end_us)
+        step_us = self._step_us(start_us, end_us) if finely else MINUTE_US
+        over = self._store.minute_averages(
+            self._asset, self._operating, start_us, end_us, step_us=step_us
+        )
         around = self._store.minute_averages(
             self._asset,
             self._temperatures,
-            start_us - MINUTE_US // 2,
-            end_us - MINUTE_US // 2,
-            -MINUTE_US // 2,
+            start_us - step_us // 2,
+            end_us - step_us // 2,
+            -step_us // 2,
+            step_us,
         )
-        around_us = around.minute_us + MINUTE_US // 2
+        around_us = around.minute_us + step_us // 2
         time_us = np.union1d(over.minute_us, around_us)
         if not time_us.size:
             return None
@@ -173,7 +200,7 @@ class AssetHistory:
             name: _spread(time_us, around_us, around.mean[name]) for name in self._temperatures
         }
         operating = {
-            name: _spread(time_us, over.minute_us, over.mean[name]) for name in OPERATING_CHANNELS
+            name: _spread(time_us, over.minute_us, over.mean[name]) for name in self._operating
         }
         if not self._has_ambient:
             # Nothing on the machine is colder than the hall.
@@ -181,7 +208,7 @@ class AssetHistory:
             coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
             operating["ambient_c"] = np.full(time_us.size, coldest)
         good = np.isfinite(sum(operating.values()))
-        for name in OPERATING_CHANNELS:
+        for name in self._operating:
             good &= _spread(time_us, over.minute_us, _is_sound(over, name)) == 1.0
         for name in self._sensors:
             if name in temperatures:
@@ -194,6 +221,7 @@ class AssetHistory:
             ambient_c=operating["ambient_c"],
             temperatures_c=temperatures,
             good=good,
+            inputs={name: operating[name] for name in self._inputs},
         )
 
     def _find(self, minutes: MinuteData) -> list[Window]:

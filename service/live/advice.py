@@ -43,7 +43,7 @@ def give_advice(
     limits = {name: pair for name, pair in settings.limits.items() if name in sensors}
     region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
     advice = advise(
-        now.active.model,
+        now.model,
         now.active.posterior,
         now.present,
         target,

@@ -14,11 +14,12 @@ _NEAR_SETPOINT = 0.06
 
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
-    """Present speed, load and ambient temperature."""
+    """Present speed, load and ambient temperature, and the inputs of a network of one's own."""
 
     speed_rpm: float
     load_n: float
     ambient_c: float
+    inputs: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,9 @@ def _step(planned: PlanStep, duration_s: float, present: OperatingPoint, under_w
     return Step(duration_s, speed_rpm, load_n, present.ambient_c)
 
 
-def operating_profile(steps: Sequence[Step], row_s: float) -> OperatingProfile:
+def operating_profile(
+    steps: Sequence[Step], row_s: float, inputs: Sequence[float] = ()
+) -> OperatingProfile:
     """Rows every ``row_s`` seconds and at every change of step, counted from now.
 
     Parameters
@@ -79,6 +82,8 @@ def operating_profile(steps: Sequence[Step], row_s: float) -> OperatingProfile:
         At least one step of positive duration.
     row_s : float
         Spacing of the rows in seconds.
+    inputs : sequence of float
+        Those of a network of one's own, which stay as they are.
     """
     edges = np.concatenate(([0.0], np.cumsum([step.duration_s for step in steps])))
     rows = np.arange(0.0, edges[-1], row_s)
@@ -89,4 +94,5 @@ def operating_profile(steps: Sequence[Step], row_s: float) -> OperatingProfile:
         speed_rpm=np.array([step.speed_rpm for step in steps])[index],
         load_n=np.array([step.load_n for step in steps])[index],
         ambient_c=np.array([step.ambient_c for step in steps])[index],
+        inputs=np.tile(np.array(inputs, dtype=np.float64), (time_s.size, 1)),
     )

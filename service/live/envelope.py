@@ -16,6 +16,7 @@ from service.settings import AssetSection
 from twin_core.forecasting.design import Present
 from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED
+from twin_core.models import ThermalModel
 
 SPEEDS, LOADS = 20, 15
 # The grid reaches well beyond the low-risk region, where the high-risk points are.
@@ -46,6 +47,8 @@ class Now:
         Process time of the state.
     speed_rpm, load_n : float
         Present operating point.
+    inputs : tuple of float
+        Those of a network of one's own, which answers take to stay as they are.
     """
 
     active: ActiveModel
@@ -53,6 +56,12 @@ class Now:
     time_us: int
     speed_rpm: float
     load_n: float
+    inputs: tuple[float, ...] = ()
+
+    @property
+    def model(self) -> ThermalModel:
+        """The model with its inputs as they are now."""
+        return self.active.model.holding(self.inputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +140,7 @@ class EnvelopeKeeper:
             if name in sensors
         }
         found = envelope(
-            now.active.model,
+            now.model,
             now.active.posterior,
             now.present.state_c,
             now.present.state_covariance,

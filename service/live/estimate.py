@@ -103,7 +103,9 @@ class LiveEstimate:
             return
         if duration_s <= 0:
             return
-        self._observer.predict(duration_s, point.speed_rpm, point.load_n, point.ambient_c)
+        self._observer.predict(
+            duration_s, point.speed_rpm, point.load_n, point.ambient_c, point.inputs
+        )
         if temperatures:
             self.innovations = self._observer.update(temperatures)
         self.time_us, self.point = now_us, point
@@ -124,9 +126,12 @@ class LiveEstimate:
         if not self._ambient_measured and temperatures:
             # No ambient sensor: nothing on the machine is colder than the hall.
             ambient_c = min([*temperatures.values(), *([last.ambient_c] if last else [])])
-        if math.isnan(speed_rpm + load_n + ambient_c):
+        names = self.active.model.input_names
+        before = dict(zip(names, last.inputs, strict=True)) if last else {}
+        inputs = tuple(means.get(name, before.get(name, math.nan)) for name in names)
+        if math.isnan(speed_rpm + load_n + ambient_c + sum(inputs)):
             return None
-        return OperatingPoint(max(speed_rpm, 0.0), max(load_n, 0.0), ambient_c)
+        return OperatingPoint(max(speed_rpm, 0.0), max(load_n, 0.0), ambient_c, inputs)
 
     def _start(self, now_us: int, point: OperatingPoint, temperatures: Mapping[str, float]) -> None:
         at_rest = (
@@ -143,6 +148,7 @@ class LiveEstimate:
             point.speed_rpm,
             point.load_n,
             at_rest,
+            inputs=point.inputs,
         )
         self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
@@ -173,6 +179,7 @@ class LiveEstimate:
             "speed_rpm": self.point.speed_rpm,
             "load_n": self.point.load_n,
             "ambient_c": self.point.ambient_c,
+            "inputs": list(self.point.inputs),
             "ambient_measured": self._ambient_measured,
         }
 
@@ -190,7 +197,10 @@ class LiveEstimate:
             raise ValueError(f"kept estimate: of bearing {kept.get('bearing')}, not {bearing}")
         try:
             observer = Observer.from_dict(self.active.model, self.active.values, kept["observer"])
-            point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"])
+            inputs = tuple(float(value) for value in kept.get("inputs", ()))
+            if len(inputs) != len(self.active.model.input_names):
+                raise ValueError(f"kept estimate: {len(inputs)} inputs of another network")
+            point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"], inputs)
             time_us, ambient_measured = int(kept["time_us"]), bool(kept["ambient_measured"])
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"kept estimate: {error!r}") from error

@@ -137,12 +137,16 @@ class Forecasting:
         """What the machine is going to do, as far as that is known."""
         point = self._estimate.point
         if point is None:
-            point = OperatingPoint(
-                *(
-                    self._readings.usable_value(name, now_us) or 0.0
-                    for name in ("speed_rpm", "load_n", "ambient_c")
+            speed_rpm, load_n, ambient_c, *inputs = (
+                self._readings.usable_value(name, now_us) or 0.0
+                for name in (
+                    "speed_rpm",
+                    "load_n",
+                    "ambient_c",
+                    *self._estimate.active.model.input_names,
                 )
             )
+            point = OperatingPoint(speed_rpm, load_n, ambient_c, tuple(inputs))
         if self.plan is not None and self._has_plan(now_us):
             return planned(self.plan, now_us, point, HORIZON_S)
         return held(point, HORIZON_S)
@@ -153,6 +157,12 @@ class Forecasting:
             return False
         return (now_us - plan.time_us) / 1e6 <= allowed_age_s(_PLAN_MAX_AGE_S, self._clock.rate)
 
+    @property
+    def _inputs(self) -> tuple[float, ...]:
+        """Present inputs of a network of one's own."""
+        point = self._estimate.point
+        return () if point is None else point.inputs
+
     async def _compute(self, steps: Sequence[Step], row_s: float) -> Forecast:
         observer, active = self._estimate.observer, self._estimate.active
         arguments = (
@@ -161,20 +171,22 @@ class Forecasting:
             observer.temperatures_c.copy(),
             observer.covariance.copy(),
             float(observer.revolutions),
-            operating_profile(steps, row_s),
+            operating_profile(steps, row_s, self._inputs),
             observer.heat_disturbance_w,
             observer.operating_point,
+            observer.inputs or self._inputs,
         )
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._executor, _forecast, *arguments)
 
 
 def _forecast(*arguments: Any) -> Forecast:
-    *state, disturbance_w, operating_point = arguments
+    *state, disturbance_w, operating_point, inputs = arguments
     return forecast(
         *state,
         disturbance_w=disturbance_w,
         operating_point=operating_point,
+        inputs=inputs,
         members=MEMBERS,
         seed=0,
     )

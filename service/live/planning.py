@@ -78,4 +78,6 @@ class Planning:
             observer.heat_disturbance_w.copy(),
             observer.operating_point,
         )
-        return Now(self._estimate.active, present, time_us, point.speed_rpm, point.load_n)
+        return Now(
+            self._estimate.active, present, time_us, point.speed_rpm, point.load_n, point.inputs
+        )

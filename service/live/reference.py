@@ -43,15 +43,11 @@ class Reference:
         if self._temperatures_c is None or duration_s <= 0.0:
             return
         profile = OperatingProfile(
-            *(
-                np.array([value, other])
-                for value, other in (
-                    (0.0, duration_s),
-                    (point.speed_rpm, point.speed_rpm),
-                    (point.load_n, point.load_n),
-                    (point.ambient_c, point.ambient_c),
-                )
-            )
+            np.array([0.0, duration_s]),
+            np.full(2, point.speed_rpm),
+            np.full(2, point.load_n),
+            np.full(2, point.ambient_c),
+            np.tile(np.array(point.inputs, dtype=np.float64), (2, 1)),
         )
         try:
             path = simulate(

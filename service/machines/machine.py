@@ -39,6 +39,16 @@ class Machine:
         """What may be measured on a network of one's own; None for the network of a bearing."""
         return None if self.network is None else self.network.temperature_names
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Channels that a network of one's own asks for besides speed, load and ambient."""
+        return () if self.network is None else self.network.inputs
+
+    @property
+    def mean_square(self) -> tuple[str, ...]:
+        """Those of the inputs whose square is heat: currents."""
+        return () if self.network is None else self.network.mean_square_inputs
+
     def build(self) -> ThermalModel:
         """Build the model, compiled.
 
@@ -60,6 +70,7 @@ class Machine:
             section.name,
             errors=section.error_model(),
             reference_point=(section.reference.speed_rpm, section.reference.load_n),
+            reference_inputs=tuple(section.reference.inputs.get(n, 0.0) for n in section.inputs),
             runaway=section.runaway_limits(),
         )
 

@@ -13,7 +13,12 @@ from service.machines.network_values import (
     Number,
     Positive,
 )
-from twin_core.network import AMBIENT, Edge, EdgeKind
+from twin_core.network import Edge, EdgeKind
+
+
+def is_boundary(end: str) -> bool:
+    """Whether an end of an edge is a boundary: nodes are called ``t_..._c``."""
+    return not end.startswith("t_")
 
 
 class _EdgeSection(Section):
@@ -25,9 +30,9 @@ class _EdgeSection(Section):
         return tuple(getattr(self, name) for name in names)
 
     def edge(self, kind: str) -> Edge:
-        """Return it as the network knows it; the ambient always comes second."""
+        """Return it as the network knows it; a boundary always comes second."""
         first, second = self.between
-        if first == AMBIENT:
+        if is_boundary(first):
             first, second = second, first
         return Edge(
             first,

@@ -11,6 +11,9 @@ from twin_core.network import AMBIENT, Coefficient
 from twin_core.parameters import Parameter
 
 _CHANNEL = re.compile(r"t_[a-z0-9]+(_[a-z0-9]+)*_c")
+_BOUNDARY = re.compile(r"(?!t_)[a-z][a-z0-9]*(_[a-z0-9]+)*_c")
+_INPUT = re.compile(r"(?!t_)[a-z][a-z0-9]*(_[a-z0-9]+)*")
+_TAKEN = ("speed_rpm", "load_n", "ambient_c")
 _PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -27,11 +30,26 @@ def _parameter_name(name: str) -> str:
 
 
 def _end_of_edge(name: str) -> str:
-    return name if name == AMBIENT else _temperature_name(name)
+    if name == AMBIENT or (_BOUNDARY.fullmatch(name) and name not in _TAKEN):
+        return name
+    try:
+        return _temperature_name(name)
+    except ValueError:
+        raise ValueError(
+            f"expected a node such as t_housing_c, {AMBIENT!r}, or the channel of another "
+            "boundary's temperature such as coolant_c"
+        ) from None
+
+
+def _input_name(name: str) -> str:
+    if not _INPUT.fullmatch(name) or name in _TAKEN:
+        raise ValueError("expected the name of a channel of its own, such as current_a or power_w")
+    return name
 
 
 TemperatureName = Annotated[str, AfterValidator(_temperature_name)]
 ParameterName = Annotated[str, AfterValidator(_parameter_name)]
+InputName = Annotated[str, AfterValidator(_input_name)]
 EdgeEnd = Annotated[str, AfterValidator(_end_of_edge)]
 
 

@@ -18,10 +18,12 @@ from pydantic import (
 )
 
 from service.configuration import Section, SettingsError, describe_all, read_toml
-from service.machines.network_edges import EdgeSection
-from service.machines.network_heat import SourceSection
+from service.machines.network_edges import EdgeSection, is_boundary
+from service.machines.network_heat import LinearSource, ShareSection, SourceSection
+from service.machines.network_losses import CopperLoss, LossSection, SpeedLoss
 from service.machines.network_values import (
     CoefficientSection,
+    InputName,
     ParameterName,
     ParameterSection,
     Positive,
@@ -29,7 +31,7 @@ from service.machines.network_values import (
     not_negative,
     positive,
 )
-from twin_core.network import CompiledNetwork, Network, Node, Sensor, compile_network
+from twin_core.network import AMBIENT, CompiledNetwork, Network, Node, Sensor, compile_network
 from twin_core.network_model import ErrorModel, RunawayLimits
 from twin_core.parameters import ParameterSet
 
@@ -76,10 +78,11 @@ class ErrorSection(Section):
 
 
 class ReferenceSection(Section):
-    """A usual operating point."""
+    """A usual operating point; ``inputs`` are what drives the losses there."""
 
     speed_rpm: PositiveFloat = 4000.0
     load_n: PositiveFloat = 2650.0
+    inputs: dict[InputName, float] = Field(default_factory=dict)
 
 
 class RunawaySection(Section):
@@ -103,7 +106,8 @@ class NetworkSection(Section):
     parameters: dict[ParameterName, ParameterSection] = Field(min_length=1)
     nodes: dict[TemperatureName, NodeSection] = Field(min_length=1, max_length=_MOST_NODES)
     edges: tuple[EdgeSection, ...] = Field(min_length=1)
-    source: SourceSection
+    source: SourceSection | None = None
+    losses: tuple[LossSection, ...] = ()
     sensors: dict[TemperatureName, Annotated[SensorSection, BeforeValidator(_weights)]] = Field(
         min_length=1
     )
@@ -118,6 +122,18 @@ class NetworkSection(Section):
                 raise ValueError(
                     f"sensors.{name}: a node has this name; expected it to read that node alone"
                 )
+        if self.source is None and not self.losses:
+            raise ValueError("source: missing; expected a law of heat, or losses")
+        drives = tuple(name for name in self.inputs if name not in self.boundaries)
+        for name in drives:
+            if name not in self.reference.inputs:
+                raise ValueError(f"reference.inputs.{name}: missing; expected a usual value")
+        for name in self.reference.inputs:
+            if name not in drives:
+                raise ValueError(
+                    f"reference.inputs.{name}: drives no loss; expected "
+                    f"{', '.join(drives) or 'nothing'}"
+                )
         self.compiled()
         self._parameters_stay_physical()
         return self
@@ -125,10 +141,12 @@ class NetworkSection(Section):
     def _parameters_stay_physical(self) -> None:
         """Where a coefficient must not be negative, nor may a parameter that stands for it."""
         lowest = dict(zip(self.parameters, self.parameter_set().lower.tolist(), strict=True))
-        places: list[tuple[str, Section]] = [("source", self.source)]
+        heat = self.heat
+        places: list[tuple[str, Section]] = [("source", heat)]
         places += [(f"nodes.{name}", node) for name, node in self.nodes.items()]
         places += [(f"edges[{number}]", edge) for number, edge in enumerate(self.edges)]
-        places += [(f"source.shares[{k}]", share) for k, share in enumerate(self.source.shares)]
+        places += [(f"losses[{number}]", loss) for number, loss in enumerate(self.losses)]
+        places += [(f"source.shares[{k}]", share) for k, share in enumerate(heat.shares)]
         for place, section in places:
             for field, information in type(section).model_fields.items():
                 value = getattr(section, field)
@@ -151,6 +169,44 @@ class NetworkSection(Section):
         """All that may be measured, sensors first, then the other nodes."""
         return tuple(dict.fromkeys((*self.sensors, *self.nodes)))
 
+    @property
+    def heat(self) -> SourceSection:
+        """The friction heat; none where only losses are given."""
+        if self.source is not None:
+            return self.source
+        return LinearSource(kind="linear", shares=(ShareSection(node=next(iter(self.nodes))),))
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Channels that are temperatures of boundaries besides the ambient."""
+        ends = (end for edge in self.edges for end in edge.between)
+        return tuple(dict.fromkeys(end for end in ends if is_boundary(end) and end != AMBIENT))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Channels that act on the network besides speed, load and ambient."""
+        driving = (loss.channel for loss in self.losses)
+        return tuple(dict.fromkeys((*self.boundaries, *(name for name in driving if name))))
+
+    @property
+    def mean_square_inputs(self) -> tuple[str, ...]:
+        """Inputs whose square is heat: currents."""
+        return tuple(loss.channel for loss in self.losses if isinstance(loss, CopperLoss))
+
+    @property
+    def unused_channels(self) -> tuple[str, ...]:
+        """What no law of the network asks for, of speed and load; a file need not have it."""
+        heat = self.heat
+        linear = heat if isinstance(heat, LinearSource) else None
+        by_speed = any(edge.kind not in ("constant", "film") for edge in self.edges)
+        by_speed |= any(isinstance(loss, SpeedLoss) for loss in self.losses)
+        by_speed |= linear is None or linear.per_rpm_w.factor != 0.0
+        by_load = any(edge.kind == "contact" for edge in self.edges)
+        by_load |= linear is None or linear.per_n_w.factor != 0.0
+        return tuple(
+            name for name, used in (("speed_rpm", by_speed), ("load_n", by_load)) if not used
+        )
+
     def network(self) -> Network:
         """Return the network as data.
 
@@ -162,11 +218,15 @@ class NetworkSection(Section):
         return Network(
             self.name,
             tuple(Node(name, node.capacity_j_k.coefficient()) for name, node in self.nodes.items()),
-            tuple(edge.edge(edge.kind) for edge in self.edges),
-            self.source.heat_source(),
+            (
+                *(edge.edge(edge.kind) for edge in self.edges),
+                *(loss.edge() for loss in self.losses),
+            ),
+            self.heat.heat_source(),
             tuple(
                 Sensor(name, tuple(sensor.weights.items())) for name, sensor in self.sensors.items()
             ),
+            self.inputs,
         )
 
     def parameter_set(self) -> ParameterSet:
@@ -183,7 +243,7 @@ class NetworkSection(Section):
         """Return the limits given, or a bearing's where the heat is a bearing's friction."""
         if self.runaway is not None:
             return RunawayLimits(**self.runaway.model_dump())
-        return None if self.source.kind == "linear" else RunawayLimits()
+        return None if self.heat.kind == "linear" else RunawayLimits()
 
     def compiled(self) -> CompiledNetwork:
         """Return the network as flat arrays; raises ValueError as `network` does."""

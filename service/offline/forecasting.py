@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.offline.model_file import IdentifiedModel
-from service.offline.rows import MINUTE_S, longest_step_s, mean_from, minute_rows
+from service.offline.rows import longest_step_s, mean_input, minute_rows, step_ahead, step_of
 from service.offline.tables import FloatArray, PlannedRows, Recording
 from twin_core.forecasting import forecast
 from twin_core.forecasting.ensemble import FOLLOWED_S, course_known
@@ -49,6 +49,8 @@ class Present:
         Run-in of the grease.
     speed_rpm, load_n, ambient_c
         Operating point that holds until the profile's first row.
+    inputs
+        The network's inputs likewise, (k,).
     followed_s
         For how long the estimate follows a history; infinite for a machine whose state is given.
     """
@@ -60,6 +62,7 @@ class Present:
     speed_rpm: float
     load_n: float
     ambient_c: float
+    inputs: tuple[float, ...] = ()
     followed_s: float = np.inf
 
 
@@ -97,6 +100,10 @@ def cold(identified: IdentifiedModel, initial_temperature_c: float) -> Present:
         speed_rpm=0.0,
         load_n=0.0,
         ambient_c=initial_temperature_c,
+        inputs=tuple(
+            initial_temperature_c if name in identified.model.network.boundaries else 0.0
+            for name in identified.model.input_names
+        ),
     )
 
 
@@ -117,8 +124,8 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
     FollowError
         If the model runs away on the way.
     """
-    minutes = minute_rows(history)
     model = identified.model
+    minutes = minute_rows(history, step_of(history, identified.machine, model))
     good = minutes.take(minutes.good)
     run_in = identified.run_in
     try:
@@ -135,7 +142,8 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
             )
         last = (float(good.speed_rpm[-1]), float(good.load_n[-1]), float(good.ambient_c[-1]))
         # Rows at the end without an operating point: the last known one holds.
-        observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last)
+        inputs = good.inputs_at(-1)
+        observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last, inputs)
         if minutes.time_s[-1] > good.time_s[-1]:
             observer.update(_readings(minutes, minutes.size - 1))
     except SimulationError as error:
@@ -146,6 +154,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
         observer.heat_disturbance_w,
         observer.revolutions,
         *last,
+        inputs=inputs,
         followed_s=float(minutes.time_s[-1]) - since_s,
     )
 
@@ -163,7 +172,9 @@ def _follow(
     A machine that began at rest counts as followed since for ever: its state was known then.
     """
     profile = hold_operating_point(
-        OperatingProfile(good.time_s, good.speed_rpm, good.load_n, good.ambient_c)
+        OperatingProfile(
+            good.time_s, good.speed_rpm, good.load_n, good.ambient_c, good.input_table()
+        )
     )
     counted_s = longest_step_s(good)
     longest_s = max(_LONGEST_GAP_S, counted_s)
@@ -178,7 +189,7 @@ def _follow(
         )
         step_s = float(good.time_s[row] - good.time_s[row - 1]) if row else 0.0
         if observer is not None and step_s <= longest_s:
-            observer.predict(step_s, *point)
+            observer.predict(step_s, *point, profile.inputs[max(row - 1, 0)])
             observer.update(readings)
             revolutions = observer.revolutions
             continue
@@ -195,6 +206,7 @@ def _follow(
                 float(profile.load_n[row]),
                 at_rest,
                 past,
+                profile.inputs[row],
             )
             since_s = -np.inf if at_rest else float(good.time_s[row])
             observer = Observer(model, values, mean, covariance, revolutions)
@@ -210,7 +222,7 @@ def forecast_profile(
     identified: IdentifiedModel, present: Present, rows: PlannedRows
 ) -> ProfileForecast:
     """Forecast all sensors and nodes at the rows of a profile."""
-    profile = _profile(present, rows)
+    profile = _profile(identified, present, rows)
     result = forecast(
         identified.model,
         identified.posterior,
@@ -220,6 +232,7 @@ def forecast_profile(
         profile,
         disturbance_w=present.disturbance_w,
         operating_point=(present.speed_rpm, present.load_n, present.ambient_c),
+        inputs=present.inputs,
         followed=course_known(present.followed_s),
         members=MEMBERS,
     )
@@ -263,23 +276,33 @@ def _doubtful_state(
     return (f"initial state of {name} known to ±{half_k:.0f} K only",)
 
 
-def _profile(present: Present, rows: PlannedRows) -> OperatingProfile:
-    """Rows from now on at most a minute apart, so that no peak between two planned ones is missed.
+def _profile(identified: IdentifiedModel, present: Present, rows: PlannedRows) -> OperatingProfile:
+    """Rows from now on at most a step apart, so that no peak between two planned ones is missed.
 
-    Minute means stand for the rows where there are too many for the ensemble.
+    Means over the steps stand for the rows where there are too many for the ensemble.
     """
     time_s = rows.time_s
-    columns = [rows.speed_rpm, rows.load_n, rows.ambient_c]
+    columns = [rows.speed_rpm, rows.load_n, rows.ambient_c, *rows.inputs.T]
     if time_s[0] > 0.0:
-        before = (present.speed_rpm, present.load_n, present.ambient_c)
+        before = (present.speed_rpm, present.load_n, present.ambient_c, *present.inputs)
         time_s = np.append(0.0, time_s)
         columns = [np.append(now, values) for now, values in zip(before, columns, strict=True)]
-    grid_s = np.arange(0.0, time_s[-1], max(MINUTE_S, float(time_s[-1]) / _MOST_ROWS))
+    longest_s = step_ahead(identified.machine, identified.model)
+    grid_s = np.arange(0.0, time_s[-1], max(longest_s, float(time_s[-1]) / _MOST_ROWS))
     if time_s.size <= _MOST_ROWS:
         grid_s = np.union1d(grid_s, time_s)
         index = np.searchsorted(time_s, grid_s, side="right") - 1
         columns = [values[index] for values in columns]
     else:
         grid_s = np.append(grid_s, time_s[-1])
-        columns = [mean_from(time_s, values, grid_s, np.inf) for values in columns]
-    return OperatingProfile(grid_s, *columns)
+        squared = (
+            *(3 * (False,)),
+            *(name in identified.machine.mean_square for name in identified.model.input_names),
+        )
+        columns = [
+            mean_input(time_s, values, grid_s, is_squared, np.inf)
+            for values, is_squared in zip(columns, squared, strict=True)
+        ]
+    speed_rpm, load_n, ambient_c, *inputs = columns
+    table = np.array(inputs).reshape(-1, grid_s.size).T
+    return OperatingProfile(grid_s, speed_rpm, load_n, ambient_c, table)

@@ -9,7 +9,7 @@ import numpy as np
 from service.machines.machine import Machine
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
-from service.offline.rows import contiguous, minute_rows, revolutions_at
+from service.offline.rows import contiguous, minute_rows, revolutions_at, step_of
 from service.offline.tables import Recording
 from service.studies import methods
 from service.studies.common import StudyError, require
@@ -247,7 +247,7 @@ def identify_recording(
         If the model does not follow the data.
     """
     model = machine.build()
-    minutes = minute_rows(recording)
+    minutes = minute_rows(recording, step_of(recording, machine, model))
     data = data_set(recording, minutes, at_rest)
     try:
         result = identify(
@@ -335,6 +335,7 @@ def _with_sensors(span: MinuteData, sensors: list[str]) -> MinuteData:
         span.ambient_c,
         {name: span.temperatures_c[name] for name in sensors},
         span.good,
+        span.inputs,
     )
 
 

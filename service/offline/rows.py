@@ -1,8 +1,9 @@
 """Recorded rows brought to the spacing that the twin works at, and cut where data are missing.
 
 A row's operating point holds from its time to the next row's; its temperatures are instantaneous
-at its time. Rows that come faster than one per minute are averaged accordingly: the operating point
-over the minute that begins at a mark, temperatures around the mark.
+at its time. Rows that come faster than the twin needs them are averaged accordingly: the operating
+point over the step that begins at a mark, temperatures around the mark. A bearing needs one row per
+minute; a network of one's own may have a body that is faster.
 """
 
 from itertools import pairwise
@@ -10,13 +11,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from service.machines.machine import Machine
 from service.offline.tables import FloatArray, Recording
+from twin_core.models import ThermalModel
+from twin_core.time_constants import fastest_time_s
 from twin_core.windows import MinuteData
 
 MINUTE_S = 60.0
-# Faster rows than this are averaged; a little jitter around a minute is not faster.
-_FAST_S = 50.0
-_HALF_WINDOW_S = 30.0
+# Rows that come faster than this part of a step are averaged; a little jitter is not faster.
+_FAST = 50.0 / 60.0
+# Steps there are, and how many of them a time constant should have at least.
+ROW_STEPS_S = (60.0, 30.0, 20.0, 15.0, 10.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0)
+_STEPS_PER_TIME_CONSTANT = 5.0
+# More rows than this take a longer step: time and memory grow with them.
+MOST_ROWS = 20_000
 # Readings further apart than this say nothing about the time between them.
 _LONGEST_STEP_S = 3.0 * MINUTE_S
 _LEAST_KNOWN = 0.5
@@ -24,18 +32,61 @@ _AMBIENT_GAP_S = 3600.0
 _MISSING_ROWS = 3
 
 
-def minute_rows(recording: Recording) -> MinuteData:
+def row_step_s(fastest_s: float, spacing_s: float, duration_s: float) -> float:
+    """Choose the step that data are averaged to, in s.
+
+    The longest of `ROW_STEPS_S` of which a time constant has five, but no shorter one than the
+    data's own spacing, and none that makes more than `MOST_ROWS` rows.
+
+    Parameters
+    ----------
+    fastest_s
+        Shortest time constant that matters.
+    spacing_s
+        Usual time between two rows of the data.
+    duration_s
+        From the first row to the last.
+    """
+    least_s = max(spacing_s, duration_s / MOST_ROWS)
+    fitting = [step for step in ROW_STEPS_S if step * _STEPS_PER_TIME_CONSTANT <= fastest_s]
+    wanted_s = fitting[0] if fitting else ROW_STEPS_S[-1]
+    return min((step for step in ROW_STEPS_S if step >= max(wanted_s, least_s)), default=MINUTE_S)
+
+
+def step_of(recording: Recording, machine: Machine, model: ThermalModel) -> float:
+    """Step in s for a recording of a machine: a minute for a bearing, else as its network needs."""
+    if machine.network is None or recording.time_s.size < 3:
+        return MINUTE_S
+    spacing_s = float(np.median(np.diff(recording.time_s)))
+    duration_s = float(recording.time_s[-1] - recording.time_s[0])
+    return row_step_s(fastest_time_s(model), spacing_s, duration_s)
+
+
+def step_ahead(machine: Machine, model: ThermalModel) -> float:
+    """Longest step in s of a forecast of a machine."""
+    return MINUTE_S if machine.network is None else row_step_s(fastest_time_s(model), 0.0, 0.0)
+
+
+def minute_rows(recording: Recording, step_s: float = MINUTE_S) -> MinuteData:
     """Rows of a recording at the twin's spacing; slow or irregular ones stay as they are.
 
     The last row is always that of the recording's last time.
+
+    Parameters
+    ----------
+    recording
+        Measured rows.
+    step_s
+        What faster rows are averaged to; see `step_of`.
     """
     time_s = recording.time_s
-    fast = time_s.size > 2 and float(np.median(np.diff(time_s))) < _FAST_S
+    fast = time_s.size > 2 and float(np.median(np.diff(time_s))) < _FAST * step_s
+    inputs = recording.inputs
     operating = [recording.speed_rpm, recording.load_n]
     ambient_c = _bridged(time_s, recording.ambient_c)
     temperatures = recording.temperatures_c
     if fast:
-        marks = np.arange(time_s[0], time_s[-1] + 1e-6, MINUTE_S)
+        marks = np.arange(time_s[0], time_s[-1] + 1e-6, step_s)
         if time_s[-1] - marks[-1] > 1.0:
             marks = np.append(marks, time_s[-1])
         marks[-1] = time_s[-1]
@@ -43,13 +94,33 @@ def minute_rows(recording: Recording) -> MinuteData:
             mean_from(time_s, values, marks) for values in (*operating, ambient_c)
         )
         temperatures = {
-            name: mean_around(time_s, values, marks) for name, values in temperatures.items()
+            name: mean_around(time_s, values, marks, step_s / 2.0)
+            for name, values in temperatures.items()
+        }
+        inputs = {
+            name: mean_input(time_s, values, marks, name in recording.mean_square)
+            for name, values in inputs.items()
         }
         time_s = marks
     else:
         speed, load, ambient = (*operating, ambient_c)
     good = np.isfinite(speed) & np.isfinite(load) & np.isfinite(ambient)
-    return MinuteData(time_s, speed, load, ambient, temperatures, good)
+    for values in inputs.values():
+        good &= np.isfinite(values)
+    return MinuteData(time_s, speed, load, ambient, temperatures, good, inputs)
+
+
+def mean_input(
+    time_s: FloatArray,
+    values: FloatArray,
+    marks_s: FloatArray,
+    mean_square: bool,
+    longest_s: float = _LONGEST_STEP_S,
+) -> FloatArray:
+    """Mean over each step as `mean_from`; of a current (mean square) the one that heats as much."""
+    if not mean_square:
+        return mean_from(time_s, values, marks_s, longest_s)
+    return np.asarray(np.sqrt(mean_from(time_s, values**2, marks_s, longest_s)))
 
 
 def mean_from(
@@ -95,8 +166,10 @@ def _integral(parts: FloatArray) -> FloatArray:
     return np.stack((ends - parts, ends), axis=1).ravel()
 
 
-def mean_around(time_s: FloatArray, values: FloatArray, marks_s: FloatArray) -> FloatArray:
-    """Mean of an instantaneous quantity over half a minute before and after each mark.
+def mean_around(
+    time_s: FloatArray, values: FloatArray, marks_s: FloatArray, half_window_s: float = 30.0
+) -> FloatArray:
+    """Mean of an instantaneous quantity over half a step before and after each mark.
 
     The mean is that of straight lines between the readings. Near the ends of the readings the
     span shrinks on both sides, so that a steady rise moves no mean.
@@ -107,6 +180,8 @@ def mean_around(time_s: FloatArray, values: FloatArray, marks_s: FloatArray) -> 
         (n,) readings; NaN is none.
     marks_s
         (m,) ascending.
+    half_window_s
+        Half a step.
 
     Returns
     -------
@@ -129,7 +204,7 @@ def mean_around(time_s: FloatArray, values: FloatArray, marks_s: FloatArray) -> 
             area[k] + 0.5 * (level[k] + np.interp(until_s, at_s, level)) * (until_s - at_s[k])
         )
 
-    half_s = np.minimum(_HALF_WINDOW_S, np.minimum(marks_s - at_s[0], at_s[-1] - marks_s))
+    half_s = np.minimum(half_window_s, np.minimum(marks_s - at_s[0], at_s[-1] - marks_s))
     before = np.clip(np.searchsorted(at_s, marks_s, side="right") - 1, 0, at_s.size - 2)
     near = (at_s[before + 1] - at_s[before] <= _LONGEST_STEP_S) | np.isin(marks_s, at_s)
     wide = near & (half_s > 1e-3)

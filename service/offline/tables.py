@@ -7,9 +7,9 @@ import csv
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from service.clock import from_rfc3339
 from service.files import replacing
+from service.machines.networks import NetworkSection
 
 FloatArray = NDArray[np.float64]
 
@@ -29,6 +30,7 @@ _RING_HEADER = f"{', '.join(OPERATING_COLUMNS + RING_COLUMNS)} and t_node_1_c to
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _TEMPERATURE_RANGE = (-60.0, 400.0)
 _RANGES = {"speed_rpm": (-1e5, 1e5), "load_n": (-1e3, 1e6)}
+_ANY_RANGE = (-1e9, 1e9)
 
 
 class TableError(ValueError):
@@ -51,6 +53,10 @@ class Recording:
         (n,) the operating point from each row's time on; NaN where the cell is empty.
     temperatures_c
         (n,) at each row's time, per sensor; NaN where the cell is empty.
+    inputs
+        (n,) per input of a network of one's own, in its order; as the operating point.
+    mean_square
+        Inputs whose square is heat: currents.
     """
 
     name: str
@@ -60,37 +66,47 @@ class Recording:
     load_n: FloatArray
     ambient_c: FloatArray
     temperatures_c: dict[str, FloatArray]
+    inputs: dict[str, FloatArray] = field(default_factory=dict)
+    mean_square: Collection[str] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedRows:
-    """Rows of a profile file, (n,) each, all finite; ``time_s`` counts from now, ascending."""
+    """Rows of a profile file, (n,) each, all finite; ``time_s`` counts from now, ascending.
+
+    ``inputs`` (n, k) are those of a network of one's own, in its order.
+    """
 
     time_s: FloatArray
     speed_rpm: FloatArray
     load_n: FloatArray
     ambient_c: FloatArray
+    inputs: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
-def read_recording(path: Path, temperatures: Sequence[str] | None = None) -> Recording:
+def read_recording(path: Path, network: NetworkSection | None = None) -> Recording:
     """Read recorded data: ``time`` (RFC 3339) or ``time_s``, operating point, temperatures.
 
     Parameters
     ----------
     path
         The file.
-    temperatures
-        Columns of temperatures there may be, at least one of them; by default both rings, which
-        there must be, and the nodes of the 14-node network.
+    network
+        A network of the user's own: its inputs, which there must be, and its temperatures, at least
+        one of them. By default both rings, which there must be, and the nodes of the 14-node
+        network.
 
     Raises
     ------
     TableError
         If the file cannot be read or used.
     """
+    temperatures = None if network is None else network.temperature_names
+    needed = _operating_columns(network)
+    known = (*OPERATING_COLUMNS, *(() if network is None else network.inputs))
     expected = _RING_HEADER
     if temperatures is not None:
-        expected = f"{', '.join(OPERATING_COLUMNS)} and some of {', '.join(temperatures)}"
+        expected = f"{', '.join(needed)} and some of {', '.join(temperatures)}"
     with _opened(path) as file:
         table = _Table(path.name, file)
         clocks = [name for name in ("time", "time_s") if name in table.names]
@@ -98,19 +114,43 @@ def read_recording(path: Path, temperatures: Sequence[str] | None = None) -> Rec
             found = "both time and time_s" if clocks else "missing column time or time_s"
             raise table.error(1, f"{found}; expected one of the two, then {expected}")
         for name in table.names:
-            if name not in (clocks[0], *OPERATING_COLUMNS) and not _is_known(name, temperatures):
+            if name not in (clocks[0], *known) and not _is_known(name, temperatures):
                 raise table.error(1, f"unknown column {name!r}; expected {clocks[0]}, {expected}")
         required = RING_COLUMNS if temperatures is None else ()
-        table.require((*OPERATING_COLUMNS, *required), f"{clocks[0]}, {expected}")
+        table.require((*needed, *required), f"{clocks[0]}, {expected}")
         if temperatures is not None and not set(temperatures) & set(table.names):
             raise table.error(1, f"no column with a temperature; expected {clocks[0]}, {expected}")
-        columns = table.read(clocks[0], may_be_empty=True)
+        columns = table.read(clocks[0], may_be_empty=True, numbers=_drives(network))
     start_us = None
     time_s = columns.pop(clocks[0])
     if clocks[0] == "time":
         start_us, time_s = table.start_us, time_s - time_s[0]
-    speed_rpm, load_n, ambient_c = (columns.pop(name) for name in OPERATING_COLUMNS)
-    return Recording(path.name, start_us, time_s, speed_rpm, load_n, ambient_c, columns)
+    speed_rpm, load_n, ambient_c = _operating_point(columns, time_s.size)
+    inputs = {name: columns.pop(name) for name in (() if network is None else network.inputs)}
+    squared = () if network is None else network.mean_square_inputs
+    return Recording(
+        path.name, start_us, time_s, speed_rpm, load_n, ambient_c, columns, inputs, squared
+    )
+
+
+def _operating_columns(network: NetworkSection | None) -> tuple[str, ...]:
+    """Columns that there must be: a network need not have a speed or a load."""
+    if network is None:
+        return OPERATING_COLUMNS
+    used = (name for name in OPERATING_COLUMNS if name not in network.unused_channels)
+    return (*used, *network.inputs)
+
+
+def _operating_point(columns: dict[str, FloatArray], size: int) -> list[FloatArray]:
+    """Take speed, load and ambient out of the columns; what no law asks for may be missing."""
+    return [columns.pop(name, np.zeros(size)) for name in OPERATING_COLUMNS]
+
+
+def _drives(network: NetworkSection | None) -> Collection[str]:
+    """Columns that may hold any number: currents and powers."""
+    if network is None:
+        return ()
+    return set(network.inputs) - set(network.boundaries)
 
 
 def _is_known(name: str, temperatures: Sequence[str] | None) -> bool:
@@ -120,29 +160,40 @@ def _is_known(name: str, temperatures: Sequence[str] | None) -> bool:
     return name in RING_COLUMNS or _NODE_COLUMN.fullmatch(name) is not None
 
 
-def read_profile(path: Path) -> PlannedRows:
+def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRows:
     """Read a profile: ``time_s,speed_rpm,load_n,ambient_c``, no cell empty.
+
+    Parameters
+    ----------
+    path
+        The file.
+    network
+        A network of the user's own, whose inputs there must be as well.
 
     Raises
     ------
     TableError
         If the file cannot be read or used.
     """
-    expected = ("time_s", *OPERATING_COLUMNS)
+    expected = ("time_s", *_operating_columns(network))
     with _opened(path) as file:
         table = _Table(path.name, file)
         table.require(expected, ", ".join(expected))
         for name in table.names:
-            if name not in expected:
+            if name not in (*expected, *OPERATING_COLUMNS):
                 raise table.error(1, f"unknown column {name!r}; expected {', '.join(expected)}")
-        columns = table.read("time_s", may_be_empty=False)
+        columns = table.read("time_s", may_be_empty=False, numbers=_drives(network))
     if columns["time_s"][0] < 0.0:
         raise table.error(
             table.lines[0],
             f"time_s = {columns['time_s'][0]:g}: expected 0 or more, seconds from the end of the "
             "history",
         )
-    return PlannedRows(*(columns[name] for name in expected))
+    time_s = columns.pop("time_s")
+    speed_rpm, load_n, ambient_c = _operating_point(columns, time_s.size)
+    names = () if network is None else network.inputs
+    inputs = np.array([columns[name] for name in names]).reshape(-1, time_s.size).T
+    return PlannedRows(time_s, speed_rpm, load_n, ambient_c, inputs)
 
 
 def write_forecast(
@@ -219,8 +270,13 @@ class _Table:
             if name not in self.names:
                 raise self.error(1, f"missing column {name!r}; expected {header}")
 
-    def read(self, clock: str, may_be_empty: bool) -> dict[str, FloatArray]:
-        """Read all rows; the clock's column in seconds, since the epoch if it is ``time``."""
+    def read(
+        self, clock: str, may_be_empty: bool, numbers: Collection[str] = ()
+    ) -> dict[str, FloatArray]:
+        """Read all rows; the clock's column in seconds, since the epoch if it is ``time``.
+
+        Columns called numbers may hold any; else temperatures are checked for what can be.
+        """
         rows: list[list[float]] = []
         at = self.names.index(clock)
         while (cells := self._next()) is not None:
@@ -247,7 +303,7 @@ class _Table:
         columns = {name: table[:, k].copy() for k, name in enumerate(self.names)}
         for name, values in columns.items():
             if name != clock:
-                self._check_range(name, values)
+                self._check_range(name, values, name in numbers)
         return columns
 
     def _since_start(self, line: int, text: str, first: bool) -> str:
@@ -280,8 +336,8 @@ class _Table:
             numbers.append(value)
         return numbers
 
-    def _check_range(self, name: str, values: FloatArray) -> None:
-        low, high = _RANGES.get(name, _TEMPERATURE_RANGE)
+    def _check_range(self, name: str, values: FloatArray, is_number: bool) -> None:
+        low, high = _ANY_RANGE if is_number else _RANGES.get(name, _TEMPERATURE_RANGE)
         with np.errstate(invalid="ignore"):
             outside = np.flatnonzero((values < low) | (values > high))
         if outside.size:

@@ -74,6 +74,7 @@ class History(Section):
         start_us: int,
         end_us: int,
         offset_us: int = 0,
+        step_us: int = MINUTE_US,
     ) -> MinuteTable:
         """Averages per minute of the good samples, on one time axis for all channels.
 
@@ -88,13 +89,15 @@ class History(Section):
         offset_us : int
             Minutes begin so much after the full minute; minus half a minute centres the averages
             on the full minutes, as an instantaneous value there.
+        step_us : int
+            Another length than a minute's.
         """
         per_channel: dict[str, list[tuple[int, float | None, int, int]]] = {}
         with self._database.reading() as connection:
             ids = channel_ids(connection, asset, channels)
             for name, channel_id in ids.items():
                 time_us = SampleRow.time_us.expression
-                minute = buckets.bucket_start(time_us, MINUTE_US, offset_us)
+                minute = buckets.bucket_start(time_us, step_us, offset_us)
                 query = select(
                     minute, buckets.mean_of_good, buckets.count_of_good, func.count()
                 ).where(

@@ -40,7 +40,7 @@ NAMES = ("joint", "scale", "share")
 
 
 def _edge(kind: EdgeKind, *coefficients: float, speed: float, load: float = 2650.0) -> float:
-    return float(kernels.edge_conductance(int(kind), np.array(coefficients), speed, load))
+    return float(kernels.edge_conductance(int(kind), np.array(coefficients), speed, load, 0.0))
 
 
 def test_parameters_multiply_their_coefficients() -> None:
@@ -49,9 +49,9 @@ def test_parameters_multiply_their_coefficients() -> None:
     assert capacity.tolist() == [200.0, 1000.0]
     assert edges[:, 0].tolist() == [1.5, 2.0]
     assert share == pytest.approx([0.2, 0.8])  # 0.25 * 0.8, and all that is left
-    matrix, to_ambient = kernels.conductance_matrix(compiled, edges, 0.0, 0.0)
+    matrix, to_ambient = kernels.conductance_matrix(compiled, edges, 0.0, 0.0, compiled.inputs)
     assert matrix == pytest.approx(np.array([[2 / 3, -2 / 3], [-2 / 3, 2 / 3 + 0.5]]))
-    assert to_ambient.tolist() == [0.0, 0.5]
+    assert to_ambient.tolist() == [[0.0, 0.5]]
 
 
 def test_the_papers_heat_split_is_one_two_one() -> None:

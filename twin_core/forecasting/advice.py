@@ -203,9 +203,10 @@ def advise(
         present.state_c,
         present.state_covariance,
         present.revolutions,
-        held_profile((target,), present.ambient_c),
+        held_profile((target,), present.ambient_c, model.compiled.inputs),
         disturbance_w=present.disturbance_w,
         operating_point=present.operating_point,
+        inputs=model.compiled.inputs,
         members=members,
         seed=seed,
     )

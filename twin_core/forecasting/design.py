@@ -188,7 +188,7 @@ class Design:
         )
 
     def _profile(self, levels: Sequence[Level]) -> OperatingProfile:
-        return held_profile(levels, self._present.ambient_c)
+        return held_profile(levels, self._present.ambient_c, self._model.compiled.inputs)
 
     def _sensitivities(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray]:
         """Readings (n, sensors), and their derivatives (d, n, sensors); infinite if it runs away.
@@ -241,8 +241,13 @@ class Design:
         return np.where(np.isfinite(shift), shift, 0.0)
 
 
-def held_profile(levels: Sequence[Level], ambient_c: float) -> OperatingProfile:
-    """Rows of one minute over levels held one after the other, from now."""
+def held_profile(
+    levels: Sequence[Level], ambient_c: float, inputs: FloatArray | None = None
+) -> OperatingProfile:
+    """Rows of one minute over levels held one after the other, from now.
+
+    The ambient temperature, and a network's inputs (k,), stay as they are.
+    """
     ends = np.cumsum([level.duration_s for level in levels])
     time_s = np.unique(np.concatenate((np.arange(0.0, ends[-1], 60.0), ends)))
     index = np.minimum(np.searchsorted(ends, time_s, side="right"), len(levels) - 1)
@@ -251,4 +256,5 @@ def held_profile(levels: Sequence[Level], ambient_c: float) -> OperatingProfile:
         np.array([level.speed_rpm for level in levels])[index],
         np.array([level.load_n for level in levels])[index],
         np.full(time_s.size, ambient_c),
+        np.tile(np.empty(0) if inputs is None else inputs, (time_s.size, 1)),
     )

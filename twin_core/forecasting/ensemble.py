@@ -162,6 +162,7 @@ def forecast(
     disturbance_w: ArrayLike | None = None,
     operating_point: tuple[float, float, float] | None = None,
     followed: float = 1.0,
+    inputs: ArrayLike = (),
     members: int = 200,
     seed: int = 0,
 ) -> Forecast:
@@ -191,6 +192,8 @@ def forecast(
         How much of the present course has been observed, 0 to 1: by this part of them members get
         the heats that keep them on it. From a few readings nobody knows where a machine is going;
         see `course_known`.
+    inputs
+        (k,) the network's inputs up to now, beside `operating_point`.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -221,7 +224,7 @@ def forecast(
         heat_w += np.asarray(disturbance_w, np.float64)
     if operating_point is not None and goes_on:
         heat_w += followed * imbalance_w(
-            model, best, mean_c, values, start, operating_point, revolutions
+            model.holding(inputs), best, mean_c, values, start, operating_point, revolutions
         )
     temperatures = member_paths(
         model, values, hold_operating_point(profile), start, revolutions, heat_w

@@ -74,10 +74,7 @@ def member_paths(
 
 
 def _rows(profile: OperatingProfile, first: int, last: int) -> OperatingProfile:
-    rows = slice(first, last + 1)
-    return OperatingProfile(
-        profile.time_s[rows], profile.speed_rpm[rows], profile.load_n[rows], profile.ambient_c[rows]
-    )
+    return profile.rows(slice(first, last + 1))
 
 
 def imbalance_w(

@@ -26,7 +26,7 @@ from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import OperatingPoint, alike_points, demand, new_points
 from twin_core.scores import rms
-from twin_core.simulation import OperatingProfile, SimulationError, simulate
+from twin_core.simulation import SimulationError, simulate
 from twin_core.windows import MinuteData, window_of
 
 FloatArray = NDArray[np.float64]
@@ -269,6 +269,7 @@ def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> di
             float(profile.speed_rpm[0]),
             float(profile.load_n[0]),
             window.at_rest,
+            inputs=profile.inputs[0],
         )
         observer = Observer(model, values, mean, covariance, window.revolutions)
         for row in range(test.first):
@@ -277,18 +278,14 @@ def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> di
                 float(profile.speed_rpm[row]),
                 float(profile.load_n[row]),
                 float(profile.ambient_c[row]),
+                profile.inputs[row],
             )
             observer.update(_known(rows, row + 1))
         chosen = slice(test.first, test.last + 1)
         ahead = simulate(
             model,
             values,
-            OperatingProfile(
-                profile.time_s[chosen],
-                profile.speed_rpm[chosen],
-                profile.load_n[chosen],
-                profile.ambient_c[chosen],
-            ),
+            profile.rows(chosen),
             observer.temperatures_c,
             observer.revolutions,
         )

@@ -39,7 +39,11 @@ _LAG_SPREAD_S, _LONGEST_LAG_S = 10.0, 45.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Channel:
-    """A sensor's good values in one window: where, what, and how long after the row before."""
+    """A sensor's good values in one window: where and what, in rows at known times.
+
+    The sensor's lag is looked up by interpolation between the rows. Where every row is longer than
+    any lag, the row before is near enough by itself, and `since_before_s` says how far it is.
+    """
 
     name: str
     row: FloatArray
@@ -47,10 +51,27 @@ class _Channel:
     measured_c: FloatArray
     whitening: Whitening
     since_before_s: FloatArray
+    time_s: FloatArray
+
+    @property
+    def _rows_are_long(self) -> bool:
+        return bool(np.min(self.since_before_s) >= _LONGEST_LAG_S)
+
+    def _earlier(self, lag_s: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+        """Row before the moment that each value shows, and the part of the way to the next."""
+        then_s = np.maximum(self.time_s[self.index] - lag_s, self.time_s[0])
+        found = np.searchsorted(self.time_s, then_s, side="right") - 1
+        low = np.clip(found, 0, self.time_s.size - 2)
+        return low, (then_s - self.time_s[low]) / (self.time_s[low + 1] - self.time_s[low])
 
     def errors_c(self, temperatures_c: FloatArray, lag_s: FloatArray) -> FloatArray:
         """Twin minus measurement (B, n) for node temperatures (B, rows, nodes), lags (B, 1)."""
         readings = temperatures_c @ self.row
+        if not self._rows_are_long:
+            low, part = self._earlier(lag_s)
+            first = np.take_along_axis(readings, low, axis=1)
+            second = np.take_along_axis(readings, low + 1, axis=1)
+            return np.asarray(first + part * (second - first) - self.measured_c)
         now = readings[:, self.index]
         before = readings[:, np.maximum(self.index - 1, 0)]
         share = np.minimum(lag_s / self.since_before_s, 1.0)
@@ -61,9 +82,18 @@ class _Channel:
 
         From the twin's readings (rows,) and their derivatives (rows, q).
         """
+        along = np.empty((tangents.shape[1] + 1, self.index.size))
+        if not self._rows_are_long:
+            low, part = self._earlier(np.array([lag_s]))
+            along[:-1] = (tangents[low] * (1.0 - part[:, None])).T
+            along[:-1] += (tangents[low + 1] * part[:, None]).T
+            rise = readings_c[low + 1] - readings_c[low]
+            moves = self.time_s[self.index] - lag_s > self.time_s[0]
+            along[-1] = np.where(moves, -rise / (self.time_s[low + 1] - self.time_s[low]), 0.0)
+            errors = readings_c[low] + part * rise - self.measured_c
+            return np.asarray(self.whitening.slopes(errors, along).T)
         before = np.maximum(self.index - 1, 0)
         share = np.minimum(lag_s / self.since_before_s, 1.0)
-        along = np.empty((tangents.shape[1] + 1, self.index.size))
         along[:-1] = (tangents[self.index] * (1.0 - share[:, None])).T
         along[:-1] += (tangents[before] * share[:, None]).T
         difference = readings_c[before] - readings_c[self.index]
@@ -357,7 +387,9 @@ def profile_of(minutes: MinuteData) -> OperatingProfile:
     """Operating profile of the good rows; noise within an operating point is averaged out."""
     rows = minutes.take(minutes.good)
     return hold_operating_point(
-        OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
+        OperatingProfile(
+            rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c, rows.input_table()
+        )
     )
 
 
@@ -395,6 +427,7 @@ def _prepare(
                     measured[index],
                     whitening(rows.time_s[index], *astuple(model.errors), loss=loss),
                     np.diff(rows.time_s, prepend=rows.time_s[0] - 60.0)[index],
+                    rows.time_s,
                 )
             )
             residual += index.size
@@ -411,6 +444,7 @@ def _prepare(
             float(profile.speed_rpm[0]),
             float(profile.load_n[0]),
             False,
+            inputs=profile.inputs[0],
         )
         factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(nodes))
     return _Span(

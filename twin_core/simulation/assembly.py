@@ -11,11 +11,13 @@ import numpy as np
 from twin_core.simulation.compiling import compiled
 from twin_core.simulation.eigen import eigen_decompose
 from twin_core.simulation.laws import (
+    COPPER,
     FILM,
     edge_conductance,
     film_excess_w,
     friction_at_point,
     friction_heat_w,
+    loss_at_zero_w,
 )
 
 
@@ -72,44 +74,99 @@ def film_edges(net, coefficient):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def edge_conductances(net, coefficient, speed, load):  # type: ignore[no-untyped-def]
-    """Conductance of every edge in W/K (edges,)."""
-    result = np.empty(net.edge_kind.size)
-    for e in range(result.size):
-        result[e] = edge_conductance(net.edge_kind[e], coefficient[e], speed, load)
+def count_losses(net):  # type: ignore[no-untyped-def]
+    """Tell how many edges are losses, and whether one of them changes with temperature."""
+    losses, copper = 0, False
+    for e in range(net.edge_kind.size):
+        losses += net.edge_kind[e] >= COPPER
+        copper = copper or net.edge_kind[e] == COPPER
+    return losses, copper
+
+
+@compiled
+def driving_value(net, edge, given):  # type: ignore[no-untyped-def]
+    """Value of the input that drives a loss, of the inputs given (k,); 0 where none does."""
+    place = net.edge_input[edge]
+    return given[place] if place >= 0 else 0.0
+
+
+@compiled
+def boundary_values(net, ambient, given):  # type: ignore[no-untyped-def]
+    """What the rows of `conductance_matrix`'s second result are multiplied with, (rows,)."""
+    losses, _ = count_losses(net)
+    boundaries = 1 + net.boundary_input.size
+    result = np.ones(boundaries + (1 if losses else 0))
+    result[0] = ambient
+    for b in range(1, boundaries):
+        result[b] = given[net.boundary_input[b - 1]]
     return result
 
 
 @compiled
-def conductance_matrix(net, coefficient, speed, load):  # type: ignore[no-untyped-def]
-    """L (nodes, nodes) and the conductances to ambient g (nodes,), both in W/K."""
+def edge_conductances(net, coefficient, speed, load):  # type: ignore[no-untyped-def]
+    """Conductance of every edge in W/K (edges,), the inputs at the values held."""
+    result = np.empty(net.edge_kind.size)
+    for e in range(result.size):
+        driving = driving_value(net, e, net.inputs)
+        result[e] = edge_conductance(net.edge_kind[e], coefficient[e], speed, load, driving)
+    return result
+
+
+@compiled
+def conductance_matrix(net, coefficient, speed, load, given):  # type: ignore[no-untyped-def]
+    """L (nodes, nodes) in W/K, and what acts on the nodes from outside.
+
+    The second (rows, nodes) has the conductances to the ambient and to every other boundary, in
+    W/K, and where there are losses a last row with their heat at 0 degC in W.
+    """
     count = net.capacity.size
     matrix = np.zeros((count, count))
-    to_ambient = np.zeros(count)
+    losses, _ = count_losses(net)
+    boundaries = 1 + net.boundary_input.size
+    outside = np.zeros((boundaries + (1 if losses else 0), count))
     for e in range(net.edge_kind.size):
-        conductance = edge_conductance(net.edge_kind[e], coefficient[e], speed, load)
+        kind = net.edge_kind[e]
+        driving = driving_value(net, e, given)
+        conductance = edge_conductance(kind, coefficient[e], speed, load, driving)
         a, b = net.edge_nodes[e, 0], net.edge_nodes[e, 1]
         matrix[a, a] += conductance
-        if b == count:
-            to_ambient[a] += conductance
+        if kind >= COPPER:
+            outside[boundaries, a] += loss_at_zero_w(kind, coefficient[e], speed, driving)
+        elif b >= count:
+            outside[b - count, a] += conductance
         else:
             matrix[b, b] += conductance
             matrix[a, b] -= conductance
             matrix[b, a] -= conductance
-    return matrix, to_ambient
+    return matrix, outside
+
+
+@compiled
+def loss_heats_w(net, coefficient, temperature, speed):  # type: ignore[no-untyped-def]
+    """Heat of the losses at every node in W (nodes,), the inputs at the values held."""
+    heat = np.zeros(temperature.size)
+    for e in range(net.edge_kind.size):
+        kind = net.edge_kind[e]
+        if kind >= COPPER:
+            node, driving = net.edge_nodes[e, 0], driving_value(net, e, net.inputs)
+            slope = -edge_conductance(kind, coefficient[e], speed, 0.0, driving)
+            heat[node] += loss_at_zero_w(kind, coefficient[e], speed, driving)
+            heat[node] += slope * temperature[node]
+    return heat
 
 
 @compiled
 def modal_basis(  # type: ignore[no-untyped-def]
-    net, capacity, coefficient, speed, load, rate, modes, inverse
+    net, capacity, coefficient, speed, load, given, rate, modes, inverse
 ):
     """Decouple an operating point: T = sum of y_k modes[k] and y_k = inverse[k] T.
 
     Fills rate (n,) with lam in 1/s, in no order, modes and inverse (n, m >= n; columns from n on
-    zero). Heat q at node i adds modes[k, i] q to the input of y_k. Gives the conductances to
-    ambient (n,). Without a solution all is NaN.
+    zero). Heat q at node i adds modes[k, i] q to the input of y_k. Gives what acts from outside
+    (rows, n), see `conductance_matrix`. Without a solution all is NaN.
     """
-    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
+    matrix, outside = conductance_matrix(net, coefficient, speed, load, given)
+    _, copper = count_losses(net)
     count, width = modes.shape
     root = np.sqrt(capacity)
     symmetric = np.zeros((count, width))
@@ -125,34 +182,39 @@ def modal_basis(  # type: ignore[no-untyped-def]
         rate[:] = math.nan
         modes[:] = math.nan
         inverse[:] = math.nan
-        return to_ambient
+        return outside
     for k in range(count):
-        rate[k] = max(rate[k], 0.0)
+        # Rounding alone makes a rate negative, unless copper heats itself faster than it cools.
+        if not copper:
+            rate[k] = max(rate[k], 0.0)
         for i in range(count):
             inverse[k, order[i]] = modes[k, i] * root[order[i]]
         for i in range(count):
             modes[k, i] = inverse[k, i] / capacity[i]
         for i in range(count, width):
             inverse[k, i] = 0.0
-    return to_ambient
+    return outside
 
 
 @compiled
 def decompose(net, capacity, coefficient, speed, load):  # type: ignore[no-untyped-def]
-    """Modes of an operating point: rates lam (1/s), T = modes @ y, y = inverse @ T, ambient b.
+    """Modes of an operating point: rates lam (1/s), T = modes @ y, y = inverse @ T, input b.
 
-    Heat q at node i adds modes[i] * q to the modal input b. Without a solution all is NaN.
+    Heat q at node i adds modes[i] * q to the modal input; b (rows, n) is what acts from outside,
+    to be multiplied with `boundary_values`. The network's inputs are at the values held. Without a
+    solution all is NaN.
     """
     count = capacity.size
     rate = np.empty(count)
     modes = np.empty((count, count))
     inverse = np.empty((count, count))
-    to_ambient = modal_basis(net, capacity, coefficient, speed, load, rate, modes, inverse)
-    ambient = np.zeros(count)
-    for k in range(count):
-        for i in range(count):
-            ambient[k] += modes[k, i] * to_ambient[i]
-    return rate, modes.T.copy(), inverse, ambient
+    outside = modal_basis(net, capacity, coefficient, speed, load, net.inputs, rate, modes, inverse)
+    result = np.zeros((outside.shape[0], count))
+    for b in range(outside.shape[0]):
+        for k in range(count):
+            for i in range(count):
+                result[b, k] += modes[k, i] * outside[b, i]
+    return rate, modes.T.copy(), inverse, result
 
 
 @compiled
@@ -161,7 +223,7 @@ def step_functions(rate, step, decay, first, second):  # type: ignore[no-untyped
     for k in range(rate.size):
         x = rate[k] * step
         decay[k] = math.exp(-x)
-        if x < 0.02:  # series: the closed forms lose all digits
+        if abs(x) < 0.02:  # series: the closed forms lose all digits
             phi = 1.0 - x / 6.0 * (1.0 - x / 7.0)
             phi = 1.0 - x / 3.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * phi))
             second[k] = 0.5 * step * phi
@@ -176,17 +238,24 @@ def step_functions(rate, step, decay, first, second):  # type: ignore[no-untyped
 def heat_balance(  # type: ignore[no-untyped-def]
     net, values, temperature, speed, load, ambient, revolutions
 ):
-    """Net heat flow into every node (nodes,) and the friction heat, both in W."""
+    """Net heat flow into every node (nodes,) and the heat of friction and losses, both in W.
+
+    The network's inputs are at the values held.
+    """
     _, coefficient, friction, share = bind_network(net, values)
     film_node, film_law = film_edges(net, coefficient)
-    matrix, to_ambient = conductance_matrix(net, coefficient, speed, load)
+    matrix, outside = conductance_matrix(net, coefficient, speed, load, net.inputs)
+    level = boundary_values(net, ambient, net.inputs)
+    loss = loss_heats_w(net, coefficient, temperature, speed)
     kind = net.friction_kind
     point = friction_at_point(kind, friction, speed, load)
     heat = friction_heat_w(kind, friction, point, temperature[net.temperature_node], revolutions)
     count = temperature.size
     flow = np.empty(count)
     for i in range(count):
-        flow[i] = share[i] * heat - to_ambient[i] * (temperature[i] - ambient)
+        flow[i] = share[i] * heat + loss[i]
+        for b in range(1 + net.boundary_input.size):
+            flow[i] -= outside[b, i] * (temperature[i] - level[b])
         for j in range(count):
             # Differences, not L T: a huge conductance must not drown the balance in rounding.
             flow[i] += matrix[i, j] * (temperature[i] - temperature[j])
@@ -194,7 +263,7 @@ def heat_balance(  # type: ignore[no-untyped-def]
         node = film_node[k]
         excess, _ = film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
         flow[node] -= excess
-    return flow, heat
+    return flow, heat + loss.sum()
 
 
 @compiled
@@ -202,15 +271,16 @@ def heat_balance_linearised(  # type: ignore[no-untyped-def]
     net, values, temperature, speed, load, ambient
 ):
     """Net heat flow (nodes,) before any revolution, and its Jacobian (nodes, nodes) in W/K."""
-    flow, heat = heat_balance(net, values, temperature, speed, load, ambient, 0.0)
+    flow, _ = heat_balance(net, values, temperature, speed, load, ambient, 0.0)
     _, coefficient, friction, share = bind_network(net, values)
     film_node, film_law = film_edges(net, coefficient)
-    matrix, _ = conductance_matrix(net, coefficient, speed, load)
+    matrix, _ = conductance_matrix(net, coefficient, speed, load, net.inputs)
     jacobian = -matrix
     lubricant = net.temperature_node
     nudge = 1e-4
     kind = net.friction_kind
     point = friction_at_point(kind, friction, speed, load)
+    heat = friction_heat_w(kind, friction, point, temperature[lubricant], 0.0)
     warmer = friction_heat_w(kind, friction, point, temperature[lubricant] + nudge, 0.0)
     for i in range(temperature.size):
         jacobian[i, lubricant] += share[i] * (warmer - heat) / nudge

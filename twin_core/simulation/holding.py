@@ -6,9 +6,12 @@ import numpy as np
 
 from twin_core.simulation.assembly import (
     bind_network,
+    boundary_values,
     conductance_matrix,
+    count_losses,
     decompose,
     film_edges,
+    loss_heats_w,
     step_functions,
 )
 from twin_core.simulation.compiling import compiled
@@ -66,6 +69,8 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     sensors = rows.shape[0]
     limits = limit.shape[2]
     now = np.empty(sensors)
+    _, copper = count_losses(net)
+    bounded = copper or net.friction_kind != LINEAR
     for member in range(start, stop):
         capacity, coefficient, friction, share = bind_network(net, values[member])
         film_node, film_law = film_edges(net, coefficient)
@@ -79,9 +84,15 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 for k in range(limits):
                     over = now[s] >= limit[member, s, k]
                     crossing[member, cell, s, k] = 0.0 if over else math.inf
-            rate, modes, inverse, ambient_input = decompose(net, capacity, coefficient, n, f)
+            rate, modes, inverse, outside = decompose(net, capacity, coefficient, n, f)
+            level = boundary_values(net, ambient, net.inputs)
+            # Copper that heats itself faster than it cools has no steady state.
+            stable = True
+            for k in range(rate.size):
+                stable = stable and (not copper or rate[k] > 0.0)
             alive = hold_point(
                 net.friction_kind,
+                bounded,
                 net.temperature_node,
                 friction,
                 point,
@@ -91,7 +102,7 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 rate,
                 modes,
                 inverse,
-                ambient_input * ambient,
+                level @ outside,
                 ambient,
                 disturbance[member],
                 fading,
@@ -106,10 +117,21 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 crossing[member, cell],
             )
             turned += n * horizon / 60.0
+            alive = alive and stable
             if alive:
-                matrix, to_ambient = conductance_matrix(net, coefficient, n, f)
+                matrix, outer = conductance_matrix(net, coefficient, n, f, net.inputs)
+                cold = np.zeros(temperature.size)
+                to_outside, from_outside = cold.copy(), loss_heats_w(net, coefficient, cold, n)
+                for b in range(1 + net.boundary_input.size):
+                    for i in range(cold.size):
+                        to_outside[i] += outer[b, i]
+                        from_outside[i] += outer[b, i] * (level[b] - ambient)
+                # What the losses gain with temperature, W/K.
+                gain = loss_heats_w(net, coefficient, cold + 1.0, n)
+                gain -= loss_heats_w(net, coefficient, cold, n)
                 alive = polish_steady_state(
                     net.friction_kind,
+                    bounded,
                     net.temperature_node,
                     friction,
                     point,
@@ -117,7 +139,9 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                     film_node,
                     film_law,
                     matrix,
-                    to_ambient,
+                    to_outside,
+                    from_outside,
+                    gain,
                     ambient,
                     turned,
                     temperature,
@@ -138,6 +162,7 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 @compiled
 def hold_point(  # type: ignore[no-untyped-def]
     kind,
+    bounded,
     lubricant,
     friction,
     point,
@@ -189,7 +214,7 @@ def hold_point(  # type: ignore[no-untyped-def]
     second = np.empty(count)
     slope = np.empty(films)
     watch(view, y, now)
-    top = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    top = TEMPERATURE_LIMIT_C if bounded else math.inf
     time, turned, grown, last_step = 0.0, revolutions, FRESH_STEP_S, math.nan
     built_before = 0.0
     while time < horizon:
@@ -252,6 +277,7 @@ def watch(view, y, out):  # type: ignore[no-untyped-def]
 @compiled
 def polish_steady_state(  # type: ignore[no-untyped-def]
     kind,
+    bounded,
     lubricant,
     friction,
     point,
@@ -259,21 +285,24 @@ def polish_steady_state(  # type: ignore[no-untyped-def]
     film_node,
     film_law,
     matrix,
-    to_ambient,
+    to_outside,
+    from_outside,
+    gain,
     ambient,
     revolutions,
     temperature,
 ):
     """Newton from temperatures near the steady state; tells whether they closed the balance."""
     count = temperature.size
-    top = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    top = TEMPERATURE_LIMIT_C if bounded else math.inf
     flow = np.empty(count)
     for _ in range(STEADY_ITERATIONS):
         heat = friction_heat_w(kind, friction, point, temperature[lubricant], revolutions)
         warmer = friction_heat_w(kind, friction, point, temperature[lubricant] + 1e-4, revolutions)
         jacobian = matrix.copy()
         for i in range(count):
-            flow[i] = share[i] * heat - to_ambient[i] * (temperature[i] - ambient)
+            flow[i] = share[i] * heat - to_outside[i] * (temperature[i] - ambient)
+            flow[i] += from_outside[i] + gain[i] * temperature[i]
             for j in range(count):
                 flow[i] += matrix[i, j] * (temperature[i] - temperature[j])
             jacobian[i, lubricant] -= share[i] * (warmer - heat) / 1e-4

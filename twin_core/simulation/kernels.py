@@ -1,6 +1,7 @@
 """The compiled simulation: exact zero-order hold with one corrector.
 
-Between two instants the network is linear but for the heat: C dT/dt = -L T + g Ta + q. In the
+Between two instants the network is linear but for the heat: C dT/dt = -L T + g Ta + q, where L
+holds what the heat of a current gains with temperature, and g Ta all boundaries and losses. In the
 coordinates y of :mod:`twin_core.simulation.assembly`, and for a q that is linear in time within
 the step, the solution is exact:
 
@@ -17,11 +18,13 @@ import numpy as np
 from twin_core.simulation.assembly import (
     bind_network,
     conductance_matrix,
+    count_losses,
     decompose,
     edge_conductances,
     film_edges,
     heat_balance,
     heat_balance_linearised,
+    loss_heats_w,
     modal_basis,
     step_functions,
 )
@@ -50,6 +53,7 @@ __all__ = [
     "friction_heat_w",
     "heat_balance",
     "heat_balance_linearised",
+    "loss_heats_w",
     "simulate_kernel",
     "simulate_range",
 ]
@@ -154,13 +158,24 @@ def emit(modes, path, begin, end, limit, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def drives_differ(net, given, row):  # type: ignore[no-untyped-def]
+    """Whether an input that drives a loss is another one than in the row before."""
+    for e in range(net.edge_input.size):
+        place = net.edge_input[e]
+        if place >= 0 and given[row, place] != given[row - 1, place]:
+            return True
+    return False
+
+
+@compiled
 def simulate_kernel(  # type: ignore[no-untyped-def]
-    net, values, time, speed, load, ambient, initial, revolutions, disturbance, fading, out
+    net, values, time, speed, load, ambient, given, initial, revolutions, disturbance, fading, out
 ):
     """Simulate one candidate; fill out (n, nodes) with temperatures at the rows' instants.
 
-    `disturbance` (nodes,) is an extra heat in W at the first row that fades at the rate `fading`
-    in 1/s. Returns the row from which on the result is unusable (the rest of `out` is NaN), or -1.
+    `given` (n, k) are the network's inputs. `disturbance` (nodes,) is an extra heat in W at the
+    first row that fades at the rate `fading` in 1/s. Returns the row from which on the result is
+    unusable (the rest of `out` is NaN), or -1.
 
     Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
     lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
@@ -176,10 +191,13 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
     node = np.empty(active, np.int64)
     node[0] = net.temperature_node
     node[1:] = film_node
-    # Inputs: heat of the friction and of the films, temperature of the ambient, disturbance.
-    inputs = active + 2
+    # Inputs: heat of the friction and of the films, boundaries, losses, disturbance.
+    losses, copper = count_losses(net)
+    outer = 1 + net.boundary_input.size + (1 if losses else 0)
+    inputs = active + outer + 1
+    disturbed = inputs - 1
     kind = net.friction_kind
-    limit = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    limit = math.inf if kind == LINEAR and not copper else TEMPERATURE_LIMIT_C
 
     rate = np.empty(count)
     modes = np.empty((count, width))
@@ -210,8 +228,9 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
     for row in range(time.size - 1):
         n = abs(speed[row])
         f = max(load[row], 0.0)
-        if n != point_speed or f != point_load:
-            if not (
+        driven = losses > 0 and row > 0 and drives_differ(net, given, row)
+        if n != point_speed or f != point_load or driven:
+            if driven or not (
                 abs(n - point_speed) <= FRESH_SPEED_FRACTION * n
                 and abs(f - point_load) <= FRESH_LOAD_FRACTION * f
             ):
@@ -220,7 +239,9 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
             if failed >= 0:
                 return failed
             begun = row
-            to_ambient = modal_basis(net, capacity, coefficient, n, f, rate, modes, inverse)
+            outside = modal_basis(
+                net, capacity, coefficient, n, f, given[row], rate, modes, inverse
+            )
             emitted[:count] = modes[:, :count]
             point = friction_at_point(kind, friction, n, f)
             point_speed, point_load, point_step = n, f, math.nan
@@ -228,23 +249,28 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
             for k in range(count):
                 y[k] = 0.0
                 source[0, k] = 0.0
-                source[active, k] = 0.0
-                source[active + 1, k] = 0.0
+                for b in range(outer + 1):
+                    source[active + b, k] = 0.0
                 for i in range(count):
                     y[k] += inverse[k, i] * out[row, i]
                     source[0, k] += modes[k, i] * share[i]
-                    source[active, k] += modes[k, i] * to_ambient[i]
-                    source[active + 1, k] += modes[k, i] * disturbance[i]
+                    for b in range(outer):
+                        source[active + b, k] += modes[k, i] * outside[b, i]
+                    source[disturbed, k] += modes[k, i] * disturbance[i]
                 for j in range(films):
                     source[1 + j, k] = -modes[k, film_node[j]]
             for j in range(active):
                 now[j] = out[row, node[j]]
         duration = time[row + 1] - time[row]
         heat[active] = ambient[row]
+        for b in range(net.boundary_input.size):
+            heat[active + 1 + b] = given[row, net.boundary_input[b]]
+        if losses:
+            heat[active + outer - 1] = 1.0
         if fading > 0.0:
-            heat[active + 1] = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
+            heat[disturbed] = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
         else:
-            heat[active + 1] = 1.0
+            heat[disturbed] = 1.0
         # A part of shorter steps after a change, then the rest of the row.
         early = min(max(fresh_until - time[row], 0.0), duration)
         for part in range(2):
@@ -283,6 +309,7 @@ def simulate_range(  # type: ignore[no-untyped-def]
     speed,
     load,
     ambient,
+    given,
     initial,
     revolutions,
     disturbance,
@@ -300,6 +327,7 @@ def simulate_range(  # type: ignore[no-untyped-def]
             speed,
             load,
             ambient,
+            given,
             initial[member],
             revolutions[member],
             disturbance[member],

@@ -32,14 +32,51 @@ LAW_MIN_FRACTION = 0.1
 PALMGREN, TWO_PART, LINEAR = 0, 1, 2
 CONSTANT, CONTACT, CONVECTIVE, CONVECTIVE_REFERENCE, FILM, SHAFT_SINK = 0, 1, 2, 3, 4, 5
 SPEED_POWER = 6
+COPPER, POWER, SPEED_LOSS = 7, 8, 9
+COPPER_REFERENCE_C = 20.0
 FILM_REFERENCE_K = 12.0
 PALMGREN_BRANCH = math.log(2000.0)
 """Equation (3) changes its form at nu n = 2000."""
 
 
 @compiled
-def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
-    """Conductance in W/K of an edge (a film: at its reference difference)."""
+def loss_at_zero_w(kind, c, speed, driving):  # type: ignore[no-untyped-def]
+    """Heat in W of a loss at 0 degC; what it gains with temperature is in `edge_conductance`."""
+    if kind == COPPER:
+        return c[0] * (1.0 - c[1] * COPPER_REFERENCE_C) * driving * driving
+    if kind == POWER:
+        return c[0] * driving
+    return c[0] * (speed / c[1]) ** c[2]
+
+
+@compiled
+def loss_gradient(kind, c, speed, driving, out):  # type: ignore[no-untyped-def]
+    """Fill out (MAX_COEFFICIENTS,) with the derivatives of `loss_at_zero_w` by c."""
+    out[:] = 0.0
+    if kind == COPPER:
+        square = driving * driving
+        out[0] = (1.0 - c[1] * COPPER_REFERENCE_C) * square
+        out[1] = -c[0] * COPPER_REFERENCE_C * square
+    elif kind == POWER:
+        out[0] = driving
+    else:
+        power = (speed / c[1]) ** c[2]
+        out[0] = power
+        out[1] = -c[0] * c[2] * power / c[1]
+        if speed > 0.0:
+            out[2] = c[0] * power * math.log(speed / c[1])
+
+
+@compiled
+def edge_conductance(kind, c, speed, load, driving):  # type: ignore[no-untyped-def]
+    """Conductance in W/K of an edge (a film: at its reference difference).
+
+    That of a loss is what its heat loses per kelvin: below zero for copper, else zero.
+    """
+    if kind == COPPER:
+        return -c[0] * c[1] * driving * driving
+    if kind >= POWER:
+        return 0.0
     if kind == CONTACT:
         product = max(load, CONTACT_MIN_LOAD_N) * max(speed, CONTACT_MIN_SPEED_RPM)
         return 1.0 / (c[0] + c[1] + c[2] / math.sqrt(product))
@@ -57,10 +94,16 @@ def edge_conductance(kind, c, speed, load):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def edge_gradient(kind, c, speed, load, out):  # type: ignore[no-untyped-def]
+def edge_gradient(kind, c, speed, load, driving, out):  # type: ignore[no-untyped-def]
     """Fill out (MAX_COEFFICIENTS,) with the derivatives of `edge_conductance` by c."""
     out[:] = 0.0
-    conductance = edge_conductance(kind, c, speed, load)
+    if kind == COPPER:
+        out[0] = -c[1] * driving * driving
+        out[1] = -c[0] * driving * driving
+        return
+    if kind >= POWER:
+        return
+    conductance = edge_conductance(kind, c, speed, load, driving)
     if kind == CONTACT:
         product = max(load, CONTACT_MIN_LOAD_N) * max(speed, CONTACT_MIN_SPEED_RPM)
         out[0] = out[1] = -conductance * conductance

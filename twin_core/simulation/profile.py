@@ -1,6 +1,6 @@
 """What a machine is asked to do over time, and what comes out of simulating it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ class OperatingProfile:
         Shape (n,), strictly increasing, any spacing.
     speed_rpm, load_n, ambient_c
         Shape (n,) each. The sense of rotation does not matter; a negative load counts as zero.
+    inputs
+        Shape (n, k): the inputs of a network that has any, in its order; by default k is 0.
 
     Raises
     ------
@@ -32,8 +34,16 @@ class OperatingProfile:
     speed_rpm: NDArray[np.float64]
     load_n: NDArray[np.float64]
     ambient_c: NDArray[np.float64]
+    inputs: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
+        given = self.inputs if self.inputs.size else np.empty((len(self.time_s), 0))
+        object.__setattr__(self, "inputs", kernel_array(given))
+        if self.inputs.shape[0] != len(self.time_s) or not np.isfinite(self.inputs).all():
+            raise ValueError(
+                f"profile: inputs has shape {self.inputs.shape}, expected finite numbers in one "
+                f"row for each of {len(self.time_s)} times"
+            )
         for name in ("time_s", "speed_rpm", "load_n", "ambient_c"):
             array = kernel_array(getattr(self, name))
             object.__setattr__(self, name, array)
@@ -59,6 +69,16 @@ class OperatingProfile:
     def size(self) -> int:
         """Number of rows, n."""
         return int(self.time_s.size)
+
+    def rows(self, chosen: slice) -> "OperatingProfile":
+        """Return the chosen rows."""
+        return OperatingProfile(
+            self.time_s[chosen],
+            self.speed_rpm[chosen],
+            self.load_n[chosen],
+            self.ambient_c[chosen],
+            self.inputs[chosen],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +156,7 @@ def hold_operating_point(
     Returns
     -------
     OperatingProfile
-        n rows at the same times, ambient unchanged.
+        n rows at the same times, ambient and inputs unchanged.
     """
     speed, load = np.abs(profile.speed_rpm), np.maximum(profile.load_n, 0.0)
     # The last row marks the end and has no duration; any weight serves it.
@@ -164,7 +184,9 @@ def hold_operating_point(
             first = row
             speed_run = _Run(speeds[row], weights[row])
             load_run = _Run(loads[row], weights[row])
-    return OperatingProfile(profile.time_s, held_speed, held_load, profile.ambient_c)
+    return OperatingProfile(
+        profile.time_s, held_speed, held_load, profile.ambient_c, profile.inputs
+    )
 
 
 class _Run:

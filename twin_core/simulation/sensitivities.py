@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin_core.network_model import NetworkModel
 from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import OperatingProfile, SimulationError
+from twin_core.simulation.simulate import inputs_of
 from twin_core.simulation.tangents import tangent_kernel
 
 
@@ -95,6 +96,7 @@ def simulate_sensitivities(
         profile.speed_rpm,
         profile.load_n,
         profile.ambient_c,
+        inputs_of(model, profile),
         initial,
         directions,
         float(revolutions),

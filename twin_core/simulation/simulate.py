@@ -72,6 +72,7 @@ def simulate(
         profile.speed_rpm,
         profile.load_n,
         profile.ambient_c,
+        inputs_of(model, profile),
         initial,
         float(revolutions),
         np.zeros(nodes),
@@ -153,6 +154,7 @@ def simulate_batch(
     starts = kernel_array(np.broadcast_to(initial, (count, nodes)))
     turns = kernel_array(np.broadcast_to(turned, (count,)))
     heats = kernel_array(np.broadcast_to(heat, (count, nodes)))
+    inputs = inputs_of(model, profile)
     result = np.empty((count, profile.size, nodes))
 
     def run(start: int, stop: int) -> None:
@@ -163,6 +165,7 @@ def simulate_batch(
             profile.speed_rpm,
             profile.load_n,
             profile.ambient_c,
+            inputs,
             starts,
             turns,
             heats,
@@ -203,7 +206,7 @@ def steady_state(
     model, values
         The model and its parameters, shape (p,).
     speed_rpm, load_n, ambient_c
-        The operating point.
+        The operating point; the network's inputs are those that the model holds.
     revolutions
         Revolutions since greasing, held constant (running-in stands still).
 
@@ -230,6 +233,7 @@ def steady_state(
         np.array([speed, speed]),
         np.array([load, load]),
         np.array([ambient, ambient]),
+        np.stack((held.inputs, held.inputs)),
         np.full(nodes, ambient),
         0.0,
         np.zeros(nodes),
@@ -265,7 +269,7 @@ def heat_balance_w(
     ambient_c: float,
     revolutions: float = 0.0,
 ) -> tuple[NDArray[np.float64], float]:
-    """Net heat flow into every node and the friction heat, in W.
+    """Net heat flow into every node and the heat of friction and losses, in W.
 
     Parameters
     ----------
@@ -281,7 +285,7 @@ def heat_balance_w(
     net : ndarray
         Shape (nodes,); zero in a steady state.
     friction : float
-        Heat of the bearing.
+        Heat of friction and losses.
     """
     net, friction = kernels.heat_balance(
         model.compiled,
@@ -293,6 +297,23 @@ def heat_balance_w(
         float(revolutions),
     )
     return net, float(friction)
+
+
+def inputs_of(model: NetworkModel, profile: OperatingProfile) -> NDArray[np.float64]:
+    """Return the inputs (n, k) of a profile, which must be those that the model's network has.
+
+    Raises
+    ------
+    ValueError
+        If there are more or fewer.
+    """
+    expected = len(model.input_names)
+    if profile.inputs.shape[1] != expected:
+        raise ValueError(
+            f"profile: inputs has {profile.inputs.shape[1]} columns, expected {expected} "
+            f"({', '.join(model.input_names) or 'none'})"
+        )
+    return profile.inputs
 
 
 def _running_in_held(

@@ -17,6 +17,8 @@ import numpy as np
 
 from twin_core.simulation.assembly import (
     bind_network,
+    count_losses,
+    driving_value,
     film_edges,
     modal_basis,
     step_functions,
@@ -28,9 +30,11 @@ from twin_core.simulation.kernels import (
     FRESH_SPEED_FRACTION,
     FRESH_STEP_S,
     MAX_STEP_S,
+    drives_differ,
     padded,
 )
 from twin_core.simulation.laws import (
+    COPPER,
     FILM,
     LINEAR,
     TEMPERATURE_LIMIT_C,
@@ -40,6 +44,7 @@ from twin_core.simulation.laws import (
     friction_at_point,
     friction_gradient,
     friction_heat_w,
+    loss_gradient,
 )
 from twin_core.simulation.vectors import LANES, STRIDE, combine, combine_wide
 
@@ -96,7 +101,7 @@ def slope_functions(rate, step, out):  # type: ignore[no-untyped-def]
     for k in range(rate.size):
         x = rate[k] * step
         decay = math.exp(-x)
-        if x < 0.1:
+        if abs(x) < 0.1:
             slope = -0.5 + x * (1 / 3 - x * (1 / 8 - x * (1 / 30 - x * (1 / 144 - x / 840))))
             bend = -1 / 6 + x * (1 / 12 - x * (1 / 40 - x * (1 / 180 - x * (1 / 1008 - x / 6720))))
         else:
@@ -110,18 +115,29 @@ def slope_functions(rate, step, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def basis_tangents(  # type: ignore[no-untyped-def]
-    net, capacity, coefficient, rate, modes, speed, load, turning, mode_tangent, ambient_tangent
+    net,
+    capacity,
+    coefficient,
+    rate,
+    modes,
+    speed,
+    load,
+    given,
+    turning,
+    mode_tangent,
+    outer_tangent,
 ):
     """Derivatives of an operating point's modes.
 
     Fills turning (n, n', directions), first with E, whose diagonal is what the rates do, then off
     it with the coefficients of the modes' derivatives; mode_tangent (n, nodes, directions) and
-    ambient_tangent (nodes, directions), that of the conductances to ambient. Gives the pairs of
+    outer_tangent (rows, nodes, directions), that of what acts from outside. Gives the pairs of
     nearly equal rates and their E (pairs, directions).
     """
     count, width = modes.shape
     turning[:] = 0.0
-    ambient_tangent[:] = 0.0
+    outer_tangent[:] = 0.0
+    boundaries = 1 + net.boundary_input.size
     gradient = np.empty(coefficient.shape[1])
     shape = np.empty(count)
     for e in range(net.edge_kind.size):
@@ -131,7 +147,15 @@ def basis_tangents(  # type: ignore[no-untyped-def]
         if not bound:
             continue
         a, b = net.edge_nodes[e, 0], net.edge_nodes[e, 1]
-        edge_gradient(net.edge_kind[e], coefficient[e], speed, load, gradient)
+        driving = driving_value(net, e, given)
+        if net.edge_kind[e] >= COPPER:
+            loss_gradient(net.edge_kind[e], coefficient[e], speed, driving, gradient)
+            for c in range(gradient.size):
+                parameter = net.edge_parameter[e, c]
+                if parameter >= 0:
+                    moved = gradient[c] * net.edge_coefficient[e, c]
+                    outer_tangent[boundaries, a, parameter] += moved
+        edge_gradient(net.edge_kind[e], coefficient[e], speed, load, driving, gradient)
         for k in range(count):
             shape[k] = modes[k, a] - (modes[k, b] if b < count else 0.0)
         for c in range(gradient.size):
@@ -139,8 +163,8 @@ def basis_tangents(  # type: ignore[no-untyped-def]
             moved = gradient[c] * net.edge_coefficient[e, c]
             if parameter < 0 or moved == 0.0:
                 continue
-            if b == count:
-                ambient_tangent[a, parameter] += moved
+            if b >= count and net.edge_kind[e] < COPPER:
+                outer_tangent[b - count, a, parameter] += moved
             for k in range(count):
                 for m in range(k, count):
                     turning[k, m, parameter] += moved * shape[k] * shape[m]
@@ -192,7 +216,19 @@ def basis_tangents(  # type: ignore[no-untyped-def]
 
 @compiled
 def tangent_kernel(  # type: ignore[no-untyped-def]
-    net, values, time, speed, load, ambient, initial, seeds, revolutions, rows, out, derivative
+    net,
+    values,
+    time,
+    speed,
+    load,
+    ambient,
+    given,
+    initial,
+    seeds,
+    revolutions,
+    rows,
+    out,
+    derivative,
 ):
     """Simulate one candidate as `simulate_kernel` does, with its derivatives.
 
@@ -218,20 +254,22 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     node = np.empty(active, np.int64)
     node[0] = net.temperature_node
     node[1:] = film_node
-    inputs = active + 1
+    losses, copper = count_losses(net)
+    outer = 1 + net.boundary_input.size + (1 if losses else 0)
+    inputs = active + outer
     kind = net.friction_kind
-    limit = math.inf if kind == LINEAR else TEMPERATURE_LIMIT_C
+    limit = math.inf if kind == LINEAR and not copper else TEMPERATURE_LIMIT_C
     outputs = rows.shape[0]
     rate = np.empty(count)
     modes = np.empty((count, width))
     inverse = np.empty((count, width))
-    shares, to_ambient = np.zeros(width), np.zeros(width)
+    shares, outside = np.zeros(width), np.zeros((outer, width))
     shares[:count] = share
     share_tangent = np.zeros((width, span))
     share_tangents(net, values, share_tangent)
     turning = np.zeros((count, width, span))
     mode_tangent = np.zeros((count, width, span))
-    ambient_tangent = np.zeros((width, span))
+    outer_tangent = np.zeros((outer, width, span))
     weights = np.zeros((outputs, width))
     weights[:, :count] = rows
     pair = np.empty((0, 2), np.int64)
@@ -284,8 +322,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     for row in range(time.size - 1):
         n = abs(speed[row])
         f = max(load[row], 0.0)
-        if n != point_speed or f != point_load:
-            if not (
+        driven_anew = losses > 0 and row > 0 and drives_differ(net, given, row)
+        if n != point_speed or f != point_load or driven_anew:
+            if driven_anew or not (
                 abs(n - point_speed) <= FRESH_SPEED_FRACTION * n
                 and abs(f - point_load) <= FRESH_LOAD_FRACTION * f
             ):
@@ -298,7 +337,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                         temperature[i] += modes[k, i] * y[k]
                         add_scaled(temperature_tangent[i], modes[k, i], tangent[k])
                         add_scaled(temperature_tangent[i], y[k], mode_tangent[k, i])
-            to_ambient[:count] = modal_basis(net, capacity, coefficient, n, f, rate, modes, inverse)
+            outside[:, :count] = modal_basis(
+                net, capacity, coefficient, n, f, given[row], rate, modes, inverse
+            )
             if not math.isfinite(rate[0]):
                 out[row + 1 :] = math.nan
                 derivative[row + 1 :] = math.nan
@@ -311,9 +352,10 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 modes,
                 n,
                 f,
+                given[row],
                 turning,
                 mode_tangent,
-                ambient_tangent,
+                outer_tangent,
             )
             point = friction_at_point(kind, friction, n, f)
             point_speed, point_load, point_step = n, f, math.nan
@@ -326,15 +368,17 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 for i in range(count):
                     y[k] += inverse[k, i] * temperature[i]
                     source[0, k] += modes[k, i] * share[i]
-                    source[active, k] += modes[k, i] * to_ambient[i]
+                    for b in range(outer):
+                        source[active + b, k] += modes[k, i] * outside[b, i]
                 combine_wide(source_tangent[k, 0], shares, mode_tangent[k], modes[k], share_tangent)
-                combine_wide(
-                    source_tangent[k, active],
-                    to_ambient,
-                    mode_tangent[k],
-                    modes[k],
-                    ambient_tangent,
-                )
+                for b in range(outer):
+                    combine_wide(
+                        source_tangent[k, active + b],
+                        outside[b],
+                        mode_tangent[k],
+                        modes[k],
+                        outer_tangent[b],
+                    )
                 for j in range(active):
                     view[j, k] = modes[k, node[j]]
                     set_scaled(view_tangent[j, k], 1.0, mode_tangent[k, node[j]])
@@ -356,6 +400,10 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
             watch(view, view_tangent, y, tangent, now, now_tangent)
         duration = time[row + 1] - time[row]
         heat[active] = ambient[row]
+        for b in range(net.boundary_input.size):
+            heat[active + 1 + b] = given[row, net.boundary_input[b]]
+        if losses:
+            heat[active + outer - 1] = 1.0
         early = min(max(fresh_until - time[row], 0.0), duration)
         for part in range(2):
             stretch = early if part == 0 else duration - early

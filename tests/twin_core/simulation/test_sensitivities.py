@@ -43,6 +43,11 @@ EDGES = {
     EdgeKind.SHAFT_SINK: (0.3, 0.8),
     EdgeKind.SPEED_POWER: (0.7, 1000.0, 0.3),
 }
+LOSS_VECTORS = {
+    EdgeKind.COPPER: (0.05, 0.00393),
+    EdgeKind.POWER: (0.9,),
+    EdgeKind.SPEED_LOSS: (20.0, 3000.0, 1.4),
+}
 FRICTIONS = {
     FrictionKind.PALMGREN: (0.5, 87.5, 45e3, 280.0, 0.047, 20.0),
     FrictionKind.TWO_PART: (190.0, 0.45, -0.09, 0.38, -0.1, 0.16, 0.3, 1.6, 0.3, 1e6),
@@ -65,13 +70,25 @@ def _differences(function, vector):  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("kind", list(EdgeKind))
 @pytest.mark.parametrize(("speed", "load"), POINTS)
 def test_gradient_of_every_edge(kind: EdgeKind, speed: float, load: float) -> None:
-    vector = EDGES[kind]
+    vector = (EDGES | LOSS_VECTORS)[kind]
     assert len(vector) == COEFFICIENT_COUNT[kind]
     gradient = np.full(MAX_COEFFICIENTS, np.nan)
-    laws.edge_gradient(int(kind), np.array(vector), speed, load, gradient)
-    expected = _differences(lambda c: laws.edge_conductance(int(kind), c, speed, load), vector)
+    laws.edge_gradient(int(kind), np.array(vector), speed, load, 30.0, gradient)
+    expected = _differences(
+        lambda c: laws.edge_conductance(int(kind), c, speed, load, 30.0), vector
+    )
     np.testing.assert_allclose(gradient[: len(vector)], expected, rtol=1e-7, atol=1e-12)
     assert not gradient[len(vector) :].any()
+
+
+@pytest.mark.parametrize("kind", list(LOSS_VECTORS))
+@pytest.mark.parametrize("speed", [0.0, 1500.0])
+def test_gradient_of_every_loss(kind: EdgeKind, speed: float) -> None:
+    vector = LOSS_VECTORS[kind]
+    gradient = np.full(MAX_COEFFICIENTS, np.nan)
+    laws.loss_gradient(int(kind), np.array(vector), speed, 30.0, gradient)
+    expected = _differences(lambda c: laws.loss_at_zero_w(int(kind), c, speed, 30.0), vector)
+    np.testing.assert_allclose(gradient[: len(vector)], expected, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", list(FrictionKind))

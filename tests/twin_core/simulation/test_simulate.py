@@ -150,8 +150,9 @@ def test_all_friction_heat_leaves_to_the_ambient(paper: ThermalModel) -> None:
     state = steady_state(paper, values, 3000.0, 2650.0, AMBIENT)
     _, friction = heat_balance_w(paper, values, state, 3000.0, 2650.0, AMBIENT)
     _, coefficient, _, _ = kernels.bind_network(paper.compiled, values)
-    _, to_ambient = kernels.conductance_matrix(paper.compiled, coefficient, 3000.0, 2650.0)
-    assert to_ambient @ (state - AMBIENT) == pytest.approx(friction, abs=1e-6)
+    none = paper.compiled.inputs
+    _, to_ambient = kernels.conductance_matrix(paper.compiled, coefficient, 3000.0, 2650.0, none)
+    assert to_ambient[0] @ (state - AMBIENT) == pytest.approx(friction, abs=1e-6)
 
 
 def test_a_long_simulation_ends_in_the_steady_state(default: ThermalModel) -> None:
@@ -168,7 +169,8 @@ def test_without_heat_the_hold_is_exact_whatever_the_rows(paper: ThermalModel) -
     profile = OperatingProfile(time, np.zeros(7), np.full(7, 2650.0), np.full(7, AMBIENT))
     path = simulate(paper, values, profile, start).temperatures_c
     capacity, coefficient, _, _ = kernels.bind_network(paper.compiled, values)
-    matrix, _ = kernels.conductance_matrix(paper.compiled, coefficient, 0.0, 2650.0)
+    none = paper.compiled.inputs
+    matrix, _ = kernels.conductance_matrix(paper.compiled, coefficient, 0.0, 2650.0, none)
     for moment, row in zip(time, path, strict=True):
         exact = AMBIENT + expm(-matrix / capacity[:, None] * moment) @ (start - AMBIENT)
         assert row == pytest.approx(exact, abs=1e-9)
