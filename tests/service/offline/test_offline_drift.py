@@ -85,7 +85,7 @@ if RECORDED.is_dir():
             CONFIGURATION.replace("block.toml", case.file).replace("t_block_c", case.sensor)
         )
         models = []
-        for day in ("20141029", "20141120", "20160314", "20160329"):
+        for day in ("20141029", "20141120", "20160314"):
             model = tmp_path / f"{day}.json"
             data = low_part(RECORDED / f"lhb_R80711_{day}.csv", tmp_path / f"{day}.csv")
             command(
@@ -94,11 +94,11 @@ if RECORDED.is_dir():
             )  # fmt: skip
             models.append(model)
         found = command("drift", *models[::-1], "--json")["models"]
-        assert [one["changed"] for one in found] == [None, False, True, False]
-        assert [one["start"][:7] for one in found] == ["2014-10", "2014-11", "2016-03", "2016-03"]
+        assert [one["changed"] for one in found] == [None, False, True]
+        assert [one["start"][:7] for one in found] == ["2014-10", "2014-11", "2016-03"]
         rises = [one["quantities"][case.sensor]["value"] for one in found]
         assert min(rises[:2]) > 7.5
-        assert max(rises[2:]) < 6.5
+        assert rises[2] < 6.5
 
     def low_part(file: Path, out: Path) -> Path:
         """Spans below 500 kW of one file, as `identify` reads them."""
