@@ -248,7 +248,7 @@ def compare(
 
 def usual_point(model: ThermalModel, posterior: Posterior) -> ReferencePoint:
     """Reference point at the operating point at which the data of a posterior lasted longest."""
-    points = posterior.trained.operating_points
+    points = posterior.trained.points
     if not points:
         return reference_point(model, posterior.z, *model.reference_point)
     longest = max(

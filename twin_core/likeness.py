@@ -78,11 +78,13 @@ def likeness(first: Posterior, second: Posterior) -> Likeness:
         return Likeness(0.0, 0.0, apart_k)
     points = [
         [p for p in posterior.trained.operating_points if p.duration_s >= _TAUGHT_S]
+        or list(posterior.trained.duty)
         for posterior in (first, second)
     ]
     if not all(points):
         return Likeness(0.0, 0.0, apart_k)
-    same_start = first.trained.from_rest == second.trained.from_rest
+    varying = any(posterior.trained.duty for posterior in (first, second))
+    same_start = not varying and first.trained.from_rest == second.trained.from_rest
     return Likeness(
         min(_common(points[0], points[1]), _common(points[1], points[0])),
         _side_by_side(points[0], points[1]) if same_start else 0.0,

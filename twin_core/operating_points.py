@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,10 @@ _SAME_SPEED = (0.02, 30.0)
 _SAME_LOAD = (0.03, 60.0)
 # Shorter spans are transitions, not operating points.
 _SHORTEST_POINT_S = 180.0
+# A point that lasted this long is one that the machine was held at.
+HELD_S = 1200.0
+# The duty of a machine varies when it was held nowhere for so long, and for this part of its time.
+_VARYING_S, _VARYING_SHARE = 1200.0, 0.25
 # Against other windows a point counts as new from these relative differences on.
 NEW_SPEED = 0.10
 NEW_LOAD = 0.08
@@ -94,6 +99,96 @@ def split(
             span, speed_mean, load_mean = [row], speed, load
     close()
     return tuple(points)
+
+
+def varying_duty(
+    time_s: FloatArray,
+    speed_rpm: FloatArray,
+    load_n: FloatArray,
+    points: Sequence[OperatingPoint],
+    spacing_s: float = 60.0,
+) -> tuple[OperatingPoint, ...]:
+    """Sum up the duty of a machine that is held nowhere: where it ran, and for how long.
+
+    A vehicle's motor never holds a point. What its temperatures follow is the mean over minutes of
+    what drives them, so the rows outside the points that lasted 20 min are averaged over blocks of
+    three minutes, the shortest time that makes an operating point, and blocks alike are put
+    together. Faster changes leave one mean, which is all that they teach.
+
+    Parameters
+    ----------
+    time_s, speed_rpm, load_n
+        Shape (n,), finite.
+    points
+        The operating points of these rows, from `split`.
+    spacing_s
+        How long the last row of a block lasts.
+
+    Returns
+    -------
+    tuple of OperatingPoint
+        Each with the time in all, from the first block on. Empty unless the duty varies for 20 min
+        and a quarter of the time on the running machine.
+    """
+    held = np.zeros(time_s.size, dtype=np.bool_)
+    for point in points:
+        if point.duration_s >= HELD_S:
+            held |= (time_s >= point.start_s) & (time_s < point.end_s)
+    lasts_s = np.append(np.minimum(np.diff(time_s), 5.0 * spacing_s), spacing_s)[: time_s.size]
+    running = np.abs(speed_rpm) >= STANDING_RPM
+    varying_s = float(np.sum(lasts_s[running & ~held]))
+    if varying_s < max(_VARYING_S, _VARYING_SHARE * float(np.sum(lasts_s[running]))):
+        return ()
+    blocks: list[OperatingPoint] = []
+    rows: list[int] = []
+    for row in range(time_s.size + 1):
+        ends = row == time_s.size or held[row] or not running[row]
+        broken = bool(rows) and not ends and time_s[row] - time_s[rows[-1]] > 5.0 * spacing_s
+        lasted_s = float(np.sum(lasts_s[rows])) if rows else 0.0
+        if rows and (ends or broken or lasted_s >= _SHORTEST_POINT_S):
+            if lasted_s >= _SHORTEST_POINT_S:
+                blocks.append(_mean_point(time_s, speed_rpm, load_n, lasts_s, rows))
+            rows = []
+        if not ends:
+            rows.append(row)
+    return tuple(new_points((), sorted(blocks, key=demand, reverse=True), 0.0))
+
+
+def _mean_point(
+    time_s: FloatArray,
+    speed_rpm: FloatArray,
+    load_n: FloatArray,
+    lasts_s: FloatArray,
+    rows: list[int],
+) -> OperatingPoint:
+    weights = lasts_s[rows]
+    return OperatingPoint(
+        speed_rpm=float(np.average(np.abs(speed_rpm[rows]), weights=weights)),
+        load_n=float(np.average(load_n[rows], weights=weights)),
+        duration_s=float(np.sum(weights)),
+        start_s=float(time_s[rows[0]]),
+    )
+
+
+def taught_values(
+    points: Sequence[OperatingPoint],
+    duty: Sequence[OperatingPoint],
+    quantity: Literal["speed_rpm", "load_n"],
+    relative: float,
+) -> list[float]:
+    """Speeds or loads, none alike to another, that were run for 20 min.
+
+    Each in one go on a machine that is held at points; in all on one whose duty varies.
+    """
+    if not duty:
+        lasting = [getattr(point, quantity) for point in points if point.duration_s >= HELD_S]
+        return distinct_values(lasting, relative)
+    total_s: dict[float, float] = {}
+    for point in (*points, *duty):
+        value = float(getattr(point, quantity))
+        known = next((other for other in total_s if alike(value, other, relative)), value)
+        total_s[known] = total_s.get(known, 0.0) + point.duration_s
+    return [value for value, seconds in total_s.items() if seconds >= HELD_S]
 
 
 def _near(value: float, reference: float, tolerance: tuple[float, float]) -> bool:

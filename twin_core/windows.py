@@ -17,9 +17,10 @@ from twin_core.operating_points import (
     STANDING_RPM,
     OperatingPoint,
     alike,
-    distinct_values,
     new_points,
     split,
+    taught_values,
+    varying_duty,
 )
 
 FloatArray = NDArray[np.float64]
@@ -161,6 +162,8 @@ class Window:
         Whether the machine stood at ambient temperature at the first row.
     score
         How much the window can teach, 0 to 1; see `variety_score`.
+    duty
+        Where the machine ran while it was held nowhere; see `varying_duty`.
     """
 
     start_s: float
@@ -168,6 +171,12 @@ class Window:
     operating_points: tuple[OperatingPoint, ...]
     at_rest: bool
     score: float
+    duty: tuple[OperatingPoint, ...] = ()
+
+    @property
+    def points(self) -> tuple[OperatingPoint, ...]:
+        """Where the machine ran: operating points and varying duty."""
+        return (*self.operating_points, *self.duty)
 
     @property
     def duration_s(self) -> float:
@@ -176,13 +185,13 @@ class Window:
 
     @property
     def speed_rpm_max(self) -> float:
-        """Highest speed of the operating points, 0 without one."""
-        return max((point.speed_rpm for point in self.operating_points), default=0.0)
+        """Highest speed of the operating points and the duty, 0 without any."""
+        return max((point.speed_rpm for point in self.points), default=0.0)
 
     @property
     def load_n_max(self) -> float:
-        """Highest load of the operating points, 0 without one."""
-        return max((point.load_n for point in self.operating_points), default=0.0)
+        """Highest load of the operating points and the duty, 0 without any."""
+        return max((point.load_n for point in self.points), default=0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types."""
@@ -192,6 +201,7 @@ class Window:
             "operating_points": [point.to_dict() for point in self.operating_points],
             "at_rest": self.at_rest,
             "score": self.score,
+            "duty": [point.to_dict() for point in self.duty],
         }
 
     @classmethod
@@ -203,6 +213,7 @@ class Window:
             tuple(OperatingPoint.from_dict(point) for point in document["operating_points"]),
             bool(document["at_rest"]),
             float(document["score"]),
+            tuple(OperatingPoint.from_dict(point) for point in document.get("duty", ())),
         )
 
 
@@ -294,12 +305,14 @@ def _runs(
 
 def _describe(chosen: MinuteData, spacing_s: float) -> Window:
     good = chosen.take(chosen.good)
+    points = split(good.time_s, good.speed_rpm, good.load_n, spacing_s)
     window = Window(
         start_s=float(chosen.time_s[0]),
         end_s=float(chosen.time_s[-1]),
-        operating_points=split(good.time_s, good.speed_rpm, good.load_n, spacing_s),
+        operating_points=points,
         at_rest=is_at_rest(chosen),
         score=0.0,
+        duty=varying_duty(good.time_s, good.speed_rpm, good.load_n, points, spacing_s),
     )
     return replace(window, score=variety_score(window))
 
@@ -322,15 +335,21 @@ def variety_score(window: Window) -> float:
     A quarter each for: a start at rest (it fixes the initial state and the temperature feedback of
     the friction); length up to six hours; up to three distinct speeds; up to two distinct loads.
     Distinct speeds are counted at any load, distinct loads only at one and the same speed: a load
-    that changes together with the speed cannot be told from it.
+    that changes together with the speed cannot be told from it. Where the duty varies, each counts
+    from 20 min in all on.
     """
-    lasting = [point for point in window.operating_points if point.duration_s >= 1200.0]
-    speeds = distinct_values([point.speed_rpm for point in lasting], NEW_SPEED)
+    speeds = taught_values(window.operating_points, window.duty, "speed_rpm", NEW_SPEED)
+
+    def near(points: Sequence[OperatingPoint], speed: float) -> list[OperatingPoint]:
+        return [point for point in points if alike(point.speed_rpm, speed, NEW_SPEED)]
+
     loads = max(
         (
             len(
-                distinct_values(
-                    [point.load_n for point in lasting if alike(point.speed_rpm, speed, NEW_SPEED)],
+                taught_values(
+                    near(window.operating_points, speed),
+                    near(window.duty, speed),
+                    "load_n",
                     NEW_LOAD,
                 )
             )
@@ -360,12 +379,16 @@ def varied(
         Shortest total time at a new operating point that counts.
     required
         How many new points there must be. Before the first identification at least two whatever
-        this says: one point teaches neither a speed law nor a load law.
+        this says: one point teaches neither a speed law nor a load law. Of a duty that varies, each
+        ``min_duration_s`` at points that are new, however short each, count as one.
     """
-    known = [point for window in old for point in window.operating_points]
+    known = [point for window in old for point in window.points]
     points = [point for window in new for point in window.operating_points]
     found = new_points(known, points, min_duration_s)
-    return len(found) >= (required if known else max(required, 2))
+    duty = [point for window in new for point in window.duty]
+    passed_s = sum(point.duration_s for point in new_points([*known, *found], duty, 0.0))
+    count = len(found) + int(passed_s // min_duration_s)
+    return count >= (required if known else max(required, 2))
 
 
 __all__ = [

@@ -270,8 +270,8 @@ def window_json(window: Window) -> dict[str, Any]:
     return {
         "start": rfc3339(start_us),
         "end": rfc3339(end_us),
-        "speed_rpm_max": max((point["speed_rpm"] for point in points), default=0.0),
-        "load_n_max": max((point["load_n"] for point in points), default=0.0),
+        "speed_rpm_max": round(window.speed_rpm_max, 1),
+        "load_n_max": round(window.load_n_max, 1),
         "operating_points": points,
         "score": window.score,
     }

@@ -133,7 +133,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
         if good.size:
             cold_start = run_in.at_rest and run_in.begins_with(history, minutes)
             turned = run_in.at_start_of(history, minutes)
-            past = usual_levels(identified.posterior.trained.operating_points)
+            past = usual_levels(identified.posterior.trained.points)
             observer, since_s = _follow(model, identified.values, good, turned, cold_start, past)
         if observer is None:
             raise UnusableHistoryError(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
+from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import forecast_labels
 from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
 from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
@@ -23,7 +24,6 @@ from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
-from twin_core.parameters import ParameterSet
 from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
 from twin_core.simulation import (
     OperatingProfile,
@@ -285,7 +285,7 @@ def forecast(
             profile,
             float(np.max(upper)),
             probability,
-            _untaught(parameters, posterior),
+            law_verdicts(model, posterior, profile),
             model.runaway,
         ),
     )
@@ -298,12 +298,6 @@ def course_known(followed_s: float) -> float:
     the slower parts answer.
     """
     return min(max(followed_s, 0.0) / FOLLOWED_S, 1.0)
-
-
-def _untaught(parameters: ParameterSet, posterior: Posterior) -> list[str]:
-    """Names of the parameters that the data left to the prior."""
-    verdicts = zip(parameters.names, posterior.verdicts(), strict=True)
-    return [name for name, verdict in verdicts if verdict == "prior only"]
 
 
 def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:

@@ -5,11 +5,13 @@ only the prior's, whatever the residuals say; about one machine in thirty runs a
 heavy load although a moderate load looks normal, and nothing in low-risk data shows which.
 """
 
-from collections.abc import Collection
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin_core.forecasting.heat_laws import Law
+from twin_core.identification.identifiability import Verdict
 from twin_core.identification.posterior import Posterior
 from twin_core.network_model import RunawayLimits
 from twin_core.operating_points import STANDING_RPM
@@ -20,8 +22,7 @@ LOAD_LAW = "load law from prior only"
 SPEED_LAW = "speed law from prior only"
 RUNAWAY = "runaway not excluded"
 
-# Of the model `default`; a model without them is judged by its data alone.
-_LOAD_EXPONENT, _SPEED_EXPONENT = "b", "p"
+TAUGHT: dict[Law, Verdict | None] = {"load": "informed", "speed": "informed"}
 BEARING_LIMITS = RunawayLimits()
 _BEYOND = 1.1
 _RUNAWAY_PROBABILITY = 0.005
@@ -32,7 +33,7 @@ def forecast_labels(
     profile: OperatingProfile,
     hottest_c: float,
     runaway_probability: float,
-    untaught: Collection[str] = (),
+    laws: Mapping[Law, Verdict | None] = TAUGHT,
     limits: RunawayLimits | None = BEARING_LIMITS,
 ) -> tuple[str, ...]:
     """Labels of a forecast.
@@ -47,8 +48,9 @@ def forecast_labels(
         Highest upper edge (97.5 %) of any sensor.
     runaway_probability
         Share of the members that run away.
-    untaught
-        Names of the parameters about which the data say nothing (verdict ``"prior only"``).
+    laws
+        What the data say about the growth of the heat with load and speed up to those ahead, from
+        `twin_core.forecasting.heat_laws.law_verdicts`; None where there is nothing to know.
     limits
         The model's, from where on a runaway is not excluded; None for none.
 
@@ -57,9 +59,10 @@ def forecast_labels(
     tuple of str
         ``"not identified yet: prior parameters only"`` before any identification.
         ``"load law from prior only"`` when the profile goes more than 10 % beyond the trained
-        loads and the data hold a single load, or hold several and yet left the exponent of load
-        where the prior had it: a second load stage is needed. ``"speed law from prior only"``
-        likewise for speeds.
+        loads and the data hold a single load, or hold several and yet left the law of load where
+        the prior had it: a second load stage is needed. Where the duty varies, a law that the data
+        inform counts as taught whatever loads lasted. ``"speed law from prior only"`` likewise for
+        speeds.
         ``"runaway not excluded"`` when the upper edge passes the limits' temperature (of a bearing
         100 degC), a load beyond the limits' factor (of a bearing 1.5) of the trained one lies
         ahead, or members run away.
@@ -72,15 +75,25 @@ def forecast_labels(
     if not posterior.identified:
         labels.append(NOT_IDENTIFIED)
     else:
-        one_load = trained.distinct_loads < 2 or _LOAD_EXPONENT in untaught
-        if one_load and load_n > _BEYOND * trained.load_n_max:
+        varying = bool(trained.duty)
+        if load_n > _BEYOND * trained.load_n_max and not _taught(
+            trained.distinct_loads, laws["load"], varying
+        ):
             labels.append(LOAD_LAW)
-        one_speed = trained.distinct_speeds < 2 or _SPEED_EXPONENT in untaught
-        if one_speed and speed_rpm > _BEYOND * trained.speed_rpm_max:
+        if speed_rpm > _BEYOND * trained.speed_rpm_max and not _taught(
+            trained.distinct_speeds, laws["speed"], varying
+        ):
             labels.append(SPEED_LAW)
     if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability, limits)):
         labels.append(RUNAWAY)
     return tuple(labels)
+
+
+def _taught(distinct: int, said: Verdict | None, varying: bool) -> bool:
+    """Whether a law comes from the data, or from the network itself."""
+    if said is None or (varying and said == "informed"):
+        return True
+    return distinct >= 2 and said != "prior only"
 
 
 def runaway_not_excluded(

@@ -124,7 +124,7 @@ def levels_towards(
     The way begins at the data's heaviest point near that speed, or else at its fastest point,
     which is left by speed first. Both move by equal factors of at most 1.25.
     """
-    points = posterior.trained.operating_points
+    points = posterior.trained.points
     near = [p for p in points if alike(p.speed_rpm, speed_rpm, NEW_SPEED)]
     begin = (
         max(near, key=lambda p: p.load_n)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from twin_core.operating_points import new_points
 from twin_core.windows import MinuteData, OperatingPoint, window_of
 
 
@@ -55,6 +56,12 @@ class IdentificationData:
         return tuple(
             point for window in self.windows for point in window_of(window.minutes).operating_points
         )
+
+    @property
+    def duty(self) -> tuple[OperatingPoint, ...]:
+        """Where the machine ran while it was held nowhere, of all windows."""
+        points = [point for window in self.windows for point in window_of(window.minutes).duty]
+        return tuple(new_points((), points, 0.0))
 
 
 def with_windows(windows: Sequence[IdentificationWindow]) -> IdentificationData:

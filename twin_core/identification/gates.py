@@ -184,8 +184,8 @@ def judge(
 def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     """Choose what to predict: the most demanding operating point and the latest one.
 
-    With a single lasting operating point the last third of its rows is the only test; without any,
-    there is none.
+    With a single lasting operating point the last third of its rows is the only test; where the
+    duty varies, the last third of the last window. Otherwise there is none.
     """
     lasting = [
         (number, point)
@@ -194,7 +194,7 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
         if point.duration_s >= _SHORTEST_TEST_S
     ]
     if not lasting:
-        return []
+        return _of_varying_duty(data)
     hard_number, hardest = max(lasting, key=lambda found: demand(found[1]))
     tests = [
         _test(
@@ -211,6 +211,24 @@ def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
     third = OperatingPoint(latest.speed_rpm, latest.load_n, latest.end_s - start_s, start_s)
     test = _test("latest", data, number, third, lambda _: True)
     return [test] if test is not None else []
+
+
+def _of_varying_duty(data: IdentificationData) -> list[PredictionTest]:
+    for number, window in reversed(list(enumerate(data.windows))):
+        found = window_of(window.minutes)
+        if not found.duty:
+            continue
+        start_s = found.start_s + 2.0 / 3.0 * found.duration_s
+        rows = window.minutes.take(window.minutes.good & (window.minutes.time_s >= start_s))
+        third = OperatingPoint(
+            float(np.mean(np.abs(rows.speed_rpm))),
+            float(np.mean(rows.load_n)),
+            found.end_s - start_s,
+            start_s,
+        )
+        test = _test("latest", data, number, third, lambda _: True)
+        return [] if test is None else [test]
+    return []
 
 
 def _as_hard(point: OperatingPoint, hardest: OperatingPoint) -> bool:
@@ -340,9 +358,9 @@ def _prediction(
         own = _total(predict_rows(model, nested_z, test).values())
     theirs = _total(predict_rows(model, active.z, test).values())
     full = _total(predict_rows(model, candidate.z, test).values())
-    known = active.trained.operating_points
+    known = active.trained.points
     seen = any(alike_points(test.point, point) for point in known)
-    varied = bool(new_points(known, candidate.trained.operating_points, _SHORTEST_TEST_S))
+    varied = bool(new_points(known, candidate.trained.points, _SHORTEST_TEST_S))
     if seen:
         passed = full <= theirs + _TIE_K and own <= max(_SEEN_GOOD_K, _SEEN_SHARE * change_k)
     else:

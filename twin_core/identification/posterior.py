@@ -1,6 +1,6 @@
 """What is known about a model's parameters after (or before) an identification."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,14 +17,12 @@ from twin_core.identification.identifiability import (
 from twin_core.identification.problem import SENSOR_LAG_S, IdentificationProblem
 from twin_core.identification.sampling import posterior_samples
 from twin_core.models import ThermalModel
-from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, distinct_values
+from twin_core.operating_points import NEW_LOAD, NEW_SPEED, OperatingPoint, taught_values
 
 FloatArray = NDArray[np.float64]
 
 # As near to a bound as this, in standard deviations of the prior, a parameter lies on it.
 _ON_BOUND_Z = 0.02
-# An operating point must have lasted this long to have taught anything.
-_TAUGHT_S = 1200.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +41,8 @@ class TrainedRange:
         Revolutions since the grease was fresh, at the first row.
     ambient_c
         Mean ambient temperature in degC; None where it is not known.
+    duty
+        Where the machine ran while it was held nowhere; see `twin_core.operating_points`.
     """
 
     operating_points: tuple[OperatingPoint, ...] = ()
@@ -50,29 +50,35 @@ class TrainedRange:
     from_rest: bool = False
     revolutions: float = 0.0
     ambient_c: float | None = None
+    duty: tuple[OperatingPoint, ...] = ()
+
+    @property
+    def points(self) -> tuple[OperatingPoint, ...]:
+        """Where the machine ran: operating points and varying duty."""
+        return (*self.operating_points, *self.duty)
 
     @property
     def speed_rpm_max(self) -> float:
         """Highest speed, 0 without any."""
-        return max((point.speed_rpm for point in self.operating_points), default=0.0)
+        return max((point.speed_rpm for point in self.points), default=0.0)
 
     @property
     def load_n_max(self) -> float:
         """Highest load, 0 without any."""
-        return max((point.load_n for point in self.operating_points), default=0.0)
+        return max((point.load_n for point in self.points), default=0.0)
 
     @property
     def distinct_loads(self) -> int:
-        """Number of loads that differ by more than 8 % and lasted 20 minutes."""
-        return len(distinct_values([p.load_n for p in self._lasting()], NEW_LOAD))
+        """Number of loads that differ by more than 8 % and lasted 20 minutes.
+
+        In one go each; on a machine whose duty varies, in all.
+        """
+        return len(taught_values(self.operating_points, self.duty, "load_n", NEW_LOAD))
 
     @property
     def distinct_speeds(self) -> int:
-        """Number of speeds that differ by more than 10 % and lasted 20 minutes."""
-        return len(distinct_values([p.speed_rpm for p in self._lasting()], NEW_SPEED))
-
-    def _lasting(self) -> Sequence[OperatingPoint]:
-        return [point for point in self.operating_points if point.duration_s >= _TAUGHT_S]
+        """Number of speeds that differ by more than 10 % and lasted 20 minutes, likewise."""
+        return len(taught_values(self.operating_points, self.duty, "speed_rpm", NEW_SPEED))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,6 +240,7 @@ class Posterior:
                 "from_rest": self.trained.from_rest,
                 "revolutions": self.trained.revolutions,
                 "ambient_c": self.trained.ambient_c,
+                "duty": [p.to_dict() for p in self.trained.duty],
             },
             "evaluations": self.evaluations,
         }
@@ -260,6 +267,7 @@ class Posterior:
                 bool(trained["from_rest"]),
                 float(trained["revolutions"]),
                 None if trained.get("ambient_c") is None else float(trained["ambient_c"]),
+                tuple(OperatingPoint.from_dict(point) for point in trained.get("duty", ())),
             ),
             evaluations=int(document["evaluations"]),
         )
@@ -321,6 +329,7 @@ def posterior_at(
             any(window.at_rest for window in windows),
             float(windows[0].revolutions),
             _mean_ambient(problem),
+            problem.data.duty,
         ),
         evaluations=problem.evaluations,
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin_core.bearings import bearing
+from twin_core.forecasting.heat_laws import Law
 from twin_core.forecasting.labels import (
     LOAD_LAW,
     NOT_IDENTIFIED,
@@ -13,6 +14,7 @@ from twin_core.forecasting.labels import (
     SPEED_LAW,
     forecast_labels,
 )
+from twin_core.identification.identifiability import Verdict
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.models import build_model
 from twin_core.network_model import RunawayLimits
@@ -65,13 +67,43 @@ def test_hot_upper_edge_and_runaway_members() -> None:
 
 
 def test_a_stage_that_taught_nothing_does_not_count() -> None:
-    """Two loads in the data, yet the exponent of load is still the prior's; likewise for speed."""
+    """Two loads in the data, yet the law of load is still the prior's; likewise for speed."""
     posterior = trained_at((1500, 2650), (4200, 3300))
     heavier, faster = ahead(4200.0, 4000.0), ahead(6200.0, 3300.0)
-    assert forecast_labels(posterior, heavier, 80.0, 0.0, ("b",)) == (LOAD_LAW,)
-    assert forecast_labels(posterior, heavier, 80.0, 0.0, ("p", "Nub")) == ()
-    assert forecast_labels(posterior, faster, 80.0, 0.0, ("p",)) == (SPEED_LAW,)
-    assert forecast_labels(posterior, faster, 80.0, 0.0, ("b",)) == ()
+
+    def labels(profile: OperatingProfile, load: Verdict, speed: Verdict) -> tuple[str, ...]:
+        return forecast_labels(posterior, profile, 80.0, 0.0, {"load": load, "speed": speed})
+
+    assert labels(heavier, "prior only", "weak") == (LOAD_LAW,)
+    assert labels(heavier, "weak", "prior only") == ()
+    assert labels(faster, "weak", "prior only") == (SPEED_LAW,)
+    assert labels(faster, "prior only", "weak") == ()
+
+
+def test_a_law_of_the_network_itself_is_no_priors() -> None:
+    posterior = trained_at((1500, 2650), (4200, 2650))
+    heavier = ahead(4200.0, 3800.0)
+    assert forecast_labels(posterior, heavier, 80.0, 0.0) == (LOAD_LAW,)
+    stated: dict[Law, Verdict | None] = {"load": None, "speed": "weak"}
+    assert forecast_labels(posterior, heavier, 80.0, 0.0, stated) == ()
+
+
+def test_varying_duty_is_judged_by_what_its_data_say() -> None:
+    """Loads that never lasted: taught if the data inform the law, or hold several and say a bit."""
+    brief = tuple(OperatingPoint(3000.0, load, 300.0, 0.0) for load in (1000.0, 2000.0, 3000.0))
+    long = tuple(replace(point, duration_s=1500.0) for point in brief)
+    heavier = ahead(3000.0, 4000.0)
+
+    def labels(duty: tuple[OperatingPoint, ...], load: Verdict) -> tuple[str, ...]:
+        posterior = trained_at()
+        varied = replace(posterior.trained, duty=duty)
+        laws: dict[Law, Verdict | None] = {"load": load, "speed": "informed"}
+        return forecast_labels(replace(posterior, trained=varied), heavier, 80.0, 0.0, laws)
+
+    assert labels(brief, "informed") == ()
+    assert labels(brief, "weak") == (LOAD_LAW,)
+    assert labels(long, "weak") == ()
+    assert labels(long, "prior only") == (LOAD_LAW,)
 
 
 def test_before_any_identification() -> None:
