@@ -2,7 +2,8 @@
 
 A network is refused where it misses the readings by more than its error model allows for. Either it
 lacks something, or it follows the machine as well as so coarse a network can and the error model,
-by default that of a bearing on its bench, is too strict. The residuals tell which.
+by default that of a bearing on its bench, does not fit: too strict, or so wide that the priors
+outweigh the data. The residuals of a plain least-squares fit tell which.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,9 @@ from twin_core.network_model import ErrorModel
 # flows that matter; one that leaves more lacks one.
 _UNEXPLAINED = 0.1
 _LONGEST_S = 86400.0
+# No error model is narrower than a good sensor; a slow part as small as this one is none, which
+# leaves plain least squares with priors of no weight.
+_LEAST_K, _PLAIN_K = 0.05, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +41,21 @@ def hint(
     model: ThermalModel, data: IdentificationData, failed: IdentificationResult, loss: Loss
 ) -> str:
     """Say which of the two to change, with values for [errors] that the residuals suggest."""
-    series = _residuals(model, data, failed, loss)
-    errors = suggested_errors(series, model.errors)
-    again = replace(model, errors=errors)
+    plain = replace(model, errors=replace(model.errors, slow_k=_PLAIN_K, offset_k=_PLAIN_K))
     try:
-        better = identify(again, data, method="refine", samples=0, loss=loss)
+        first = identify(
+            plain, data, method="refine", samples=0, loss=loss, guess_z=failed.posterior.z
+        )
+        errors = suggested_errors(_residuals(plain, data, first, loss), model.errors)
+        again = replace(model, errors=errors)
+        better = identify(
+            again, data, method="refine", samples=0, loss=loss, guess_z=first.posterior.z
+        )
     except ValueError:
-        return "hint: change the network: no simulation of it holds with a wider error model either"
-    unexplained = _unexplained(_residuals(again, data, better, loss))
+        return "hint: change the network: no simulation of it holds with another error model either"
+    series = _residuals(again, data, better, loss)
+    unexplained = _unexplained(series)
+    vary_k = float(np.std(np.concatenate([one.measured_c for one in series])))
     rms_k = max(better.posterior.train_rms_k.values())
     values = f"white_k = {errors.white_k:g}, slow_k = {errors.slow_k:g}, slow_s = {errors.slow_s:g}"
     if better.status == "converged" and unexplained <= _UNEXPLAINED:
@@ -54,8 +65,9 @@ def hint(
             f"the fit passes with {rms_k:.2g} K rms"
         )
     return (
-        f"hint: change the network, not its [errors]: it leaves {unexplained:.0%} of the "
-        f"temperatures' variance unexplained ({rms_k:.2g} K rms even with [errors] {values})"
+        f"hint: change the network or its priors, not its [errors]: with those that a plain "
+        f"least-squares fit suggests ({values}) it meets temperatures that vary by {vary_k:.2g} K "
+        f"with {rms_k:.2g} K rms"
     )
 
 
@@ -65,9 +77,9 @@ def suggested_errors(series: Sequence[Residuals], present: ErrorModel) -> ErrorM
     Parameters
     ----------
     series
-        At least one, of some rows.
+        Of a plain least-squares fit.
     present
-        Its offset is kept, and no value becomes smaller than here.
+        Its offset is kept.
 
     Returns
     -------
@@ -91,9 +103,9 @@ def suggested_errors(series: Sequence[Residuals], present: ErrorModel) -> ErrorM
     slow_s = -step_s / float(np.log(kept)) if 0.0 < kept < 1.0 else step_s
     return replace(
         present,
-        white_k=_rounded(max(np.sqrt(white), present.white_k)),
-        slow_k=_rounded(max(np.sqrt(slow), present.slow_k)),
-        slow_s=_rounded(min(max(slow_s, present.slow_s), _LONGEST_S)),
+        white_k=_rounded(max(np.sqrt(white), _LEAST_K)),
+        slow_k=_rounded(max(np.sqrt(slow), _LEAST_K)),
+        slow_s=_rounded(min(max(slow_s, step_s), _LONGEST_S)),
     )
 
 

@@ -115,4 +115,4 @@ def test_a_refusal_of_a_network_that_lacks_something_names_the_network(
         'load = { unit = "W/N", centre = 0.02, spread = 0.7 }\n', ""
     )
     said = refused(recorded(tmp_path), block(loadless), tmp_path / "model.json")
-    assert "hint: change the network, not its [errors]: it leaves " in said
+    assert "hint: change the network or its priors, not its [errors]: with those " in said
