@@ -3,7 +3,7 @@
 import ipaddress
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from adapters.drivers import (
 )
 from service.configuration import SettingsError, describe_all
 from service.ingest.quality import CheckLimits
+from service.machines.operating_ranges import TEMPERATURE_C, Range, operating_ranges, refused_beyond
 from service.settings import AssetSection, Settings
 
 PUSH = "push"
@@ -112,7 +113,28 @@ def wire(settings: Settings) -> Wiring:
     wiring, errors = wire_what_can_be(dict(enumerate(settings.sources)), assets, settings.base_dir)
     if errors:
         raise SettingsError(*errors)
-    return wiring
+    ranges = {asset.id: operating_ranges(asset.bearing) for asset in settings.assets}
+    channels = {
+        asset: {name: _plausible(name, facts, ranges[asset]) for name, facts in known.items()}
+        for asset, known in wiring.channels.items()
+    }
+    return Wiring(wiring.sources, channels)
+
+
+def _plausible(name: str, facts: ChannelFacts, ranges: Mapping[str, Range]) -> ChannelFacts:
+    """Let no speed, load or temperature be good that the machine cannot have.
+
+    A configured `valid_range` counts up to `REFUSED_BEYOND` times the default one.
+    """
+    if name.startswith("t_"):
+        ranges = {name: TEMPERATURE_C}
+    if name not in ranges:
+        return facts
+    limits = facts.limits
+    configured = math.isfinite(limits.low) or math.isfinite(limits.high)
+    low, high = (refused_beyond(ranges) if configured else ranges)[name]
+    within = replace(limits, low=max(limits.low, low), high=min(limits.high, high))
+    return replace(facts, limits=within)
 
 
 def wire_what_can_be(

@@ -184,6 +184,10 @@ class Observer:
         """Revolutions since greasing."""
         return self._revolutions
 
+    def renew_grease(self) -> None:
+        """Count the revolutions from zero again: the grease is fresh."""
+        self._revolutions = 0.0
+
     @property
     def heat_disturbance_w(self) -> NDArray[np.float64]:
         """Heat in W that the model lacks (or has too much of) per node, shape (nodes,).

@@ -20,6 +20,7 @@ EventKind = Literal[
     "model trusted again",
     "model activated",
     "model rolled back",
+    "grease renewed",
 ]
 """What is worth a line in the journal, but asks for no answer of an operator."""
 Priority = Literal[1, 2, 3]

@@ -130,13 +130,21 @@ class State(_Answer):
 
     time: Time
     model_version: int | None
+    revolutions: float = Field(0.0, description="Of the shaft since the grease was renewed.")
     nodes: dict[str, NodeState]
-
     missing: list[str] = Field(
         [],
         description="Speed, load and ambient that the twin does not know now; with any of them "
         "the estimate is uncertain.",
     )
+
+
+class GreaseRenewed(_Answer):
+    """What became of the count of revolutions."""
+
+    time: Time
+    revolutions_before: float = Field(examples=[1_482_300])
+    revolutions: float = Field(description="Since the grease was renewed.", examples=[0])
 
 
 # ---------------------------------------------------------------------------- verdict

@@ -131,6 +131,16 @@ class ForecastRequest(RequestBody):
         return step_s
 
 
+class GreaseRenewedRequest(RequestBody):
+    """Why the grease was renewed."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"comment": "regreased, 18 g of the same grease"}]}
+    )
+
+    comment: str | None = Field(None, max_length=500, description="For the journal.")
+
+
 class TimeWindow(RequestBody):
     """A span of process time, start inclusive and end exclusive."""
 
@@ -258,6 +268,15 @@ class AssetTwin(Protocol):
         nodes: Collection[str] | None,
     ) -> Mapping[str, Any]:
         """Forecast a profile from the present state.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        """
+
+    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+        """Count the revolutions since the grease was fresh from zero again.
 
         Raises
         ------

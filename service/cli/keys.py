@@ -46,7 +46,7 @@ def create(
     from service.security.keys import create_key
 
     with _store(config) as store:
-        new = create_key(store, role, expires_in_days, label, actor=_actor())
+        new = create_key(store, role, expires_in_days, label, actor=command_line_actor())
     typer.echo(json.dumps({"key": new.text} | _facts(new.record)) if as_json else new.text)
 
 
@@ -85,11 +85,11 @@ def revoke(
     from service.security.keys import revoke_key
 
     with _store(config) as store:
-        record = revoke_key(store, key, actor=_actor())
+        record = revoke_key(store, key, actor=command_line_actor())
     typer.echo(json.dumps(_facts(record)) if as_json else f"{record.prefix} is revoked")
 
 
-def _actor() -> "Actor":
+def command_line_actor() -> "Actor":
     """Who sits at the command line, for the audit trail."""
     from service.security.keys import Actor
 

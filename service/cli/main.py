@@ -15,6 +15,7 @@ from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.drift import drift
 from service.cli.forecast import forecast
+from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.serve import serve
@@ -41,6 +42,7 @@ app.command()(forecast)
 app.command()(drift)
 app.command()(study)
 app.command()(benchmark)
+app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
 app.command("warm-up", hidden=True)(warm_up)

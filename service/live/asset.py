@@ -12,7 +12,7 @@ import structlog
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook, alarm_summary
-from service.api.context import ProfileStep
+from service.api.context import NotReadyError, ProfileStep
 from service.channels import unit_of
 from service.clock import rfc3339
 from service.live import presentation
@@ -26,6 +26,7 @@ from service.live.readings import Readings
 from service.live.rules import allowed_age_s
 from service.live.verdict import AMBIENT
 from service.live.watch import AlarmWatch
+from service.machines.operating_ranges import operating_ranges, refused_beyond
 from service.settings import AssetSection
 from service.wiring import ChannelFacts
 from twin_core.forecasting.design import Level
@@ -107,7 +108,7 @@ class AssetRuntime:
             },
             rate=clock.rate,
         )
-        self.estimate = LiveEstimate(active)
+        self.estimate = LiveEstimate(active, refused_beyond(operating_ranges(settings.bearing)))
         self.running = False
         self._clock = clock
         self._bus = bus
@@ -320,6 +321,28 @@ class AssetRuntime:
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
 
+    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+        """Take note that the grease was renewed, and keep it for the next start."""
+        if not self.estimate.started:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        before = self.estimate.renew_grease()
+        self._watch.grease_renewed()
+        now_us = self._clock.now_us()
+        self._alarms.record_event(
+            self.id,
+            "grease renewed",
+            f"Grease renewed after {before:.0f} revolutions",
+            who,
+            comment,
+        )
+        await self._save_state(self._kept())
+        self._forecast_wanted.set()
+        return {
+            "time": rfc3339(now_us),
+            "revolutions_before": round(before),
+            "revolutions": round(self.estimate.revolutions),
+        }
+
     def drift_reported(self, text: str) -> None:
         """Write into the journal that the machine has changed."""
         self._alarms.record_event(self.id, "model drift", text)
@@ -447,7 +470,9 @@ class AssetRuntime:
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
 
     async def _save(self) -> None:
-        kept = self.estimate.to_dict()
-        if kept is not None:
+        if self.estimate.started:
             with self._saving():
-                await self._save_state(kept | {"watch": self._watch.to_dict()})
+                await self._save_state(self._kept())
+
+    def _kept(self) -> dict[str, Any]:
+        return (self.estimate.to_dict() or {}) | {"watch": self._watch.to_dict()}

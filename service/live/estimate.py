@@ -47,10 +47,15 @@ class LiveEstimate:
     ----------
     active : ActiveModel
         The model version to run on; `swap` changes it without a gap.
+    bounds : mapping of str to (float, float), optional
+        Lowest and highest speed, load and ambient that are believed at all.
     """
 
-    def __init__(self, active: ActiveModel) -> None:
+    def __init__(
+        self, active: ActiveModel, bounds: Mapping[str, tuple[float, float]] | None = None
+    ) -> None:
         self.active = active
+        self._bounds = bounds or {}
         self.time_us: int | None = None
         self.point: OperatingPoint | None = None
         #: What the sensors said against what was expected, at the last step.
@@ -87,7 +92,17 @@ class LiveEstimate:
         means : mapping of str to float
             Means of the good samples by channel; a missing channel means that nothing good came.
             Speed, load and ambient then stay what they were, temperatures are not corrected.
+
+        Raises
+        ------
+        ValueError
+            If the machine cannot have such a speed, load or ambient; nothing is taken in then.
         """
+        for name, (low, high) in self._bounds.items():
+            if name in means and not low <= means[name] <= high:
+                raise ValueError(
+                    f"{name} is {means[name]:g}, expected a value from {low:g} to {high:g}"
+                )
         temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
         self.innovations = {}
         self._ambient_measured |= "ambient_c" in means
@@ -116,6 +131,18 @@ class LiveEstimate:
             self._revolutions = self._observer.revolutions
         self._observer = None
 
+    @property
+    def revolutions(self) -> float:
+        """Revolutions since the grease was fresh."""
+        return self._revolutions if self._observer is None else self._observer.revolutions
+
+    def renew_grease(self) -> float:
+        """Count the revolutions from zero again; returns how many there were."""
+        before, self._revolutions = self.revolutions, 0.0
+        if self._observer is not None:
+            self._observer.renew_grease()
+        return before
+
     def _operating_point(
         self, means: Mapping[str, float], temperatures: Mapping[str, float]
     ) -> OperatingPoint | None:
@@ -131,7 +158,8 @@ class LiveEstimate:
         inputs = tuple(means.get(name, before.get(name, math.nan)) for name in names)
         if math.isnan(speed_rpm + load_n + ambient_c + sum(inputs)):
             return None
-        return OperatingPoint(max(speed_rpm, 0.0), max(load_n, 0.0), ambient_c, inputs)
+        # Friction does not ask for the direction of rotation.
+        return OperatingPoint(abs(speed_rpm), max(load_n, 0.0), ambient_c, inputs)
 
     def _start(self, now_us: int, point: OperatingPoint, temperatures: Mapping[str, float]) -> None:
         at_rest = (

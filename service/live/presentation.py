@@ -188,7 +188,12 @@ def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
         observer, time_us = estimate.observer, estimate.time_us or now_us
         for name, mean, std in zip(nodes, observer.temperatures_c, observer.std_c, strict=True):
             nodes[name] = {"mean_c": round(float(mean), 3), "std_c": round(float(std), 3)}
-    return {"time": rfc3339(time_us), "model_version": active.version, "nodes": nodes}
+    return {
+        "time": rfc3339(time_us),
+        "model_version": active.version,
+        "revolutions": round(estimate.revolutions),
+        "nodes": nodes,
+    }
 
 
 def samples_json(samples: Iterable[Sample]) -> list[dict[str, Any]]:

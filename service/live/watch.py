@@ -151,6 +151,10 @@ class AlarmWatch:
             comment,
         )
 
+    def grease_renewed(self) -> None:
+        """Let the model alone begin anew from the estimate, whose grease is fresh."""
+        self._reference.stop()
+
     def to_dict(self) -> dict[str, Any]:
         """Return what the rules have learnt, as plain JSON types."""
         return {

@@ -6,12 +6,20 @@ from fastapi import APIRouter, Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.api.access import secured
-from service.api.bodies import AssetDocument, AssetList, Snapshot, State, VerdictDocument
+from service.api.access import Caller, secured
+from service.api.bodies import (
+    AssetDocument,
+    AssetList,
+    GreaseRenewed,
+    Snapshot,
+    State,
+    VerdictDocument,
+)
+from service.api.context import GreaseRenewedRequest
 from service.api.deps import Asset, Context, json_response
 from service.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.api.snapshots import Snapshots
-from service.security.roles import VIEWER, VIEWER_OR_GATEWAY
+from service.security.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
@@ -80,3 +88,17 @@ async def get_state(asset: Asset) -> Response:
 async def get_verdict(asset: Asset) -> Response:
     """Give one word each, with reasons; without an input it is `unknown`, and named."""
     return json_response(asset.verdict())
+
+
+@router.post(
+    "/{asset_id}/grease-renewed",
+    response_model=GreaseRenewed,
+    summary="Say that the grease was renewed",
+    **secured(ENGINEER, 404),
+)
+async def post_grease_renewed(
+    asset: Asset, who: Caller, request: GreaseRenewedRequest | None = None
+) -> Response:
+    """Count the revolutions, and with them the run-in state of the grease, from zero again."""
+    comment = (request.comment if request else None) or ""
+    return json_response(await asset.renew_grease(who.who, comment))

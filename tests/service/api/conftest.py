@@ -130,6 +130,11 @@ class MemoryTwin:
         target = {"speed_rpm": speed_rpm, "load_n": load_n, "duration_s": duration_s}
         return {"target": target, "steps": []}
 
+    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+        if not self.ready:
+            raise NotReadyError("the twin waits for its first data")
+        return {"time": rfc3339(self.time_us), "revolutions_before": 1000, "revolutions": 0}
+
     async def windows(self) -> Sequence[Mapping[str, Any]]:
         hour_us = 60 * MINUTE_US
         return [

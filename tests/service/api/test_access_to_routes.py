@@ -23,6 +23,7 @@ LEAST = {
     ("GET", "/api/v1/assets/{asset_id}/snapshot"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/state"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/verdict"): "viewer",
+    ("POST", "/api/v1/assets/{asset_id}/grease-renewed"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/measurements"): "viewer",
     ("POST", "/api/v1/assets/{asset_id}/measurements"): "admin",
     ("GET", "/api/v1/assets/{asset_id}/forecast"): "viewer",

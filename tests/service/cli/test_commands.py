@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
+from processes import Command
 
 from adapters.samples import Sample
 from service.clock import rfc3339
@@ -120,3 +121,33 @@ def test_the_time_from_which_raw_samples_are_kept_is_shown_and_lowered(
     assert "--lower: time 'yesterday': expected RFC 3339" in refused.stderr
     lowered = cli("db", "horizon", "--lower", "2001-01-01T00:00:00Z", "-c", str(config), "--json")
     assert json.loads(lowered.stdout) == {"raw_kept_from": "2001-01-01T00:00:00.000Z"}
+
+
+def test_grease_is_renewed_in_the_store_while_no_service_runs(
+    cli: Cli,
+    refused: Callable[..., str],
+    configure: Callable[..., Path],
+    start: Callable[..., Command],
+    tmp_path: Path,
+) -> None:
+    config = str(configure())
+    assert "expected one of motor-1" in refused("grease-renewed", "motor-9", "-c", config)
+    assert "no estimate" in refused("grease-renewed", "motor-1", "-c", config)
+    kept = {"observer": {"revolutions": 146_916_268.0, "state": [1.0]}, "watch": {"version": 2}}
+    with Store.open("", tmp_path / "data") as store:
+        store.save_asset_state("motor-1", kept)
+    told = ("grease-renewed", "motor-1", "--comment", "regreased", "-c", config)
+    ended = cli(*told, "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout) == {"revolutions_before": 146_916_268, "revolutions": 0}
+    with Store.open("", tmp_path / "data") as store:
+        document = store.load_asset_state("motor-1")
+        (line,) = store.audit().items
+    assert document is not None
+    assert document["observer"] == {"revolutions": 0.0, "state": [1.0]}
+    assert document["watch"]["version"] == 2
+    assert (line.action, line.target, line.detail) == (
+        "asset.grease-renewed", "asset motor-1", "comment: regreased",
+    )  # fmt: skip
+    start("serve", "-c", config)
+    assert "POST /api/v1/assets/motor-1/grease-renewed" in refused(*told)

@@ -153,7 +153,7 @@ def wired(**channels: dict[str, object]) -> dict[tuple[str, str], CheckLimits]:
     return wire(settings).check_limits
 
 
-def test_temperatures_are_checked_by_default_and_nothing_else_is() -> None:
+def test_every_channel_is_checked_by_what_its_machine_can_do() -> None:
     def modbus(**keys: object) -> dict[str, object]:
         return {"source": "p", "register": 0, "scale": 0.1} | keys
 
@@ -166,13 +166,14 @@ def test_temperatures_are_checked_by_default_and_nothing_else_is() -> None:
         load_n=modbus(register=5, max_jump=500, flat_line_s=30),
     )
     infinite = math.inf
-    assert limits["a", "t_inner_ring_c"] == CheckLimits(-infinite, infinite, 5.0, 2.0, 1800.0)
-    outer = CheckLimits(max_rate_per_s=0.5)
+    assert limits["a", "t_inner_ring_c"] == CheckLimits(-80.0, 600.0, 5.0, 2.0, 1800.0)
+    outer = CheckLimits(-80.0, 600.0, max_rate_per_s=0.5)
     assert limits["a", "t_outer_ring_c"] == outer
     assert limits["a", "t_node_1_c"].flat_line_s == infinite, "whole degrees may stand still"
     assert limits["a", "ambient_c"] == CheckLimits(-40.0, 60.0, 5.0, 2.0)
-    assert limits["a", "speed_rpm"].anything
-    assert limits["a", "load_n"] == CheckLimits(max_jump=500.0, flat_line_s=30.0)
+    fastest_rpm = 2e6 / 87.5
+    assert limits["a", "speed_rpm"] == CheckLimits(-fastest_rpm, fastest_rpm)
+    assert limits["a", "load_n"] == CheckLimits(-2250.0, 90_000.0, max_jump=500.0, flat_line_s=30.0)
 
 
 @pytest.mark.parametrize("wrong", [{"max_jump": -1}, {"flat_line_s": "long"}, {"register": 3}])

@@ -296,3 +296,55 @@ async def test_state_messages_carry_the_estimates_of_the_sensors(
     for one in data["samples"]:
         assert 20.0 < one["value"] < 80.0
         assert (one["quality"], one["time"]) == (192, data["time"])
+
+
+@pytest.mark.parametrize("speed_rpm", [1e9, 1e308, -1e9])
+async def test_an_impossible_speed_never_ages_the_grease(
+    make_live: Callable[..., Any], speed_rpm: float
+) -> None:
+    """Thirteen seconds of 1e9 rpm made 147 million revolutions of 255."""
+    live = make_live()
+    await running(live, WARM)
+    await live.until(lambda: live.runtime.state()["revolutions"] > 100, "turning", WARM)
+    began_us, before = live.clock.now_us(), live.runtime.state()["revolutions"]
+    await live.until(
+        lambda: live.clock.now_us() - began_us > 600_000_000, "10 min", WARM | {
+            "speed_rpm": speed_rpm
+        },
+    )  # fmt: skip
+    live.runtime._changed()
+    assert live.tag("verdict.now")["value"] == 0, "the twin does not run on it"
+    await live.until(lambda: live.runtime.estimate.started, "a new start", WARM)
+    minutes = (live.clock.now_us() - began_us) / 60e6
+    assert live.runtime.state()["revolutions"] <= before + WARM["speed_rpm"] * minutes
+
+
+async def test_a_machine_that_turns_backwards_is_not_taken_for_standing(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    await running(live, WARM | {"speed_rpm": -2400.0})
+    assert live.runtime.estimate.point.speed_rpm == 2400.0
+
+
+async def test_renewed_grease_counts_from_zero_and_after_a_restart_too(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    with pytest.raises(NotReadyError):
+        await live.runtime.renew_grease("engineer eva", "")
+    await running(live, WARM)
+    await live.until(lambda: live.runtime.state()["revolutions"] > 1000, "turning", WARM)
+    live.saved.clear()
+    answer = await live.runtime.renew_grease("engineer eva", "regreased")
+    assert answer["revolutions_before"] > 1000
+    assert answer["revolutions"] == 0
+    assert live.saved[0]["observer"]["revolutions"] == 0.0
+    await live.stop()
+    again = make_live()
+    again.start(json.loads(json.dumps(live.saved[0])))
+    await asyncio.sleep(0)
+    assert again.runtime.estimate.revolutions == 0.0
+    assert live.alarms._outbox.flush(30)
+    (event,) = [line for line in live.store.alarm_journal().items if line.kind == "grease renewed"]
+    assert (event.who, event.comment) == ("engineer eva", "regreased")

@@ -1,0 +1,64 @@
+"""``bearing-twin grease-renewed``: the revolutions of a machine count from zero again."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from service.cli.keys import command_line_actor
+from service.cli.serve import ConfigFile
+from service.configuration import SettingsError
+from service.settings import load_settings
+
+
+def grease_renewed(
+    asset: Annotated[str, typer.Argument(metavar="ID", help="Asset whose grease was renewed.")],
+    comment: Annotated[str, typer.Option(help="For the audit trail.")] = "",
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Count the revolutions of a machine from zero again, while the service is stopped.
+
+    A running service takes POST /api/v1/assets/ID/grease-renewed (role engineer) instead.
+    """
+    from service.security.keys import wall_us
+    from service.store import AuditEntry, DataDirectoryInUseError, Store, lock_data_directory
+
+    settings = load_settings(config)
+    known = [one.id for one in settings.assets]
+    if asset not in known:
+        raise SettingsError(f"{asset}: no such asset; expected one of {', '.join(known) or 'none'}")
+    try:
+        lock = lock_data_directory(settings.data_dir)
+    except DataDirectoryInUseError:
+        raise SettingsError(
+            f"{asset}: the service runs and counts by itself; "
+            f"tell it by POST /api/v1/assets/{asset}/grease-renewed, or stop it first"
+        ) from None
+    with lock, Store.open(settings.service.database_url, settings.data_dir) as store:
+        kept = dict(store.load_asset_state(asset) or {})
+        observer = kept.get("observer")
+        if not isinstance(observer, dict):
+            raise SettingsError(f"{asset}: the store has no estimate of it; nothing is counted yet")
+        before = float(observer.get("revolutions") or 0.0)
+        kept["observer"] = observer | {"revolutions": 0.0}
+        if isinstance(kept.get("watch"), dict):
+            kept["watch"] = kept["watch"] | {"reference": None}
+        store.save_asset_state(asset, kept)
+        actor = command_line_actor()
+        store.add_audit_entry(
+            AuditEntry(
+                wall_us(),
+                actor.who,
+                actor.address,
+                "asset.grease-renewed",
+                f"asset {asset}",
+                f"comment: {comment}" if comment else "",
+            )
+        )
+    if as_json:
+        typer.echo(json.dumps({"revolutions_before": round(before), "revolutions": 0}))
+    else:
+        typer.echo(f"{asset}: grease renewed after {before:.0f} revolutions")
