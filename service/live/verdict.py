@@ -134,7 +134,7 @@ def judged_temperatures(settings: AssetSection) -> list[str]:
 def required_channels(settings: AssetSection) -> list[str]:
     """Every channel that a verdict needs."""
     ambient = [AMBIENT] if AMBIENT in settings.channels else []
-    return [*judged_temperatures(settings), *OPERATION, *ambient]
+    return [*judged_temperatures(settings), *OPERATION, *settings.input_names, *ambient]
 
 
 def missing_channels(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:
@@ -149,7 +149,7 @@ def missing_channels(settings: AssetSection, readings: Readings, now_us: int) ->
 def missing_operation(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:
     """What the twin would have to know of the operation now and does not."""
     missing = missing_channels(settings, readings, now_us)
-    return [name for name in missing if name in (*OPERATION, AMBIENT)]
+    return [name for name in missing if name in (*OPERATION, *settings.input_names, AMBIENT)]
 
 
 def judge(evidence: Evidence) -> dict[str, Any]:

@@ -194,6 +194,7 @@ class AlarmWatch:
             now_us=now_us,
             is_present=self._is_present,
             stands=since_us is not None and now_us - since_us >= _STANDS_AFTER_S * 1e6,
+            inputs=self._settings.input_names,
             distrust=None if self._trusted else _NOT_TRUSTED,
         )
 

@@ -56,6 +56,8 @@ class Scene:
         kind, channel and level.
     stands : bool
         Whether the machine stands.
+    inputs : tuple of str
+        What the network needs of the operation besides speed, load and ambient.
     distrust : str or None
         Why the model's word counts for nothing now; None where it counts.
     """
@@ -69,6 +71,7 @@ class Scene:
     now_us: int
     is_present: Callable[[AlarmKind, str, str], bool]
     stands: bool = False
+    inputs: tuple[str, ...] = ()
     distrust: str | None = None
 
     def good_value(self, channel: str) -> float | None:
@@ -160,7 +163,7 @@ class Scene:
 
     def _blind(self) -> str | None:
         """Name what the twin would have to know of the operation and does not."""
-        for channel in ("speed_rpm", "load_n", "ambient_c"):
+        for channel in ("speed_rpm", "load_n", "ambient_c", *self.inputs):
             if channel in self.channels and (
                 self._has_no_data(channel) or self.is_present("sensor fault", channel, "")
             ):

@@ -22,8 +22,9 @@ from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_ove
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.verdict import Evidence, judge, required_channels
+from service.machines.networks import read_network
 from service.security import create_key
-from service.settings import Limits, Settings
+from service.settings import AssetSection, Limits, Settings
 
 WARM = {
     "speed_rpm": 1500.0,
@@ -37,6 +38,7 @@ RING = "t_inner_ring_c"
 NOW_US = 1_763_700_000_000_000
 HOUR_US = 3_600_000_000
 WAYS = ("good", "bad", "uncertain", "stale", "never")
+STATOR = Path(__file__).parents[3] / "deploy" / "networks" / "stator.toml"
 CALM = LimitCrossing(0.0, None, None)
 
 
@@ -407,3 +409,17 @@ def test_every_channel_that_a_verdict_needs_is_listed(make_section: Callable[...
         limits={"t_node_5_c": Limits(warning=60, alarm=80).model_dump()},
     )
     assert set(required_channels(nodes)) == {*INPUTS, "t_node_5_c"}
+
+
+def test_an_input_of_a_network_of_ones_own_is_needed_too() -> None:
+    document = read_network(STATOR).model_dump(mode="json")
+    settings = AssetSection.model_validate(
+        {
+            "id": "bench-1",
+            "network": document,
+            "low_risk": {"speed_rpm_max": 2000, "load_n_max": 4000},
+            "channels": {"speed_rpm": {"source": "push"}},
+        }
+    )
+    assert settings.input_names
+    assert set(settings.input_names) <= set(required_channels(settings))
