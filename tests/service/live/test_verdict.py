@@ -250,6 +250,21 @@ def identified(make_version: Callable[..., Any], number: int = 2) -> Any:
 
 
 @pytest.fixture
+def make_safe(
+    make_live: Callable[..., Any],
+    make_section: Callable[..., Any],
+    make_version: Callable[..., Any],
+) -> Callable[[], Any]:
+    """A live asset whose limits are far from anything that its model can forecast."""
+
+    def make() -> Any:
+        section = make_section(limits={RING: {"warning": 300, "alarm": 350}})
+        return make_live(section, identified(make_version))
+
+    return make
+
+
+@pytest.fixture
 async def open_web(
     tmp_path: Path,
 ) -> AsyncIterator[Callable[[Any], httpx2.AsyncClient]]:
@@ -287,11 +302,10 @@ async def open_web(
 
 
 async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
-    make_live: Callable[..., Any],
-    make_version: Callable[..., Any],
+    make_safe: Callable[[], Any],
     open_web: Callable[[Any], httpx2.AsyncClient],
 ) -> None:
-    live = make_live(active=identified(make_version))
+    live = make_safe()
     web = open_web(live)
     rng = random.Random(14)
     live.start()
@@ -328,9 +342,9 @@ async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
 
 
 async def test_after_speed_is_lost_nothing_presents_itself_as_valid(
-    make_live: Callable[..., Any], make_version: Callable[..., Any]
+    make_safe: Callable[[], Any],
 ) -> None:
-    live = make_live(active=identified(make_version))
+    live = make_safe()
     live.start()
     await live.until(lambda: live.tag("verdict.next_step")["value"] == 1, "safe", WARM)
     assert live.tag("t_node_7_c.twin")["quality"] == Quality.GOOD
@@ -354,9 +368,9 @@ async def test_after_speed_is_lost_nothing_presents_itself_as_valid(
 
 
 async def test_the_stream_carries_the_verdict_and_its_changes(
-    make_live: Callable[..., Any], make_version: Callable[..., Any]
+    make_safe: Callable[[], Any],
 ) -> None:
-    live = make_live(active=identified(make_version))
+    live = make_safe()
     subscription = live.bus.subscribe(types={"verdict"})
     live.start()
     seen: list[str] = []
@@ -378,9 +392,9 @@ async def test_the_stream_carries_the_verdict_and_its_changes(
 
 
 async def test_a_twin_that_has_ended_is_missing(
-    make_live: Callable[..., Any], make_version: Callable[..., Any]
+    make_safe: Callable[[], Any],
 ) -> None:
-    live = make_live(active=identified(make_version))
+    live = make_safe()
     live.start()
     await live.until(lambda: live.tag("verdict.now")["value"] == 1, "safe", WARM)
     await live.stop()
