@@ -30,6 +30,7 @@ from service.store import (
     lock_database,
 )
 from service.store.errors import opening_error
+from service.supervision import Supervisor
 from service.tasks import INGEST, background
 from service.waiting import StoppedError, Waiting
 from service.web_side import WebSide, bind
@@ -93,12 +94,14 @@ class _Start:
             self._tls = tls_context(settings.path(tls.certificate), settings.path(tls.key))
         self._port = settings.service.port
         self._web = WebSide()
+        self._supervisor = Supervisor()
         self._waiting = Waiting(stop, self._waits_for)
         # What is open until the last sample has been written.
         self._open = contextlib.ExitStack()
 
-    def _waits_for(self, what: str, _why: str) -> None:
+    def _waits_for(self, what: str, why: str) -> None:
         self._web.waits_for = what
+        self._supervisor.status(f"waits for {what}: {why}" if what else "starts")
 
     async def run(self) -> None:
         data_dir = self._settings.data_dir
@@ -122,6 +125,16 @@ class _Start:
                 await running.enter_async_context(
                     background(acquisition.ingest.run(acquisition.drivers), INGEST, self._stop)
                 )
+                await running.enter_async_context(
+                    background(
+                        self._supervisor.watch(acquisition.ingest.has_gone_on),
+                        "supervision",
+                        self._stop,
+                    )
+                )
+                running.callback(self._supervisor.stopping)
+                # Devices are read and what they say is kept, whatever is waited for.
+                self._supervisor.ready()
                 store, database_lock = await opening
                 await self._work(store, acquisition, clock)
                 if database_lock is not None:
@@ -188,6 +201,7 @@ class _Start:
     def _ready(self) -> None:
         host = self._settings.service.host
         scheme = "http" if self._tls is None else "https"
+        self._supervisor.status("runs")
         self._announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{self._port}/")
 
 

@@ -25,6 +25,7 @@ RESTART_LAST_S = 30.0
 PORTION = 250
 #: Wall seconds that a store which does not answer is given when the service stops.
 DRAIN_S = 5.0
+_BEAT_S = 0.25
 #: Wall seconds after which a refused push may come again: after one refusal, and at most.
 RETRY_PUSH_S = 5.0
 RETRY_PUSH_LAST_S = 60.0
@@ -77,6 +78,7 @@ class Ingest:
         watch_queues(lambda: self._writer.queued, spool, clock, registry)
         self._accepting = asyncio.Lock()
         self._refused = 0
+        self._went_on = False
         # Where channels ended in the last run; what waits on the spool is newer than the store.
         ends = spool.newest()
         self._unmarked_gaps = {name: end_us for name, end_us in ends.items() if end_us is not None}
@@ -130,7 +132,9 @@ class Ingest:
                 for driver in drivers:
                     self._source_metrics.watch(driver)
                     group.create_task(self._pump(driver), name=f"source {driver.name}")
-                await asyncio.Event().wait()  # for ever: the group ends when it is cancelled
+                while True:  # the group ends when it is cancelled
+                    self._went_on = self._writer.is_running
+                    await asyncio.sleep(_BEAT_S)
         finally:
             await asyncio.to_thread(self._writer.close, DRAIN_S)
 
@@ -212,6 +216,11 @@ class Ingest:
         for begin in range(0, len(samples), PORTION):
             self._hand_over(Batch(list(samples[begin : begin + PORTION])))
             await asyncio.sleep(0)
+
+    def has_gone_on(self) -> bool:
+        """Whether pumping and writing have gone on since this was asked last."""
+        went_on, self._went_on = self._went_on, False
+        return went_on
 
     def refuse_too_old(self, samples: Sequence[Sample]) -> None:
         """Count and report samples from before the time from which the store keeps them."""

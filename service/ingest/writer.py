@@ -97,6 +97,11 @@ class SampleWriter:
         """Samples that wait in memory."""
         return self._queued
 
+    @property
+    def is_running(self) -> bool:
+        """Whether the thread is there that writes."""
+        return self._thread is not None and self._thread.is_alive()
+
     def start(self) -> None:
         """Begin to write; what was put in before waits until then."""
         self._thread = threading.Thread(target=self._run, name="sample-writer", daemon=True)

@@ -123,6 +123,7 @@ class AssetRuntime:
         )
         self._blind: list[str] = []
         self._forecast_wanted = asyncio.Event()
+        self._forecast_due = True
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
@@ -416,7 +417,11 @@ class AssetRuntime:
         if self._estimating.failing:
             self.estimate.stop()
         blind = self._judgement.blind
-        if (self.estimate.started and not had_started) or blind != self._blind:
+        # The first forecast of a run does not wait for its period, whether the estimate begins or
+        # goes on from the last run.
+        begins = self.estimate.started and (self._forecast_due or not had_started)
+        if begins or blind != self._blind:
+            self._forecast_due &= not begins
             self._forecast_wanted.set()
         self._blind = blind
         self._changed()

@@ -1,8 +1,10 @@
 """What `deploy/` ships must load, and fit the virtual bench that it says it fits."""
 
+import configparser
 from pathlib import Path
 
 import pytest
+import yaml
 
 from adapters.can.config import CanChannel, CanSource
 from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
@@ -15,6 +17,7 @@ from adapters.virtual_bench.modbus_server import (
 )
 from adapters.virtual_bench.sensors import PT100_CHANNELS
 from service.settings import SENSOR_CHANNELS, Settings, load_settings
+from service.start import LEAVE_S
 from service.wiring import SourceWiring, wire
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -87,3 +90,36 @@ def test_the_can_side_is_the_virtual_bench_s(sources: dict[str, SourceWiring]) -
         ("speed_rpm", "DriveStatus", "Speed"),
         ("load_n", "LoadCell", "RadialLoad"),
     }
+
+
+def test_the_unit_watches_over_the_service_and_bounds_it() -> None:
+    unit = configparser.ConfigParser(strict=False, interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(DEPLOY / "systemd" / "bearing-twin.service")
+    service = unit["Service"]
+    # `service.supervision` speaks to it.
+    assert (service["Type"], service["WatchdogSec"]) == ("notify", "30")
+    # What passes by itself is tried again, without limit; what a person must mend is not.
+    assert service["Restart"] == "on-failure"
+    assert service["RestartPreventExitStatus"] == "2"
+    assert unit["Unit"]["StartLimitIntervalSec"] == "0"
+    assert float(service["TimeoutStartSec"]) > LEAVE_S
+    assert (service["LimitNOFILE"], service["UMask"]) == ("65536", "0077")
+    assert service["MemoryMax"]
+    assert service["TasksMax"]
+
+
+def test_the_container_is_watched_and_bounded() -> None:
+    compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+    service = compose["services"]["bearing-twin"]
+    assert service["restart"] == "unless-stopped"
+    assert service["healthcheck"]["test"][:3] == ["CMD", "python", "-c"]
+    compile(service["healthcheck"]["test"][3], "healthcheck", "exec")
+    assert service["mem_limit"]
+    assert service["pids_limit"]
+    assert service["ulimits"]["nofile"] == 65536
+    # What it writes lies on volumes: data, compiled kernels; all else is read-only.
+    assert service["read_only"] is True
+    assert service["tmpfs"] == ["/tmp"]
+    mounted = {volume.split(":")[0] for volume in service["volumes"]}
+    assert mounted >= set(compose["volumes"]) == {"data", "cache"}

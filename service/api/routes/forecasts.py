@@ -5,9 +5,8 @@ from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.bodies import LiveForecast, WhatIf
-from service.api.context import ForecastRequest, RequestRefusedError
+from service.api.context import ForecastRequest, NotReadyError, RequestRefusedError
 from service.api.deps import Asset, json_response
-from service.api.problems import Problem
 from service.security.roles import OPERATOR, VIEWER
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
@@ -23,7 +22,7 @@ async def get_forecast(asset: Asset) -> Response:
     """Follow the controller's plan where it tells one, else hold the present point."""
     forecast = asset.forecast()
     if forecast is None:
-        raise Problem(404, "there is no forecast yet: the twin waits for its first data")
+        raise NotReadyError("there is no forecast yet: the twin waits for its first data")
     return json_response(forecast)
 
 

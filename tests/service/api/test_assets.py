@@ -61,7 +61,10 @@ async def test_what_is_not_a_number_is_null(world: Any) -> None:
 
 async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
     client = world.client("viewer")
-    assert (await client.get("/api/v1/assets/bench-1/forecast")).status_code == 404
+    waiting = await client.get("/api/v1/assets/bench-1/forecast")
+    assert waiting.status_code == 503
+    assert int(waiting.headers["Retry-After"]) > 0
+    assert "waits for its first data" in waiting.json()["detail"]
     world.bench.live_forecast = {"made_at": "2026-11-21T08:00:00.000Z", "time_s": [0.0]}
     answer = await client.get("/api/v1/assets/bench-1/forecast")
     assert answer.json() == world.bench.live_forecast

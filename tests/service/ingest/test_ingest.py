@@ -469,3 +469,66 @@ async def test_samples_from_before_what_is_kept_are_counted_and_reported(tmp_pat
     assert "Samples of 2000-01-01" in (hall.ingest.too_old("a") or "")
     assert hall.ingest.too_old_problem == hall.ingest.too_old("a")
     hall.close()
+
+
+async def test_work_that_has_stopped_shows(hall: Hall, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the watchdog is fed by: the pumping task and the writing thread."""
+    async with hall.running():
+        await hall.until_true(hall.ingest.has_gone_on)
+        await hall.until_true(hall.ingest.has_gone_on)
+        monkeypatch.setattr(hall.ingest._writer, "_next", lambda: None)
+        hall.ingest.submit([sample(1)])  # the thread looks for work once more
+        await hall.until_true(lambda: not hall.ingest._writer.is_running)
+        await asyncio.sleep(0.5)
+        hall.ingest.has_gone_on()
+        await asyncio.sleep(0.5)
+        assert not hall.ingest.has_gone_on()
+
+
+async def test_a_push_whose_turn_does_not_come_is_taken_back_whole(hall: Hall) -> None:
+    """Who is told that nothing was stored must find nothing stored, also later."""
+    writer = hall.ingest._writer
+    refused = []
+    for number in range(3):  # nobody writes yet
+        awaited = await hall.ingest.take_in([sample(number)], patience_s=0.01)
+        with pytest.raises(StoreUnavailableError, match="their turn did not come within"):
+            await awaited
+        refused.append(hall.ingest.retry_after_s)
+    assert refused == [5, 10, 20]
+    assert writer.queued == 0
+    async with hall.running():
+        assert await hall.ingest.accept([sample(9)]) == (1, 0)
+        assert hall.ingest.retry_after_s == 5
+    assert [time_us for _, time_us, _, _ in hall.stored()] == [9]
+    assert hall.ingest.counts()["skipped"] == 3
+
+
+async def test_a_push_that_is_being_written_is_answered_as_it_ends(hall: Hall) -> None:
+    async with hall.running():
+        with hall.locked():
+            # The store has a second, then the spool takes it; the patience is over by then.
+            awaited = await hall.ingest.take_in([sample(1)], patience_s=0.2)
+            assert await awaited == (1, 0)
+    assert [time_us for _, time_us, _, _ in hall.stored()] == [1] or hall.on_spool() == [1]
+
+
+async def test_live_samples_go_before_a_backlog(hall: Hall) -> None:
+    backlog = [sample(number, channel="old") for number in range(60_000)]
+    order: list[str] = []
+    async with hall.running():
+
+        async def push(samples: list[Sample], name: str) -> None:
+            counts = await (await hall.ingest.take_in(samples, patience_s=PATIENCE_S))
+            assert counts == (len(samples), 0)
+            order.append(name)
+
+        long = [
+            asyncio.create_task(push(backlog[begin : begin + 20_000], f"backlog {begin}"))
+            for begin in range(0, len(backlog), 20_000)
+        ]
+        await hall.until_true(lambda: hall.ingest._writer.queued > 40_000)
+        await push([sample(10**6, channel="live")], "live")
+        await asyncio.gather(*long)
+    assert order.index("live") < 2, order
+    assert len(hall.stored()) == 60_001
+    assert hall.ingest.counts()["duplicate"] == 0

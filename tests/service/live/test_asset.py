@@ -126,6 +126,22 @@ async def test_what_was_kept_is_taken_up(make_live: Callable[..., Any]) -> None:
     )
 
 
+@pytest.mark.parametrize("ahead_s", [0, 31 * 3600])
+async def test_the_first_forecast_after_a_restart_does_not_wait_for_its_period(
+    make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, ahead_s: int
+) -> None:
+    """Also when the kept estimate lies ahead of the clock, as after a run of a faster one."""
+    first = make_live()
+    await running(first, WARM)
+    await first.stop()
+    kept = json.loads(json.dumps(first.saved[-1]))
+    kept["time_us"] += ahead_s * 1_000_000
+    monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
+    second = make_live()
+    second.start(kept)
+    await second.until(second.runtime.forecast, "a forecast", WARM)
+
+
 @pytest.mark.parametrize("kept", [{}, {"observer": {"state": []}, "time_us": 1}])
 async def test_a_kept_state_of_another_kind_is_left_aside(
     make_live: Callable[..., Any], kept: dict[str, Any]

@@ -1,0 +1,69 @@
+"""Tells systemd how the service is: ready, alive, stopping (`sd_notify`).
+
+The protocol is one datagram of text, so no library is needed: the small ones have not been kept
+for years, and systemd's own has to be compiled.
+"""
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import Callable, Mapping
+
+#: A sign of life is sent so many times within the watchdog's time.
+_SIGNS_PER_WATCHDOG = 4
+_MICROSECONDS = 1e6
+
+
+class Supervisor:
+    """The service manager that started this process; without one nothing is sent.
+
+    Parameters
+    ----------
+    environment : mapping of str to str
+        ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where signs of life are expected.
+    """
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        # An address that begins with @ is an abstract one, which the kernel writes with a NUL.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        meant_for = environment.get("WATCHDOG_PID", str(os.getpid()))
+        usec = environment.get("WATCHDOG_USEC", "") if meant_for == str(os.getpid()) else ""
+        self._watchdog_s = int(usec) / _MICROSECONDS if usec.isdigit() else 0.0
+
+    def ready(self) -> None:
+        """Say that the service has started: devices are read, samples are kept."""
+        self._send("READY=1")
+
+    def status(self, text: str) -> None:
+        """Say in one line what the service does; ``systemctl status`` shows it."""
+        self._send(f"STATUS={' '.join(text.split())}")
+
+    def stopping(self) -> None:
+        """Say that the service is about to end."""
+        self._send("STOPPING=1")
+
+    async def watch(self, is_alive: Callable[[], bool]) -> None:
+        """Give signs of life, until cancelled, as long as the event loop and the work go on.
+
+        Parameters
+        ----------
+        is_alive : callable
+            Whether the work has made progress since it was asked last.
+        """
+        while True:
+            await asyncio.sleep((self._watchdog_s or 60.0) / _SIGNS_PER_WATCHDOG)
+            if self._watchdog_s and is_alive():
+                self._send("WATCHDOG=1")
+
+    def _send(self, text: str) -> None:
+        if not self._address:
+            return
+        # A manager that does not listen must not hold up the service.
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as outlet,
+        ):
+            outlet.setblocking(False)
+            outlet.sendto(text.encode(), self._address)
