@@ -24,7 +24,7 @@ joint = { unit = "K/W", centre = 0.06, spread = 0.4 }
 speed = { unit = "W/rpm", centre = 0.16, spread = 0.5 }
 torque = { unit = "W/N", centre = 0.16, spread = 0.5 }
 [nodes]
-t_winding_c = { capacity_j_k = 15000 }
+t_winding_c = { capacity_j_k = 3000 }
 t_body_c = { capacity_j_k = 40000 }
 [[edges]]
 between = ["t_winding_c", "t_body_c"]
@@ -67,16 +67,16 @@ HISTORIES_S = (10, 60, 600, 3600)
 
 @pytest.fixture(scope="module")
 def driving(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
-    """Four hours of driving, all temperatures; full torque for five minutes up to three hours."""
+    """Four hours of driving, all temperatures; full torque for two minutes up to three hours."""
     file = tmp_path_factory.mktemp("driving") / "motor.toml"
     file.write_text(MOTOR)
     model = Machine("default", None, read_network(file)).build()
     rng = np.random.default_rng(12)
     time_s = np.arange(0.0, NOW_S + AHEAD_S + 1.0, STEP_S)
-    blocks = (time_s // 300.0).astype(int)
-    load = (1500.0 * np.exp(0.5 * rng.standard_normal(blocks[-1] + 1)))[blocks].clip(0.0, 6000.0)
-    speed = (2500.0 * np.exp(0.3 * rng.standard_normal(blocks[-1] + 1)))[blocks].clip(0.0, 5000.0)
-    burst = (time_s >= NOW_S - 300.0) & (time_s < NOW_S)
+    blocks = (time_s // 20.0).astype(int)
+    load = (1500.0 * np.exp(0.8 * rng.standard_normal(blocks[-1] + 1)))[blocks].clip(0.0, 6000.0)
+    speed = (2500.0 * np.exp(0.4 * rng.standard_normal(blocks[-1] + 1)))[blocks].clip(0.0, 5000.0)
+    burst = (time_s >= NOW_S - 120.0) & (time_s < NOW_S)
     load[burst], speed[burst] = 6000.0, 5000.0
     profile = OperatingProfile(time_s, speed, load, np.full(time_s.size, 22.0))
     values = model.parameters.centre * [1.15, 0.85, 1.2, 0.9]
@@ -118,18 +118,16 @@ def test_a_body_without_a_sensor_lies_in_its_band_from_the_first_row(
 ) -> None:
     time_s = driving[:, 0]
     known = driving[(time_s >= NOW_S - history_s) & (time_s <= NOW_S)]
-    if history_s >= 600:
-        known = known[:: 60 // STEP_S]
     history = write(tmp_path / "history.csv", known[:, :5], MOTOR_HEADER[:5])
     ahead = driving[time_s >= NOW_S].copy()
     ahead[:, 0] -= NOW_S
-    profile = write(tmp_path / "profile.csv", ahead[::5, :4], HEADER[:4])
+    profile = write(tmp_path / "profile.csv", ahead[:, :4], HEADER[:4])
     told = command(
         "forecast", motor, "--history", history, "--profile", profile,
         "--out", tmp_path / "forecast.csv", "--json",
     )  # fmt: skip
     forecast = read(tmp_path / "forecast.csv")
-    for name, truth_c in (("t_winding_c", ahead[::5, 4]), ("t_body_c", ahead[::5, 5])):
+    for name, truth_c in (("t_winding_c", ahead[:, 4]), ("t_body_c", ahead[:, 5])):
         held = inside(forecast, name, truth_c)
         assert held[0], (name, truth_c[0], [forecast[f"{name}_q{q}"][0] for q in ("025", "975")])
         assert np.mean(held) > 0.9, name
@@ -142,7 +140,7 @@ def test_a_body_without_a_sensor_lies_in_its_band_from_the_first_row(
         assert spread > 5.0
         assert said == [f"initial state of t_body_c known to ±{spread:.0f} K only"]
     if history_s == 3600:
-        assert spread < 15.0
+        assert spread < 30.0
         assert said == []
 
 
