@@ -46,7 +46,7 @@ class EdgeKind(IntEnum):
         Heat c0 (1 + c1 (T - 20 degC)) u^2 of a current u in a resistance c0 at 20 degC. Its part
         with T acts as a conductance of -c0 c1 u^2.
     ``POWER``
-        Heat c0 u of a measured power u.
+        Heat c0 c1 (u / c1)^c2 of a measured power u, or of what drives one: c0 u with c2 = 1.
     ``SPEED_LOSS``
         Heat c0 (n / c1)^c2: iron and windage.
     """
@@ -75,7 +75,7 @@ COEFFICIENT_COUNT = {
     EdgeKind.SHAFT_SINK: 2,
     EdgeKind.SPEED_POWER: 3,
     EdgeKind.COPPER: 2,
-    EdgeKind.POWER: 1,
+    EdgeKind.POWER: 3,
     EdgeKind.SPEED_LOSS: 3,
 }
 

@@ -34,16 +34,23 @@ class CopperLoss(Section):
 
 
 class PowerLoss(Section):
-    """Heat that is measured, or a part of it: W = factor P."""
+    """Heat that is measured, or that a channel drives: W = factor ref (P / ref)^exponent."""
 
     node: TemperatureName
     kind: Literal["power"]
     channel: InputName
     factor: NotNegative = CoefficientSection(factor=1.0)
+    reference: PositiveFloat = 1.0
+    exponent: Number = CoefficientSection(factor=1.0)
 
     def edge(self) -> Edge:
         """Return it as the network knows it."""
-        return Edge(self.node, self.channel, EdgeKind.POWER, (self.factor.coefficient(),))
+        coefficients = (
+            self.factor.coefficient(),
+            Coefficient(self.reference),
+            self.exponent.coefficient(),
+        )
+        return Edge(self.node, self.channel, EdgeKind.POWER, coefficients)
 
 
 class SpeedLoss(Section):

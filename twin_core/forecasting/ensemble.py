@@ -9,7 +9,7 @@ Intervals are not shrunk by any calibration: a factor learned on machines that s
 would be knowledge of those machines.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -237,6 +237,7 @@ def forecast(
     )
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
     beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
+    beyond += _beyond_drives(model, profile, posterior.trained.drives)
     started = _started(profile, operating_point)
     passed_on_c = np.maximum(rise_c, np.mean(rise_c, axis=1, keepdims=True))
     change_k = np.hypot(
@@ -287,6 +288,7 @@ def forecast(
             probability,
             law_verdicts(model, posterior, profile),
             model.runaway,
+            model.input_names,
         ),
     )
 
@@ -310,6 +312,17 @@ def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> 
         return np.zeros(profile.size)
     excess = np.maximum(np.log(np.maximum(profile.load_n, 1.0) / trained_n), 0.0)
     return _following(excess, profile.time_s, slow_s)
+
+
+def _beyond_drives(
+    model: ThermalModel, profile: OperatingProfile, trained: Mapping[str, float]
+) -> FloatArray:
+    """How far, as `_beyond_load`, the currents and powers have gone beyond the trained ones."""
+    beyond = np.zeros(profile.size)
+    for name, values in zip(model.input_names, profile.inputs.T, strict=True):
+        if trained.get(name, 0.0) > 0.0:
+            beyond += np.log(np.maximum(np.abs(values) / trained[name], 1.0))
+    return _following(beyond, profile.time_s, model.errors.slow_s)
 
 
 def _started(

@@ -5,7 +5,7 @@ only the prior's, whatever the residuals say; about one machine in thirty runs a
 heavy load although a moderate load looks normal, and nothing in low-risk data shows which.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,7 @@ def forecast_labels(
     runaway_probability: float,
     laws: Mapping[Law, Verdict | None] = TAUGHT,
     limits: RunawayLimits | None = BEARING_LIMITS,
+    inputs: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Labels of a forecast.
 
@@ -53,6 +54,8 @@ def forecast_labels(
         `twin_core.forecasting.heat_laws.law_verdicts`; None where there is nothing to know.
     limits
         The model's, from where on a runaway is not excluded; None for none.
+    inputs
+        Names of the profile's inputs.
 
     Returns
     -------
@@ -63,6 +66,8 @@ def forecast_labels(
         the prior had it: a second load stage is needed. Where the duty varies, a law that the data
         inform counts as taught whatever loads lasted. ``"speed law from prior only"`` likewise for
         speeds.
+        ``"NAME beyond the identification data"`` when an input that drives a
+        loss goes as far beyond them.
         ``"runaway not excluded"`` when the upper edge passes the limits' temperature (of a bearing
         100 degC), a load beyond the limits' factor (of a bearing 1.5) of the trained one lies
         ahead, or members run away.
@@ -84,6 +89,10 @@ def forecast_labels(
             trained.distinct_speeds, laws["speed"], varying
         ):
             labels.append(SPEED_LAW)
+    for name, values in zip(inputs, profile.inputs.T, strict=True):
+        most = trained.drives.get(name, 0.0)
+        if most > 0.0 and float(np.max(np.abs(values))) > _BEYOND * most:
+            labels.append(f"{name} beyond the identification data")
     if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability, limits)):
         labels.append(RUNAWAY)
     return tuple(labels)

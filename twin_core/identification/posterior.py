@@ -1,7 +1,7 @@
 """What is known about a model's parameters after (or before) an identification."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -43,6 +43,8 @@ class TrainedRange:
         Mean ambient temperature in degC; None where it is not known.
     duty
         Where the machine ran while it was held nowhere; see `twin_core.operating_points`.
+    drives
+        What the size of an input that drives a loss exceeds in one row of twenty, by name.
     """
 
     operating_points: tuple[OperatingPoint, ...] = ()
@@ -51,6 +53,7 @@ class TrainedRange:
     revolutions: float = 0.0
     ambient_c: float | None = None
     duty: tuple[OperatingPoint, ...] = ()
+    drives: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def points(self) -> tuple[OperatingPoint, ...]:
@@ -241,6 +244,7 @@ class Posterior:
                 "revolutions": self.trained.revolutions,
                 "ambient_c": self.trained.ambient_c,
                 "duty": [p.to_dict() for p in self.trained.duty],
+                "drives": dict(self.trained.drives),
             },
             "evaluations": self.evaluations,
         }
@@ -268,6 +272,7 @@ class Posterior:
                 float(trained["revolutions"]),
                 None if trained.get("ambient_c") is None else float(trained["ambient_c"]),
                 tuple(OperatingPoint.from_dict(point) for point in trained.get("duty", ())),
+                {name: float(most) for name, most in trained.get("drives", {}).items()},
             ),
             evaluations=int(document["evaluations"]),
         )
@@ -330,9 +335,23 @@ def posterior_at(
             float(windows[0].revolutions),
             _mean_ambient(problem),
             problem.data.duty,
+            _drives(problem),
         ),
         evaluations=problem.evaluations,
     )
+
+
+def _drives(problem: IdentificationProblem) -> dict[str, float]:
+    """Size that each drive of a loss exceeds in one good row of twenty."""
+    network = problem.model.network
+    minutes = [window.minutes for window in problem.data.windows]
+    return {
+        name: float(
+            np.quantile(np.abs(np.concatenate([of.inputs[name][of.good] for of in minutes])), 0.95)
+        )
+        for name in network.inputs
+        if name not in network.boundaries
+    }
 
 
 def _mean_ambient(problem: IdentificationProblem) -> float:

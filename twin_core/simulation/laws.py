@@ -45,7 +45,8 @@ def loss_at_zero_w(kind, c, speed, driving):  # type: ignore[no-untyped-def]
     if kind == COPPER:
         return c[0] * (1.0 - c[1] * COPPER_REFERENCE_C) * driving * driving
     if kind == POWER:
-        return c[0] * driving
+        size = (abs(driving) / c[1]) ** c[2]
+        return math.copysign(c[0] * c[1] * size, driving)
     return c[0] * (speed / c[1]) ** c[2]
 
 
@@ -58,7 +59,12 @@ def loss_gradient(kind, c, speed, driving, out):  # type: ignore[no-untyped-def]
         out[0] = (1.0 - c[1] * COPPER_REFERENCE_C) * square
         out[1] = -c[0] * COPPER_REFERENCE_C * square
     elif kind == POWER:
-        out[0] = driving
+        relative = abs(driving) / c[1]
+        size = math.copysign(c[1] * relative ** c[2], driving)
+        out[0] = size
+        out[1] = c[0] * (1.0 - c[2]) * size / c[1]
+        if relative > 0.0:
+            out[2] = c[0] * size * math.log(relative)
     else:
         power = (speed / c[1]) ** c[2]
         out[0] = power

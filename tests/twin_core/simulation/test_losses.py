@@ -35,7 +35,7 @@ FloatArray = NDArray[np.float64]
 ALPHA = 0.00393
 VALUES = {
     "cw": 150.0, "slot": 0.2, "air": 1.5, "cool": 0.01, "r20": 0.05, "part": 0.9, "iron": 20.0,
-    "growth": 1.4,
+    "growth": 1.4, "bend": 1.2,
 }  # fmt: skip
 START = np.array([30.0, 25.0])
 EDGES = (
@@ -53,7 +53,12 @@ EDGES = (
         EdgeKind.COPPER,
         (Coefficient(1.0, "r20"), Coefficient(ALPHA)),
     ),
-    Edge("t_body_c", "power_w", EdgeKind.POWER, (Coefficient(1.0, "part"),)),
+    Edge(
+        "t_body_c",
+        "power_w",
+        EdgeKind.POWER,
+        (Coefficient(1.0, "part"), Coefficient(100.0), Coefficient(1.0, "bend")),
+    ),
     Edge(
         "t_body_c",
         "",
@@ -133,7 +138,11 @@ def integrated(duty: OperatingProfile) -> FloatArray:
         ) -> list[float]:  # fmt: skip
             through = (t[0] - t[1]) / v["slot"]
             out = (t[1] - a) / v["air"] + (1.0 + v["cool"] * s**0.5) * (t[1] - c)
-            heat = v["part"] * p + v["iron"] * (s / 3000.0) ** v["growth"] + 0.001 * s
+            heat = (
+                v["part"] * 100.0 * (p / 100.0) ** v["bend"]
+                + v["iron"] * (s / 3000.0) ** v["growth"]
+                + 0.001 * s
+            )
             copper = v["r20"] * (1.0 + ALPHA * (t[0] - 20.0)) * i * i
             return [(copper - through) / v["cw"], (through - out + heat) / 900.0]
 

@@ -45,7 +45,7 @@ EDGES = {
 }
 LOSS_VECTORS = {
     EdgeKind.COPPER: (0.05, 0.00393),
-    EdgeKind.POWER: (0.9,),
+    EdgeKind.POWER: (0.9, 100.0, 1.3),
     EdgeKind.SPEED_LOSS: (20.0, 3000.0, 1.4),
 }
 FRICTIONS = {
