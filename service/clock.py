@@ -7,13 +7,21 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import structlog
+
 from adapters.drivers import Clock
 
 MICROSECONDS = 1_000_000
 _ANCHOR_FILE = "clock.json"
 # Time servers correct a clock by less; process seconds at rate 1.
 _CLOCK_SET_S = 1.0
+_log = structlog.get_logger(__name__)
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class ClockError(ValueError):
+    """The clock cannot go on as it is configured; the text is one line for the user."""
 
 
 class ProcessClock:
@@ -49,16 +57,36 @@ class ProcessClock:
             Process seconds per wall second.
         data_dir : pathlib.Path
             Directory that holds the anchor; written when there is none or the rate changed.
+
+        Raises
+        ------
+        ClockError
+            If the system clock is to be followed, but process time is ahead of it already.
         """
-        if rate == 1.0:
-            return cls()
         path = data_dir / _ANCHOR_FILE
         if path.exists():
             kept = json.loads(path.read_text())
             earlier = cls(kept["rate"], (kept["wall_s"], kept["process_us"]))
             if kept["rate"] == rate:
                 return earlier
-            clock = cls(rate, (time.time(), max(earlier.now_us(), time.time_ns() // 1000)))
+            reached_us, wall_us = earlier.now_us(), time.time_ns() // 1000
+            ahead_s = (reached_us - wall_us) / MICROSECONDS
+            if rate == 1.0 and ahead_s > _CLOCK_SET_S:
+                raise ClockError(
+                    f"clock.rate = 1: the clock of {data_dir} ran at rate {kept['rate']:g} and has "
+                    f"reached {rfc3339(reached_us)}, so that times would run a second time; "
+                    f"expected clock.rate = {kept['rate']:g}, another service.data_dir, or no file "
+                    f"{path} if that is what you want"
+                )
+            _log.warning(
+                "clock_rate_changed", before=kept["rate"], now=rate, at=rfc3339(reached_us)
+            )
+            if rate == 1.0:
+                path.unlink()  # else a later run would count this one at the earlier rate
+                return cls()
+            clock = cls(rate, (time.time(), max(reached_us, wall_us)))
+        elif rate == 1.0:
+            return cls()
         else:
             clock = cls(rate)
         wall_s, process_us = clock._anchor

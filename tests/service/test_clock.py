@@ -4,8 +4,10 @@ import time
 from pathlib import Path
 
 import pytest
+import structlog
+from processes import wait_until
 
-from service.clock import ProcessClock, from_rfc3339, rfc3339
+from service.clock import ClockError, ProcessClock, from_rfc3339, rfc3339
 
 
 def test_rate_one_is_the_system_clock() -> None:
@@ -41,6 +43,33 @@ def test_another_rate_never_goes_back(tmp_path: Path) -> None:
     time.sleep(0.05)
     reached_us = fast.now_us()
     assert ProcessClock.resume(10.0, tmp_path).now_us() >= reached_us
+
+
+def test_times_that_have_run_do_not_run_a_second_time(tmp_path: Path) -> None:
+    fast = ProcessClock.resume(100_000.0, tmp_path)
+    wait_until(lambda: fast.now_us() > time.time_ns() // 1000 + 5_000_000, 30, "ahead")
+    with pytest.raises(ClockError, match=r"clock\.rate = 1: .* ran at rate 100000 .*clock\.json"):
+        ProcessClock.resume(1.0, tmp_path)
+    assert ProcessClock.resume(100_000.0, tmp_path).now_us() >= fast.now_us() - 1_000_000
+    (tmp_path / "clock.json").unlink()
+    assert ProcessClock.resume(1.0, tmp_path).now_us() <= time.time_ns() // 1000
+
+
+def test_a_change_of_the_rate_is_logged_and_counts_no_time_twice(tmp_path: Path) -> None:
+    ProcessClock.resume(0.5, tmp_path)
+    with structlog.testing.capture_logs() as logs:
+        ProcessClock.resume(1.0, tmp_path)
+    assert [(one["event"], one["before"], one["now"]) for one in logs] == [
+        ("clock_rate_changed", 0.5, 1.0)
+    ]
+    time.sleep(0.2)
+    # Had the slow clock gone on meanwhile, the fast one would begin behind the system clock; had
+    # a fast one, far ahead of it.
+    began_us = ProcessClock.resume(1000.0, tmp_path).now_us()
+    assert abs(began_us - time.time_ns() // 1000) < 30 * 1000 * 1_000_000
+    with structlog.testing.capture_logs() as logs:
+        assert ProcessClock.resume(10.0, tmp_path).now_us() >= began_us
+    assert [one["event"] for one in logs] == ["clock_rate_changed"]
 
 
 def test_a_rate_that_is_no_rate_is_refused() -> None:
