@@ -1,7 +1,8 @@
 """What every part of the configuration shares: strict sections, TOML files, errors in words."""
 
+import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ SOURCE_KINDS = ("linear", "palmgren", "two-part")
 LOSS_KINDS = ("copper", "power", "speed")
 
 
+_SECRET = re.compile(r"pass(?!ed)|pwd|secret|token|database_url", re.IGNORECASE)
+
+
 class SettingsError(ValueError):
     """A configuration that cannot be used.
 
@@ -38,7 +42,9 @@ class SettingsError(ValueError):
 class Section(BaseModel):
     """A table of the configuration: no unknown keys, finite numbers, unchangeable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, hide_input_in_errors=True
+    )
 
 
 def describe(error: ValidationError, prefix: str = "") -> str:
@@ -81,10 +87,13 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
     message = error["msg"].removeprefix("Value error, ")
     given = error.get("input")
     shown = "" if isinstance(given, dict | list | BaseModel) else f" = {given!r}"
+    if _is_secret(place) or error["type"] in ("model_type", "model_attributes_type"):
+        shown = ""  # or a text in the place of a table, such as a URL
     if error["type"] == "missing":
         shown, message = "", "missing; expected a value"
     if error["type"] == "extra_forbidden":
-        message = "unknown key"
+        # Without its value: a password whose key is misspelled is a password.
+        shown, message = "", "unknown key"
     if error["type"] in ("union_tag_invalid", "union_tag_not_found"):
         context = error["ctx"]
         shown = f".kind = {context['tag']!r}" if "tag" in context else ".kind"
@@ -99,6 +108,11 @@ def _lines(error: ErrorDetails, prefix: str) -> Iterator[str]:
     cause = error.get("ctx", {}).get("error")
     for line in cause.lines if isinstance(cause, SettingsError) else [message]:
         yield f"{key}{shown}: {line}" if key else line
+
+
+def _is_secret(place: Iterable[int | str]) -> bool:
+    """Whether a key's value is not for any screen or log, or may hold what is not."""
+    return any(_SECRET.search(str(part)) for part in place)
 
 
 def read_toml(file: Path) -> dict[str, Any]:

@@ -58,7 +58,7 @@ class ServiceSection(Section):
     data_dir: Path = Path("var")
     #: Addresses and networks whose X-Forwarded-For and X-Forwarded-Proto are believed.
     trusted_proxies: tuple[Annotated[str, AfterValidator(_network)], ...] = ()
-    database_url: str = ""
+    database_url: str = Field("", repr=False)  # it may hold a password
     #: Disk that samples may take while they wait for a store that is away.
     spool_mib: int = Field(512, ge=1)
 
@@ -308,7 +308,11 @@ class Settings(BaseSettings):
     """The whole configuration of a service."""
 
     model_config = SettingsConfigDict(
-        env_prefix="BEARING_TWIN__", env_nested_delimiter="__", extra="forbid", frozen=True
+        env_prefix="BEARING_TWIN__",
+        env_nested_delimiter="__",
+        extra="forbid",
+        frozen=True,
+        hide_input_in_errors=True,
     )
 
     service: ServiceSection = ServiceSection()

@@ -4,11 +4,11 @@ import json
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from service.benchmarks.common import Measurement
 from service.benchmarks.registry import BENCHMARKS, chosen, run
+from service.cli.consoles import make_console
 from service.cli.progress import progress_bar
 from service.offline.interruption import exit_on_signals
 
@@ -44,7 +44,7 @@ def benchmark(
             _text(result.ratio),
             result.compared_with,
         )
-    console = Console(highlight=False)
+    console = make_console()
     console.print(table)
     for name, result in results.items():
         console.print(_details(name, result), soft_wrap=True)

@@ -85,12 +85,12 @@ def _document(
 
 
 def _print(found: "Examination", probed: "Probe") -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from adapters.samples import meaning
+    from service.cli.consoles import make_console
 
-    console = Console()
+    console = make_console()
     if probed.sources:
         sources = Table("source", "driver", "answers", "detail")
         for one in probed.sources:

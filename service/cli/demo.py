@@ -52,15 +52,15 @@ def demo(
     """
     # Imported here: no other command should wait for what the demo needs.
     import httpx2
-    from rich.console import Console
 
+    from service.cli.consoles import make_console
     from service.demo.processes import DemoError
     from service.web_side import bind
 
     # Now, not after the minute that the preparation may take.
     with contextlib.closing(bind("127.0.0.1", port)):
         pass
-    console = Console(stderr=as_json, highlight=False)
+    console = make_console(stderr=as_json)
     try:
         document = asyncio.run(
             _demo(
@@ -92,6 +92,8 @@ async def _demo(
     seed: int,
     console: "Console",
 ) -> dict[str, Any]:
+    from rich.text import Text
+
     from service.demo.run import Watch, run
     from service.demo.table import print_account
 
@@ -101,7 +103,8 @@ async def _demo(
 
     def tell(line: str) -> None:
         minutes, seconds = divmod(int(time.monotonic() - began), 60)
-        console.print(f"[dim]{minutes:02d}:{seconds:02d}[/dim]  {line}", soft_wrap=True)
+        at = Text(f"{minutes:02d}:{seconds:02d}", "dim")
+        console.print(at, f" {line}", soft_wrap=True)
 
     def at_the_end(document: dict[str, Any]) -> None:
         print_account(document, console)

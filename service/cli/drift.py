@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.offline.interruption import exit_on_signals
 
@@ -44,7 +44,7 @@ def drift(
 
 
 def _print(document: dict[str, Any]) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     for one in document["models"]:
         when = f" ({one['start']} to {one['end']})" if one["start"] else ""
         console.print(f"{one['file']}{when}", soft_wrap=True, markup=False)

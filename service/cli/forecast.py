@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.offline.interruption import exit_on_signals
 
@@ -92,7 +92,7 @@ def forecast(
 
 
 def _print(document: dict[str, Any]) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     table = Table("highest of", "median, °C", "97.5 %, °C")
     for name, row in document["sensors"].items():
         table.add_row(name, f"{row['max_q50_c']:.1f}", f"{row['max_q975_c']:.1f}")

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.machines.bearings import BearingSection, named_bearing
 from service.machines.networks import NetworkSection
@@ -195,12 +196,12 @@ def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
 @contextmanager
 def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
     """Yield what to call with the progress; nothing is shown where nobody watches."""
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     if not console.is_terminal:
         yield None
         return
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %  {task.fields[evaluations]} simulations"),
         TimeElapsedColumn(),
@@ -220,7 +221,7 @@ def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
 
 
 def _print(found: "Identified", seconds: float, out: Path) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     table = Table("parameter", "value", "95 % interval", "unit", "informed", "verdict", "meaning")
     for name, row in found.parameters.items():
         table.add_row(

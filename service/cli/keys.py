@@ -53,9 +53,9 @@ def create(
 @keys.command("list")
 def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
     """List all keys by their prefixes, with role, label and the days of their life (UTC)."""
-    from rich.console import Console
     from rich.table import Table
 
+    from service.cli.consoles import make_console
     from service.security.keys import list_keys
 
     with _store(config) as store:
@@ -72,19 +72,32 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
         facts = _facts(record)
         days = {name: (facts[name] or "")[:10] for name in columns[3:]}
         table.add_row(*(str((facts | days)[name] or "") for name in columns))
-    Console().print(table)
+    make_console().print(table)
 
 
 @keys.command()
 def revoke(
-    key: Annotated[str, typer.Argument(metavar="ID", help="Id or prefix of the key.")],
+    key: Annotated[
+        str | None, typer.Argument(metavar="[ID]", help="Id or prefix of the key.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="All keys, as after restoring a backup.")
+    ] = False,
     config: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Revoke a key; a running service refuses it within two seconds."""
-    from service.security.keys import revoke_key
+    """Revoke a key, or all; a running service refuses them within two seconds."""
+    from service.security.keys import UnknownKeyError, revoke_all_keys, revoke_key
 
+    if (key is None) is not every:
+        raise UnknownKeyError("keys revoke: expected the id or prefix of a key, or --all")
     with _store(config) as store:
+        if key is None:
+            records = revoke_all_keys(store, actor=command_line_actor())
+            facts = {"keys": [_facts(record) for record in records]}
+            many = "1 key is" if len(records) == 1 else f"{len(records)} keys are"
+            typer.echo(json.dumps(facts) if as_json else f"{many} revoked")
+            return
         record = revoke_key(store, key, actor=command_line_actor())
     typer.echo(json.dumps(_facts(record)) if as_json else f"{record.prefix} is revoked")
 

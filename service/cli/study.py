@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from service.cli.consoles import make_console
 from service.cli.progress import progress_bar
 from service.offline.interruption import exit_on_signals
 from service.studies.common import Options, Report, prepare
@@ -59,7 +59,7 @@ def study(
 
 
 def _print(report: Report, written: list[Path]) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     if not console.is_terminal:
         console.width = max(console.width, _FILE_WIDTH)
     for table in report.tables:

@@ -135,7 +135,7 @@ async def run(
             address, key = await watch.until_done(
                 _start_service(stack, folder, bench, rate, port, watch)
             )
-            tell(f"Open [bold]{address}#key={key}[/bold]")
+            tell(f"Open {address}#key={key}")
             client = await stack.enter_async_context(
                 httpx2.AsyncClient(base_url=address, headers={"X-API-Key": key}, timeout=30)
             )

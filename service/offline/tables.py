@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from service.clock import from_rfc3339
 from service.files import replacing
 from service.machines.networks import NetworkSection
+from service.spreadsheets import text_cell
 
 FloatArray = NDArray[np.float64]
 
@@ -212,7 +213,7 @@ def write_forecast(
     cells = quantiles.transpose(1, 2, 0).reshape(time_s.size, -1)
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
+        writer.writerow([text_cell(name) for name in header])
         for time, row in zip(time_s, cells, strict=True):
             writer.writerow([f"{time:.10g}", *(f"{value:.4f}" for value in row)])
 

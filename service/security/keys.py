@@ -170,6 +170,16 @@ def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKe
     return next(one for one in store.api_keys() if one.id == key.id)
 
 
+def revoke_all_keys(store: Store, actor: Actor = SERVICE) -> list[ApiKey]:
+    """Revoke every key that still opens something; gives those that did.
+
+    For a database restored from a copy: keys revoked and sessions ended since are alive again.
+    """
+    now_us = wall_us()
+    valid = [key for key in store.api_keys() if key.is_valid(now_us)]
+    return [revoke_key(store, key.id, actor) for key in valid]
+
+
 def _note(store: Store, actor: Actor, action: str, key: ApiKey, detail: str) -> None:
     store.add_audit_entry(
         AuditEntry(wall_us(), actor.who, actor.address, action, f"key {key.prefix}", detail)

@@ -1,9 +1,14 @@
 """TLS for the web side, from the files that the configuration names."""
 
 import ssl
+import stat
 from pathlib import Path
 
+import structlog
+
 from service.configuration import SettingsError
+
+_log = structlog.get_logger(__name__)
 
 
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
@@ -27,6 +32,8 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
             raise SettingsError(
                 f"tls.{name} = {str(path)!r}: {error.strerror}; expected a PEM file"
             ) from error
+    if key.stat().st_mode & stat.S_IROTH:
+        _log.warning("tls_key_readable_by_others", file=str(key), mend=f"chmod o-r {key}")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.set_alpn_protocols(["http/1.1"])

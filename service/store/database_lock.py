@@ -12,6 +12,7 @@ import psycopg
 import structlog
 from sqlalchemy.engine import URL
 
+from service.store.addresses import shown
 from service.store.closable import Closable
 from service.store.errors import DatabaseInUseError
 from service.store.opening import database_address
@@ -72,7 +73,7 @@ class DatabaseLock(Closable):
 
     def __init__(self, url: URL, on_lost: Callable[[], object]) -> None:
         self._url = url
-        self._name = f"service.database_url = {url.render_as_string(hide_password=True)!r}"
+        self._name = f"service.database_url = {shown(url)!r}"
         # The server's view of who holds the lock: unique, within its 63 characters.
         place = f"{socket.gethostname()[:30]} process {os.getpid()}"
         self._self = f"bearing-twin {place} {uuid.uuid4().hex[:6]}"
@@ -82,7 +83,7 @@ class DatabaseLock(Closable):
         try:
             self._connection = self._connect()
         except psycopg.Error as error:
-            raise connection_error(self._name, error) from error
+            raise connection_error(self._name, error, url) from error
         self._thread = threading.Thread(target=self._keep, name="database-lock", daemon=True)
         self._thread.start()
 

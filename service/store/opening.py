@@ -2,17 +2,15 @@
 
 from pathlib import Path
 
-from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy.engine import URL
 
+from service.store.addresses import parse_address
 from service.store.database import Database
-from service.store.errors import StoreError, opening_error
+from service.store.errors import opening_error
 from service.store.postgresql import open_postgresql
 from service.store.sqlite import open_sqlite
 
 FILE_NAME = "bearing-twin.db"
-
-_EXPECTED = "empty, sqlite:///PATH or postgresql://USER:PASSWORD@HOST/DATABASE"
 
 
 def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Database:
@@ -45,13 +43,4 @@ def database_address(database_url: str, data_dir: Path) -> URL:
     """
     if not database_url:
         return URL.create("sqlite", database=str(data_dir / FILE_NAME))
-    try:
-        url = make_url(database_url)
-    except ArgumentError:
-        raise StoreError(f"service.database_url = {database_url!r}: expected {_EXPECTED}") from None
-    backend, shown = url.get_backend_name(), url.render_as_string(hide_password=True)
-    in_memory = backend == "sqlite" and (not url.database or url.database == ":memory:")
-    driver = url.drivername.partition("+")[2]
-    if backend not in ("sqlite", "postgresql") or in_memory or driver not in ("", "psycopg"):
-        raise StoreError(f"service.database_url = {shown!r}: expected {_EXPECTED}")
-    return url
+    return parse_address(database_url)

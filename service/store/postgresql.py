@@ -12,6 +12,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError, OperationalError
 
 from adapters.samples import Quality
+from service.store.addresses import shown
 from service.store.database import (
     PATIENCE_S,
     WRITES,
@@ -89,7 +90,7 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
     StoreUnavailableError
         If that may pass by itself: the server is not up yet, or does not answer.
     """
-    name = f"service.database_url = {url.render_as_string(hide_password=True)!r}"
+    name = f"service.database_url = {shown(url)!r}"
     # A migration may take its time.
     engine = _engine(url, None if migrate else ANSWER_S)
     try:
@@ -101,13 +102,14 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
             upgrade(engine)
     except DBAPIError as error:
         engine.dispose()
-        raise connection_error(name, error.orig) from error
+        raise connection_error(name, error.orig, url) from error
     except StoreError as error:
         engine.dispose()
         raise type(error)(f"{name}: {error}") from error
     partitions: set[int] = set()
-    shown = url.render_as_string(hide_password=True)
-    return Database(engine, shown, Dialect(partial(_upsert_samples, partitions), _with_patience))
+    return Database(
+        engine, shown(url), Dialect(partial(_upsert_samples, partitions), _with_patience)
+    )
 
 
 def _upsert_samples(partitions: set[int], connection: Connection, columns: SampleColumns) -> int:

@@ -6,7 +6,9 @@ from typing import Any, TypeVar
 
 import psycopg
 from psycopg.abc import PQGen
+from sqlalchemy.engine import URL
 
+from service.store.addresses import without_secrets
 from service.store.errors import StoreError, StoreUnavailableError
 
 #: Wall seconds for a new connection; a server that hangs takes it, but says nothing.
@@ -78,7 +80,7 @@ def _within(gen: PQGen[_Answer], answer_s: float) -> PQGen[_Answer]:
         return answer
 
 
-def connection_error(name: str, cause: BaseException | None) -> StoreError:
+def connection_error(name: str, cause: BaseException | None, url: URL) -> StoreError:
     """Make the error of a connection: one line, of the kind that its cause is.
 
     Parameters
@@ -87,13 +89,15 @@ def connection_error(name: str, cause: BaseException | None) -> StoreError:
         What to call the database.
     cause : BaseException or None
         What the driver raised.
+    url : sqlalchemy.engine.URL
+        The database's; its passwords are taken out.
 
     Returns
     -------
     StoreError
         A `StoreUnavailableError` unless a person must mend it (wrong password, unknown database).
     """
-    reason = " ".join(str(cause).split())
+    reason = without_secrets(str(cause), url)
     state = getattr(cause, "sqlstate", None) or ""
     # Classes of status codes: 28 a wrong user or password, 3D an unknown database, 42 a missing
     # right or table.

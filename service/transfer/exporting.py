@@ -10,6 +10,7 @@ from adapters.tables import load_pyarrow
 from service.channels import unit_of
 from service.clock import rfc3339
 from service.files import replacing
+from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
 from service.transfer.errors import TransferError
 from service.transfer.mapping import REQUIRED as ORDER
@@ -165,7 +166,7 @@ def export_minutes(
     header += sorted(set(measured) - set(header))
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["time", *header])
+        writer.writerow(["time", *(text_cell(name) for name in header)])
         for time_us in sorted(cells):
             values = (cells[time_us].get(name) for name in header)
             writer.writerow(

@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, Field
 
 from service.clock import rfc3339
+from service.spreadsheets import quoted_cell
 from service.store import Rollup, Store, StoredSample
 
 Resolution = Literal["raw", "1s", "1min", "1h", "auto"]
@@ -131,10 +132,10 @@ def csv_header(resolution: str) -> str:
 def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
     """Rows as lines of the CSV answer; an absent value is an empty cell."""
     return "".join(
-        f"{rfc3339(row.time_us)},{row.channel},{_cell(row.value)},{row.quality}\r\n"
+        f"{rfc3339(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}\r\n"
         if isinstance(row, StoredSample)
-        else f"{rfc3339(row.time_us)},{row.channel},{_cell(row.mean)},{_cell(row.min)},"
-        f"{_cell(row.max)},{row.count},{row.quality}\r\n"
+        else f"{rfc3339(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
+        f"{_cell(row.min)},{_cell(row.max)},{row.count},{row.quality}\r\n"
         for row in rows
     )
 

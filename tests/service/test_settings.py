@@ -1,5 +1,6 @@
 """Configuration: what is accepted, and how each mistake is named."""
 
+import traceback
 from pathlib import Path
 
 import pytest
@@ -225,3 +226,43 @@ def test_ages_follow_the_kind_of_source(folder: Path) -> None:
         "t_inner_ring_c": (150.0, None),
         "t_outer_ring_c": (150.0, None),
     }
+
+
+SECRET = "48151623"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"[mqtt]\npassword = {SECRET}",
+        f"[mqtt]\npassword = [{SECRET}]",
+        f'[mqtt]\npasword = "{SECRET}"',
+        f'[mqtt]\nPASSWORD = "{SECRET}"',
+        f'[mqtt]\nport = "{SECRET}x"\npassword = {SECRET}.5',
+        f'[mqt]\npassword = "{SECRET}"',
+        f'mqtt = "mqtt://user:{SECRET}@broker"',
+        f'password = "{SECRET}"',
+        f"[service]\ndatabase_url = {SECRET}",
+        f'[service]\ndatabase_ulr = "postgresql://u:{SECRET}@h/d"',
+        f'[service]\ndatabase_url = ["postgresql://u:{SECRET}@h/d"]',
+        f'service = "postgresql://u:{SECRET}@h/d"',
+    ],
+)
+def test_no_error_shows_a_password(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(text)
+    with pytest.raises(SettingsError) as caught:
+        load_settings(path)
+    shown = str(caught.value).replace(f"'{SECRET}x'", "")  # a port is no secret
+    assert SECRET not in shown
+    # Nor would a log that takes the causes along.
+    causes = "".join(traceback.format_exception(caught.value)).replace(f"'{SECRET}x'", "")
+    assert SECRET not in causes
+
+
+def test_settings_are_printed_without_their_passwords(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(
+        f'[service]\ndatabase_url = "postgresql://u:{SECRET}@h/d"\n[mqtt]\npassword = "{SECRET}"'
+    )
+    assert SECRET not in f"{load_settings(path)!r} {load_settings(path)}"

@@ -21,6 +21,7 @@ from service.api.problems import parameter_problem
 from service.api.times import Instant
 from service.api.turns import HeldResponse, Turns, caller_of, turns_of
 from service.security.roles import VIEWER
+from service.spreadsheets import cell
 from service.store import AlarmTransition, JournalFilter, Store
 
 LIMIT = 100
@@ -164,5 +165,5 @@ def _flat(document: dict[str, Any]) -> dict[str, Any]:
 
 def _csv(rows: list[tuple[object, ...]]) -> str:
     text = io.StringIO()
-    csv.writer(text).writerows(rows)
+    csv.writer(text).writerows([[cell(value) for value in row] for row in rows])
     return text.getvalue()

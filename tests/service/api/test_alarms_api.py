@@ -241,3 +241,16 @@ async def test_statistics_count_what_called_for_an_operator(world: Any) -> None:
     assert statistics.stale_over_24h == 0
     calm = (await world.client("viewer").get(f"{ALARMS}/statistics?asset=rig-2")).json()
     assert (calm["last_10_min"], calm["flood"], calm["most_frequent"]) == (0, False, [])
+
+
+async def test_no_comment_is_a_formula_in_the_journals_csv(world: Any) -> None:
+    comments = ['=HYPERLINK("http://evil.example")', "+1+cmd", "-2+3", "@SUM(A1)", "=1+1", "-5"]
+    client = world.client("operator")
+    alarm = world.raise_alarm()
+    for comment in comments:
+        answer = await client.post(f"{ALARMS}/{alarm}/comment", json={"comment": comment})
+        assert answer.status_code == 200, answer.text
+    answer = await client.get(f"{ALARMS}/journal", params={"format": "csv"})
+    rows = csv.DictReader(io.StringIO(answer.text))
+    found = [row["comment"] for row in rows if row["comment"]]
+    assert found[::-1] == [f"'{comment}" for comment in comments[:-1]] + ["-5"]

@@ -54,6 +54,28 @@ def test_nobody_waits_for_what_only_other_commands_need(
     assert not loaded & {"numba", "scipy", "sqlalchemy", "pymodbus", "can", "fastapi"}
 
 
+def test_a_label_is_a_label_whatever_it_looks_like(cli: Cli) -> None:
+    for label in ("[/red]pump", "[bold]hall[/bold]", ":smile: press", "=1+1"):
+        assert cli("keys", "create", "--role", "viewer", "--label", label).returncode == 0
+        listed = cli("keys", "list")
+        assert listed.returncode == 0, listed.stderr[-2000:]
+        assert label in listed.stdout
+
+
+def test_all_keys_are_revoked_at_once(cli: Cli) -> None:
+    for role in ("viewer", "admin", "gateway"):
+        cli("keys", "create", "--role", role)
+    assert cli("keys", "revoke", "--all").stdout == "3 keys are revoked\n"
+    listed = json.loads(cli("keys", "list", "--json").stdout)["keys"]
+    assert all(key["revoked"] for key in listed)
+    again = cli("keys", "revoke", "--all", "--json")
+    assert json.loads(again.stdout) == {"keys": []}
+    for arguments in ((), ("--all", listed[0]["id"])):
+        refused = cli("keys", "revoke", *arguments)
+        assert refused.returncode == 2
+        assert "expected the id or prefix of a key, or --all" in refused.stderr
+
+
 def test_keys_live_from_creation_to_revocation(cli: Cli) -> None:
     created = cli("keys", "create", "--role", "operator", "--expires-in-days", "2", "--json")
     assert created.returncode == 0, created.stderr

@@ -56,3 +56,14 @@ def test_a_key_with_a_password_is_refused_and_asks_nobody(
     )
     with pytest.raises(SettingsError, match="needs a password"):
         tls_context(*files)
+
+
+def test_a_key_that_others_may_read_is_told(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for mode, told in ((0o600, False), (0o640, False), (0o644, True)):
+        files[1].chmod(mode)
+        tls_context(*files)
+        output = capsys.readouterr().out
+        assert ("tls_key_readable_by_others" in output) is told
+        assert (str(files[1]) in output) is told

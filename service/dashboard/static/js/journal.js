@@ -43,10 +43,13 @@ export const journalHead = (withAsset) => h('tr', {},
       h('th', { scope: 'col', class: title === 'Value' ? 'r' : null }, title)));
 
 const quoted = (value) => `"${String(value ?? '').replaceAll('"', '""')}"`;
+const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
+const FORMULA = /^[=+@\-\t\r\n\uff1d\uff0b\uff0d\uff20]/;
+const safeCell = (text) => (FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text);
 const CSV_COLUMNS = ['time', 'asset', 'class', 'from', 'to', 'kind', 'channel', 'message', 'value',
   'who', 'comment'];
 
 /** The same lines as CSV; a cell that a spreadsheet would take for a formula is text. */
 export const journalCsv = (lines) => [CSV_COLUMNS.join(','), ...lines.map((line) =>
-  CSV_COLUMNS.map((name) => quoted(String(line[name] ?? '').replace(/^[=+@-](?!\d)/, "'$&")))
+  CSV_COLUMNS.map((name) => quoted(safeCell(String(line[name] ?? ''))))
     .join(','))].join('\r\n');

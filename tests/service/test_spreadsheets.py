@@ -1,0 +1,41 @@
+"""No cell of a CSV file that the product writes is a formula."""
+
+import csv
+import io
+
+import pytest
+
+from service.spreadsheets import quoted_cell, text_cell
+from service.store import StoredSample
+from service.transfer.pages import as_csv
+
+FORMULAS = [
+    '=HYPERLINK("http://evil.example";"x")',
+    "=1+1",
+    "=cmd|' /C calc'!A0",
+    "+1+cmd",
+    "-2+3",
+    "@SUM(A1)",
+    "\t=1",
+    "\r=1",
+    "\n=1",
+    "\uff1d1+1",
+    "-",
+    "=",
+]
+HARMLESS = ["", "seen", "-3.5", "+2", "-1e-5", "1.5", "a=b", "it's -2", "'=1"]
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_a_formula_becomes_a_text(text: str) -> None:
+    assert text_cell(text) == f"'{text}"
+    ((read,),) = csv.reader(io.StringIO(quoted_cell(text), newline=""))
+    assert read == f"'{text}"
+    row = as_csv([StoredSample(text, 0, 1.0, 192)])
+    ((_, channel, *_),) = csv.reader(io.StringIO(row, newline=""))
+    assert channel == f"'{text}"
+
+
+@pytest.mark.parametrize("text", HARMLESS)
+def test_other_texts_and_numbers_stay(text: str) -> None:
+    assert text_cell(text) == text
