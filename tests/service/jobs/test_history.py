@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from adapters.samples import Quality, Sample
 from service.jobs.history import AssetHistory
+from service.machines.networks import read_network
 from service.store import Store
 from twin_core.windows import MinuteData
 
@@ -338,3 +340,29 @@ async def test_what_a_version_was_identified_from_is_not_new(
     document = {"window_records": [window.to_dict() for window in found]}
     run_store.add_model_version("bench-1", "rejected", "", document, start_us)
     assert not await history.are_worth_identifying(found, [])
+
+
+STATOR = Path(__file__).parents[3] / "deploy" / "networks" / "stator.toml"
+
+
+async def test_rows_of_a_fast_network_are_as_fine_as_it_needs_and_carry_its_inputs(
+    store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
+) -> None:
+    channels = ("speed_rpm", "load_n", "ambient_c", "power_w", "t_winding_c", "t_body_c")
+    history = make_history(
+        store,
+        clock,
+        bearing=None,
+        network=read_network(STATOR).model_dump(mode="json"),
+        limits={},
+        channels={name: {"source": "push"} for name in channels},
+    )
+    write(store, make_sample, start_us, 600, ramping, channels)
+    minutes = await minutes_of(history, start_us, start_us + 10 * MINUTE_US)
+    step_s = float(np.median(np.diff(minutes.time_s)))
+    assert 1.0 <= step_s <= 5.0
+    assert minutes.size >= 590 / step_s
+    power = minutes.inputs["power_w"]
+    # Over each step, as the operating point.
+    expected = 20.0 + (minutes.time_s - start_us / 1e6 + (step_s - 1.0) / 2.0) / 60.0
+    np.testing.assert_allclose(power[:-1], expected[:-1], atol=1e-6)

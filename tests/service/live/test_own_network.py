@@ -1,5 +1,6 @@
 """A live asset with a network of its own."""
 
+import asyncio
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -92,3 +93,45 @@ def test_a_version_of_another_network_or_bearing_cannot_run_the_asset() -> None:
     assert why_not_of_this_asset(larger, stored(bearing)) == (
         "the dimensions or the network of '6311' have been changed since"
     )
+
+
+STATOR = Path(__file__).parents[3] / "deploy" / "networks" / "stator.toml"
+HEATED = {
+    "speed_rpm": 0.0,
+    "load_n": 0.0,
+    "ambient_c": 20.0,
+    "power_w": 200.0,
+    "t_winding_c": 60.0,
+    "t_body_c": 45.0,
+}
+
+
+async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[..., Any]) -> None:
+    settings = section(
+        HEATED,
+        network=read_network(STATOR).model_dump(mode="json"),
+        limits={"t_winding_c": {"warning": 120, "alarm": 140}},
+    )
+    live = make_live(settings, active_model(settings, stored(settings)))
+    live.start()
+    without = {name: value for name, value in HEATED.items() if name != "power_w"}
+    for _ in range(50):
+        live.feed(without)
+        await asyncio.sleep(0.01)
+    assert not live.runtime.estimate.started, "nothing is known of the power yet"
+    forecast = await live.until(live.runtime.forecast, "a forecast", HEATED)
+    estimate = live.runtime.estimate
+    assert estimate.point is not None
+    assert estimate.point.inputs == (200.0,)
+    assert estimate.observer.inputs == (200.0,)
+    last = forecast["nodes"]["t_winding_c"]["q50"][-1]
+    assert last > 40.0
+    kept = estimate.to_dict()
+    assert kept["inputs"] == [200.0]
+    again = make_live(settings, active_model(settings, stored(settings)))
+    again.runtime.estimate.restore(json.loads(json.dumps(kept)))
+    assert again.runtime.estimate.point == estimate.point
+    answer = await live.runtime.what_if(
+        [ProfileStep(duration_s=4 * 3600.0, speed_rpm=0.0, load_n=0.0)], 600.0, None
+    )
+    assert answer["nodes"]["t_winding_c"]["q50"][-1] == pytest.approx(last, abs=5.0)
