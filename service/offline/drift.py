@@ -1,4 +1,4 @@
-"""Has a machine changed: model files of several spans of its data held against each other."""
+"""Has a machine changed: model files of several spans of its data, compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -101,8 +101,8 @@ def _priors(machine: Machine) -> dict[str, Any]:
 def compare_models(models: Sequence[ModelOfSpan]) -> dict[str, Any]:
     """Compare every model with those before it.
 
-    A model is held against earlier ones of the same state of the machine whose operation was most
-    like its own. From a model that reports a change on, later ones are held against it.
+    A model is compared with earlier ones of the same state of the machine whose operation was most
+    like its own. From a model that reports a change on, later ones are compared with it.
 
     Returns
     -------

@@ -194,7 +194,7 @@ def _follow(
 ) -> tuple[Observer | None, float]:
     """Observer at the last row, and since when; None where no temperature came since a long gap.
 
-    A machine that began at rest counts as followed since for ever: its state was known then.
+    A machine that began at rest counts as followed without limit: its state was known then.
     """
     profile = hold_operating_point(
         OperatingProfile(
