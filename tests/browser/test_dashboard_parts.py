@@ -40,53 +40,6 @@ def run(page: Page, body: str, **arguments: Any) -> Any:
     return page.evaluate(f"async ({{{names}}}) => {{ {body} }}", arguments)
 
 
-def answer_now(page: Page, readings: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
-    given = {"readings": readings, "speedRpm": 3000, "trusted": True} | more
-    answer: dict[str, Any] = run(
-        page,
-        "const { answerNow } = await import('/js/verdict.js'); return answerNow(given);",
-        given=given,
-    )
-    return answer
-
-
-def reading(value: float | None, *, usable: bool = True, **limits: float) -> dict[str, Any]:
-    pair = {"warning": 90, "alarm": 105} | limits
-    return {"sensor": "t_inner_ring_c", "value": value, "usable": usable, "limits": pair}
-
-
-@pytest.mark.parametrize(
-    ("value", "word", "priority"),
-    [(89.9, "safe", None), (90.0, "over", 2), (104.9, "over", 2), (105.0, "over", 1)],
-)
-def test_now_compares_with_both_limits(
-    parts: Page, value: float, word: str, priority: int | None
-) -> None:
-    answer = answer_now(parts, [reading(value)])
-    assert (answer["word"], answer.get("priority")) == (word, priority)
-
-
-def test_now_takes_the_sensor_nearest_to_its_limit(parts: Page) -> None:
-    answer = answer_now(parts, [reading(80), reading(79, warning=80)])
-    assert answer["reading"]["value"] == 79
-
-
-def test_lost_data_are_never_safe(parts: Page) -> None:
-    assert answer_now(parts, [reading(50), reading(40, usable=False)])["word"] == "unknown"
-    assert answer_now(parts, [reading(50, usable=False)])["word"] == "unknown"
-    assert answer_now(parts, [])["word"] == "unknown"
-
-
-def test_a_measured_limit_outweighs_another_lost_sensor(parts: Page) -> None:
-    assert answer_now(parts, [reading(95), reading(40, usable=False)])["word"] == "over"
-
-
-def test_an_untrusted_model_or_a_standing_bench_changes_the_word(parts: Page) -> None:
-    assert answer_now(parts, [reading(50)], trusted=False)["word"] == "safe now"
-    assert answer_now(parts, [reading(50)], speedRpm=0)["word"] == "rest"
-    assert answer_now(parts, [reading(50)], speedRpm=None)["word"] == "safe"
-
-
 @pytest.mark.parametrize(
     ("limit", "expected"),
     [(80, 0.5), (90, 0.25), (109.06, 0.025), (120, 0.004), (40, 0.996)],
@@ -127,49 +80,49 @@ def test_a_forecast_that_has_run_out_or_ran_away_is_cut(parts: Page) -> None:
     assert cut[1] == [0, 600e3, 1200e3]
 
 
-def test_the_next_step_is_judged_over_its_own_span(parts: Page) -> None:
+def test_a_profile_is_judged_over_its_whole_length(parts: Page) -> None:
     answer = run(
         parts,
         FORECAST + "const f = await import('/js/forecast.js');"
-        "const { answerNextStep } = await import('/js/verdict.js');"
+        "const { judgeProfile } = await import('/js/verdict.js');"
         "const fan = f.fanFrom(forecast, 900e3, ['t_inner_ring_c']);"
-        "const steps = f.distinctSteps(f.stepsFrom(forecast, 900e3));"
-        "return answerNextStep({ forecast, fan, steps, limits, nowMs: 900e3 });",
+        "return judgeProfile({ forecast, fan, limits, nowMs: 900e3 });",
     )
-    assert answer["held"] is False
-    assert (answer["step"]["from"], answer["step"]["to"]) == (1200e3, 3600e3)
-    assert answer["word"] == "unsafe"
+    assert answer["word"] == "not safe"
     assert answer["priority"] == 1
     assert answer["peak"]["median"] == 120
 
 
-def test_time_to_limit_counts_from_now_and_turns_to_the_alarm(parts: Page) -> None:
+def test_time_along_a_profile_counts_from_now_and_turns_to_the_alarm(parts: Page) -> None:
     ask = (
         FORECAST + "const f = await import('/js/forecast.js');"
-        "const { answerTimeToLimit } = await import('/js/verdict.js');"
+        "const { timeAlongProfile } = await import('/js/verdict.js');"
         "const nowMs = 900e3;"
         "const fan = f.fanFrom(forecast, nowMs, ['t_inner_ring_c']);"
         "const readings = [{ sensor: 't_inner_ring_c', value, usable: true }];"
-        "return answerTimeToLimit({ forecast, fan, readings, limits, nowMs });"
+        "return timeAlongProfile({ forecast, fan, readings, limits, nowMs });"
     )
     before = run(parts, ask, value=75)
-    assert (before["level"], before["asked"]["median"], before["priority"]) == ("warning", 900, 2)
+    assert (before["level"], before["median"], before["expected"]) == ("warning", 900, True)
     over = run(parts, ask, value=92)
-    assert (over["level"], over["asked"]["earliest"], over["priority"]) == ("alarm", 1500, 1)
+    assert (over["level"], over["limitC"], over["earliest"]) == ("alarm", 105, 1500)
 
 
-def test_no_chance_of_a_limit_is_none(parts: Page) -> None:
-    answer = run(
+def test_no_chance_of_a_limit_is_not_expected(parts: Page) -> None:
+    answer, text = run(
         parts,
         FORECAST + "const f = await import('/js/forecast.js');"
-        "const { answerTimeToLimit } = await import('/js/verdict.js');"
+        "const { timeAlongProfile } = await import('/js/verdict.js');"
+        "const { timeToLimitTile } = await import('/js/tiles.js');"
         "const high = { t_inner_ring_c: { warning: 200, alarm: 210 } };"
         "const none = { probability: 0.01, median_s: null, earliest_s: null };"
         "forecast.time_to_limit.t_inner_ring_c = { warning: none, alarm: none };"
         "const fan = f.fanFrom(forecast, 0, ['t_inner_ring_c']);"
-        "return answerTimeToLimit({ forecast, fan, readings: [], limits: high, nowMs: 0 });",
+        "const answer = timeAlongProfile({ forecast, fan, readings: [], limits: high, nowMs: 0 });"
+        "return [answer, timeToLimitTile(answer, { nowMs: 0, alone: false }).textContent];",
     )
-    assert answer["word"] == "none"
+    assert answer["expected"] is False
+    assert text.replace("\u00a0", " ").startswith("Time to warning 200 °CNot expected1 %")
 
 
 def test_process_clock_finds_the_rate_and_runs_on(parts: Page) -> None:
@@ -236,8 +189,8 @@ def test_rows_stay_in_place_while_their_texts_change(parts: Page) -> None:
         """,
     )
     assert same["same"] is True
-    assert same["before"].replace("\u00a0", " ") == "predicted in 30 min · 40 %"
-    assert same["after"].replace("\u00a0", " ") == "predicted in 10 min · 40 %"
+    assert same["before"].replace("\u00a0", " ") == "predicted earliest in 30 min · 40 %"
+    assert same["after"].replace("\u00a0", " ") == "predicted earliest in 10 min · 40 %"
 
 
 # A plane of 3 speeds and 2 loads; time to a limit that slow points never reach.

@@ -86,9 +86,9 @@ def test_an_alarm_that_stands_comes_first_though_data_are_lost(
     expect(first).to_have_attribute("data-asset", hot)
     expect(first.get_by_text("no data")).to_be_attached()
     expect(first).to_have_class(re.compile("p1 solid"))
-    expect(first.locator(".word")).to_have_text("Over 95\u00a0°C")
+    expect(first.locator(".word")).to_have_text("Unknown")
     expect(first.locator(".fig")).to_have_css("text-decoration-line", "line-through")
-    expect(first.locator(".l")).to_have_text(re.compile("last value .* old"))
+    expect(first.locator(".l")).to_have_text(re.compile("over alarm 95.°C, .* old"))
     counts = page.locator(".fchips button b")
     expect(counts.nth(0)).to_have_text("1")  # over a limit
     expect(counts.nth(2)).to_have_text(str(COUNT))  # without data

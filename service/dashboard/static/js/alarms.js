@@ -73,16 +73,23 @@ export function detailText(alarm, live) {
   if (alarm.predicted && !isActive(alarm)) return 'no longer predicted';
   if (!alarm.predicted) {
     if (isDistrust(alarm)) return joined(silenceText(alarm, live));
+    if (alarm.returned_at && !isActive(alarm)) return joined(pastText(alarm));
     const value = valueText(alarm, live);
     return value === null ? alarm.kind : joined(value);
   }
-  const { probability, median, earliest } = live.crossing(alarm.channel, alarm.limit_level)
-    ?? { probability: alarm.probability, median: alarm.lead_time_s };
+  const { probability, earliest } = live.crossing(alarm.channel, alarm.limit_level)
+    ?? { probability: alarm.probability, earliest: alarm.lead_time_s };
   const parts = [];
-  if (isNumber(median)) parts.push(`in ${spanText(median)}`);
-  else if (isNumber(earliest)) parts.push(`earliest in ${spanText(earliest)}`);
+  if (isNumber(earliest)) parts.push(`earliest in ${spanText(earliest)}`);
   if (isNumber(probability)) parts.push(percent(probability));
   return joined(parts.join(' · '));
+}
+
+/** What an alarm that is over was like: its peak and how long it lasted, not the value of now. */
+function pastText(alarm) {
+  const { peak, duration_s: lastedS, unit } = alarm;
+  return [isNumber(peak?.value) && `peak ${fixed(peak.value)} ${unit ?? '°C'}`.trim(),
+    isNumber(lastedS) && `lasted ${spanText(lastedS)}`].filter(Boolean).join(', ') || alarm.kind;
 }
 
 /** For how long there is no usable value; of one that has come back only its kind. */

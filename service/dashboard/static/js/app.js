@@ -5,7 +5,9 @@ import { Banner } from './banner.js';
 import { ProcessClock } from './clock.js';
 import { notify } from './dialogs.js';
 import { find, h, put } from './dom.js';
-import { Header, JobStrip, LostStrip, lostState } from './frame.js';
+import {
+  driverChips, Header, JobStrip, LostStrip, lostState, sourceChips,
+} from './frame.js';
 import { Live } from './live.js';
 import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
 import { assetHash, readHash } from './route.js';
@@ -197,18 +199,14 @@ function follow() {
 
 function tick() {
   const state = feed?.store.state;
-  header.tick({ link: live.link, sources: state ? sourcesShown(state) : [] }, clock);
+  header.tick({ link: live.link, sources: state ? chipsShown(state) : [] }, clock);
   strip.tick(state ? lostState(state, clock, ofAll()) : null);
   if (state) jobs.update(state.jobs);
   showLink();
 }
 
 /** The sources of the asset that is looked at, or of all. */
-function sourcesShown({ asset, sources }) {
-  if (ofAll()) return sources;
-  const own = new Set((asset?.channels ?? []).map((channel) => channel.source));
-  return sources.filter((source) => own.has(source.name));
-}
+const chipsShown = (state) => (ofAll() ? driverChips(state, clock) : sourceChips(state, clock));
 
 /** A page that nobody keeps up to date looks like one, and takes no orders. */
 function showLink() {
@@ -229,10 +227,10 @@ function updateFrame() {
   if (!feed || (!view && shown)) return;
   const feeds = bannerFeeds();
   const answers = feeds.map((one) => situation(one.store.state, clock));
-  const words = answers.map((one) => one?.now.word);
+  const words = answers.map((one) => one?.verdict.now.word);
   const blind = answers.some((one) => one?.lostMs != null);
   banner.update(feeds, { ...bannerWords(), blind });
-  const mark = words.includes('over') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
+  const mark = words.includes('not safe') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
   const title = VIEWS[shown]?.title ?? 'Not found';
   document.title = [mark + (ofAll() ? title : `${nameOf(feed.assetId)} · ${title}`),
     'Bearing Twin'].join(' · ');
@@ -278,7 +276,7 @@ async function start(reason = '') {
     return;
   }
   live.start(assets);
-  live.feeds.forEach((one) => one.store.on(['alarms', 'forecast', 'tags', 'link'], updateFrame, 250));
+  live.feeds.forEach((one) => one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250));
   follow();
   setTimeout(fetchOthers, FETCH_OTHERS_MS);
 }

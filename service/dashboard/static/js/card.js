@@ -52,9 +52,9 @@ export class AssetCard {
     if (key !== this.key) put(this.symbol, icon(...verdict.symbol));
     this.key = key;
     setText(this.word, joined(verdict.word));
-    put(this.why, typeof verdict.why === 'string' ? joined(verdict.why) : verdict.why);
+    put(this.why, [verdict.why].flat().map((part) => (typeof part === 'string' ? joined(part) : part)));
     const reading = (verdict.channel && now.readings.find((one) => one.sensor === verdict.channel))
-      ?? now?.now.reading;
+      ?? now?.reading;
     put(this.figure, isNumber(reading?.value) && [fixed(reading.value), unit('°C')]);
     this.figure.classList.toggle('st', Boolean(reading) && (!now.live || !reading.usable));
     this.updateFoot(state, now, reading);
@@ -64,9 +64,10 @@ export class AssetCard {
 
   updateFoot(state, now, reading) {
     const { asset } = state;
-    const point = now && [`${fixed(now.speed.value, 0)} rpm`, `${fixed(now.load.value, 0)} N`];
-    setText(this.point, [asset?.bearing ?? asset?.network, point?.join(', ')]
-      .filter(Boolean).join(' · '));
+    const figure = ({ value, usable }, name) =>
+      h(usable || value === null ? 'span' : 's', {}, joined(`${fixed(value, 0)} ${name}`));
+    put(this.point, asset?.bearing ?? asset?.network,
+      now && [' · ', figure(now.speed, 'rpm'), ', ', figure(now.load, 'N')]);
     const model = asset?.active_model;
     setText(this.model, !model ? 'no model yet'
       : `model v${model.version}${model.trusted === false ? ', not trusted' : ''}`);
@@ -94,7 +95,7 @@ export class AssetCard {
       limits: { [sensor]: now.limits[sensor] }, fan: now.fan, ghost: null, lostMs: now.lostMs,
       sensors: [sensor], crossings: now.crossings.slice(0, 1),
       past: { [sensor]: { measured: columns[sensor] ?? [], twin: columns[`${sensor}.twin`] ?? [] } },
-      current: { [sensor]: now.now.reading },
+      current: { [sensor]: now.reading },
     });
   }
 

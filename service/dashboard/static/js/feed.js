@@ -42,6 +42,7 @@ export class AssetFeed {
       hello: () => this.greet(message),
       measurement: () => this.takeSamples(message.data.samples),
       state: () => this.takeState(message.data),
+      verdict: () => this.takeVerdict(message.data),
       forecast: () => this.takeForecast(message.data),
       alarm: () => this.takeAlarm(message.data),
       job: () => this.takeJob(message.data),
@@ -50,7 +51,7 @@ export class AssetFeed {
     handle?.();
   }
 
-  /** First message of a connection: all that may have been missed is asked for anew. */
+  /** First message of a connection: all that may have been missed is asked for again. */
   greet(message) {
     if (message.epoch !== this.epoch) this.meetAnew(message.epoch);
     this.takeSnapshot(message.data.tags);
@@ -62,6 +63,7 @@ export class AssetFeed {
     this.epoch = epoch;
     this.store.set('alarmsKnown', false);
     this.store.set('forecast', null);
+    this.store.set('verdict', null);
     this.store.set('nodes', null);
     this.store.set('jobs', new Map());
   }
@@ -72,9 +74,11 @@ export class AssetFeed {
     this.newerAlarms = newer;
     await this.loadAsset();
     const path = (rest) => assetPath(this.assetId, rest);
-    const [state, forecast, alarms] = await Promise.all([
+    const [state, forecast, alarms, verdict] = await Promise.all([
       call(path('/state')), this.firstForecast(), callPages('/alarms', { asset: this.assetId }),
+      call(path('/verdict')),
     ]);
+    this.takeVerdict(verdict);
     this.takeAlarms(alarms);
     newer.forEach((alarm) => applyAlarm(this.store, alarm));
     if (this.newerAlarms === newer) this.newerAlarms = null;
@@ -116,6 +120,12 @@ export class AssetFeed {
     const known = this.store.get('forecast');
     if (known && milliseconds(known.made_at) > milliseconds(forecast.made_at)) return;
     this.store.set('forecast', forecast);
+  }
+
+  takeVerdict(verdict) {
+    const known = this.store.get('verdict');
+    if (known && milliseconds(known.time) > milliseconds(verdict.time)) return;
+    this.store.set('verdict', { ...verdict, heardMs: performance.now() });
   }
 
   /** The span of the past that the charts show, in milliseconds of process time. */

@@ -1,13 +1,11 @@
-// What the fleet's card says of one asset, and how urgent that is. Pure.
+// What the fleet's card shows of one asset, and how urgent that is. Pure.
 import { byUrgency, isStanding } from './alarms.js';
 import { bold } from './dom.js';
-import { ageText, fixed, percent, spanText } from './format.js';
+import { ageText, fixed, isNumber, percent, spanText } from './format.js';
+import { lacksModelOnly } from './live_verdict.js';
 
 const degrees = (value) => `${fixed(value, value % 1 ? 1 : 0)} °C`;
 const opening = { rank: 8, group: 'wait', look: 'idle', symbol: ['none'], word: 'Opening …', why: '' };
-
-const nextText = ({ next }) => (next.peak && next.step
-  ? `next step ${fixed(next.step.speed_rpm, 0)} rpm: ${percent(next.peak.warning)}` : '');
 
 /** The worst alarm of a measured limit that stands, null without one. */
 export const standingAlarm = (alarms) =>
@@ -15,70 +13,63 @@ export const standingAlarm = (alarms) =>
     .sort((a, b) => a.priority - b.priority || byUrgency(a, b))[0] ?? null;
 
 /**
- * The verdict of a card: { rank, group, look, symbol, word, why, channel, lost }; lowest rank first.
+ * What a card shows: { rank, group, look, symbol, word, why, channel, lost }; lowest rank first.
  *
- * now: the asset's situation; standing: its worst alarm over a measured limit, or null. An alarm
- * that stands outweighs that its data are lost meanwhile (`lost`, a second mark).
+ * now: the asset's situation; standing: its worst alarm over a measured limit, or null. The word is
+ * the service's. An alarm that stands keeps its colour and its place while data are lost (`lost`, a
+ * second mark).
  */
 export function cardVerdict(now, standing) {
   if (!now) return opening;
-  const { now: answer } = now;
-  const lost = answer.word === 'unknown';
-  if (now.live && answer.word === 'over') return overVerdict(now);
-  if (now.live && standing) return standingVerdict(now, standing, lost);
-  if (lost || !now.live) return lostVerdict(now);
-  if (answer.word === 'rest') {
-    return { rank: 7, group: 'rest', look: 'idle', symbol: ['none'], word: 'At rest',
-      why: now.steps.length > 1 ? nextText(now) : 'no run under way' };
+  const { now: answer, next_step: next, time_to_limit: toLimit } = now.verdict;
+  const lost = now.live && now.lostChannels.length > 0;
+  if (!now.live) return unknownCard(now);
+  if (answer.word === 'not safe' || standing) return overCard(now, answer, standing, lost);
+  if (answer.word === 'unknown') return unknownCard(now);
+  if (answer.word === 'recovering') {
+    return { rank: 3.5, group: 'over', look: '', symbol: ['none'], word: 'Recovering',
+      why: answer.reasons[0], channel: answer.limit?.channel };
   }
-  if (now.toLimit.word === 'some') return aheadVerdict(now);
+  if (toLimit?.expected) return aheadCard(toLimit);
+  const why = next.word === 'unknown' ? `next step unknown: ${now.missingText}`
+    : `limit ahead: ${percent(toLimit?.probability)}`;
   return {
-    rank: answer.word === 'safe' ? 6 : 5, group: 'safe', look: '', symbol: ['ok'],
-    word: answer.word === 'safe' ? 'Safe' : 'Safe now',
-    why: now.noForecast ? `no forecast: ${now.noForecast}`
-      : `peak ahead ${fixed(now.toLimit.peak?.median)} °C, no limit`,
+    rank: next.word === 'unknown' ? 5 : 6, group: 'safe', look: '', symbol: ['ok'], word: 'Safe', why,
   };
 }
 
-function overVerdict({ now: answer, toLimit, noForecast, lostMs }) {
-  const { reading, level, priority } = answer;
-  const { limits } = reading;
-  const ahead = toLimit.asked && level === 'warning' && !noForecast
-    && `alarm ${degrees(limits.alarm)}: ${percent(toLimit.alarm.probability)}`;
-  return {
-    rank: priority - 1, group: 'over', look: `p${priority} solid`, symbol: [priority, 'filled'],
-    word: `Over ${degrees(limits[level])}`, lost: lostMs !== null,
-    why: ahead || `${fixed(reading.value - limits[level])} K over`,
-  };
-}
-
-function standingVerdict({ readings, now: answer }, alarm, lost) {
-  const { priority, channel } = alarm;
-  const reading = readings.find((one) => one.sensor === channel) ?? answer.reading;
-  const old = reading && !reading.usable;
+function overCard(now, answer, alarm, lost) {
+  const channel = answer.limit?.channel ?? alarm?.channel;
+  const priority = Math.min(answer.limit?.level === 'alarm' ? 1 : 2, alarm?.priority ?? 2);
+  const level = answer.limit?.level ?? alarm?.limit_level ?? 'limit';
+  const limit = answer.limit?.value_c ?? alarm?.limit_value;
+  const reading = now.readings.find((one) => one.sensor === channel);
+  const unit = answer.limit ? '°C' : alarm?.unit ?? '°C';
+  const over = isNumber(limit) ? `over ${level} ${fixed(limit, limit % 1 ? 1 : 0)} ${unit}`
+    : answer.reasons[0];
   return {
     rank: priority - 1, group: 'over', look: `p${priority} solid`, symbol: [priority, 'filled'],
-    word: `Over ${fixed(alarm.limit_value, alarm.limit_value % 1 ? 1 : 0)} ${alarm.unit ?? '°C'}`,
-    channel, lost, why: old ? ['last value ', bold(ageText(reading.ageS)), ' old'] : alarm.message,
+    word: { 'not safe': 'Not safe', unknown: 'Unknown', safe: 'Safe', recovering: 'Recovering' }[answer.word],
+    channel, lost,
+    why: reading && !reading.usable ? [over, ', ', bold(ageText(reading.ageS)), ' old'] : over,
   };
 }
 
-function lostVerdict({ now: answer }) {
-  const age = answer.reading?.ageS ?? null;
+function unknownCard(now) {
+  const doubtful = !now.live || !lacksModelOnly(now.missing);
   return {
-    rank: 4, group: 'lost', look: 'bad', symbol: ['bad', 'hollow'], word: 'Unknown', lost: true,
-    why: age === null ? 'no temperature yet' : ['no data for ', bold(ageText(age))],
+    rank: 4, group: 'lost', look: doubtful ? 'bad' : 'idle', word: 'Unknown', lost: true,
+    symbol: doubtful ? ['bad', 'hollow'] : ['none'], why: now.missingText,
   };
 }
 
-function aheadVerdict(now) {
-  const { asked, limits, level, priority } = now.toLimit;
-  const limit = degrees(limits[level]);
+function aheadCard({ limit, probability, median_s: median }) {
+  const priority = limit.level === 'alarm' ? 1 : 2;
+  const words = isNumber(median) ? `${spanText(median)} to ${degrees(limit.value_c)}`
+    : `${percent(probability)} over ${degrees(limit.value_c)}`;
   return {
     rank: priority === 1 ? 2.5 : 3, group: 'ahead', look: `p${priority}`,
-    symbol: [priority, 'dashed'],
-    word: asked.median === null ? `${percent(asked.probability)} over ${limit}`
-      : `${spanText(asked.median)} to ${limit}`,
-    why: now.next.held ? 'current operating point held' : nextText(now),
+    symbol: [priority, 'dashed'], word: 'Safe', why: ['limit ahead: ', bold(words)],
+    channel: limit.channel,
   };
 }

@@ -38,8 +38,14 @@ export const fixed = (value, digits = 1) =>
 const WIDE_K = 3; // half of a 95 % interval that is said beside its mean
 const NORMAL_95 = 1.96;
 
-/** An estimate in °C; whole degrees with ± where the twin does not know it better. */
-export function estimated(mean, std) {
+export const NOT_KNOWN = 'not known';
+
+/**
+ * An estimate in °C; whole degrees with ± where the twin does not know it better, no figure where
+ * the service says that it is not known at all.
+ */
+export function estimated(mean, std, known = true) {
+  if (!known) return NOT_KNOWN;
   const half = NORMAL_95 * std;
   return isNumber(mean) && half >= WIDE_K ? `${fixed(mean, 0)} ±${fixed(half, 0)}` : fixed(mean);
 }

@@ -5,7 +5,8 @@ import {
   timeElement, timeZone, utc,
 } from './format.js';
 import { icon, logo } from './icons.js';
-import { limitedReadings } from './readings.js';
+import { currentVerdict, listed, missingChannels } from './live_verdict.js';
+import { limitedReadings, readChannel } from './readings.js';
 
 const JOB_SHOWN_AFTER_MS = 15000;
 const MOST_SOURCES = 3; // with more, only those that are silent are named
@@ -16,6 +17,37 @@ function sourceAge(source, clock) {
   if (now === null || typeof source.age_s !== 'number') return null;
   return source.age_s + Math.max(0, (now - source.heardMs) / 1000);
 }
+
+const chipText = (up, lost, age) => [up ? '' : 'no data', up && lost ? `${lost} lost` : '',
+  age === null ? '' : shortAge(age)].filter(Boolean).join(' ');
+
+/**
+ * Sources of an asset as the header shows them: { name, up, lost, ageS, detail }. A source is up
+ * while it answers and any of its channels can be used, by the rule of the alarms; channels that
+ * are pushed have no driver of their own, only their samples.
+ */
+export function sourceChips(state, clock) {
+  const { asset, sources } = state;
+  const of = new Map();
+  for (const { name, source } of asset?.channels ?? []) {
+    if (name.endsWith('.twin')) continue;
+    if (!of.has(source)) of.set(source, []);
+    of.get(source).push(readChannel(state, clock, name));
+  }
+  return [...of].map(([name, readings]) => {
+    const driver = sources.find((source) => source.name === name);
+    const lost = readings.filter((reading) => !reading.usable).length;
+    const ages = readings.map((reading) => reading.ageS).filter((age) => age !== null);
+    return {
+      name, lost, up: driver?.up !== false && lost < readings.length, detail: driver?.detail,
+      ageS: (driver && sourceAge(driver, clock)) ?? (ages.length ? Math.min(...ages) : null),
+    };
+  });
+}
+
+/** The same of all drivers, whatever the asset. */
+export const driverChips = (state, clock) => state.sources.map((source) =>
+  ({ name: source.name, up: source.up, lost: 0, ageS: sourceAge(source, clock), detail: source.detail }));
 
 export class Header {
   /** actions: { chooseAsset(id), switchTheme(), logOut() }; jobs: the box of the job strip */
@@ -88,15 +120,11 @@ export class Header {
 
   /** Sources with the age of their data, and the clock of process time. */
   tick(state, clock) {
-    const away = state.link.status !== 'live';
-    // How fresh a line is belongs to the wall clock, however fast process time runs.
-    const age = (source) => shortAge(sourceAge(source, clock) / clock.rate);
-    const up = (source) => source.up && !away;
-    const shown = state.sources.length > MOST_SOURCES ? state.sources.filter((one) => !up(one))
+    const shown = state.sources.length > MOST_SOURCES ? state.sources.filter((one) => !one.up)
       : state.sources;
-    const chips = shown.map((source) => [
-      source.name, up(source), up(source) ? age(source) : 'no data', source.detail ?? '',
-    ]);
+    // How fresh a line is belongs to the wall clock, however fast process time runs.
+    const chips = shown.map(({ name, up, lost, ageS, detail }) =>
+      [name, up, chipText(up, lost, ageS === null ? null : ageS / clock.rate), detail ?? '']);
     const rest = state.sources.length - shown.length;
     if (rest) chips.unshift([`${rest} sources`, true, '', '']);
     if (chips.length !== this.sources.children.length) {
@@ -154,20 +182,35 @@ export function lostState(state, clock, whole = false) {
   }
   if (state.link.status !== 'live' || !state.asset || !Object.keys(state.tags).length) return null;
   if (whole) return silentSource(state, clock);
-  const readings = limitedReadings(state, clock);
-  const lost = readings.filter((reading) => !reading.usable);
-  if (lost.length) {
-    const all = lost.length === readings.length;
-    const oldest = lost.reduce((a, b) => ((a.ageS ?? Infinity) > (b.ageS ?? Infinity) ? a : b));
-    const names = lost.map((reading) => channelName(reading.sensor).toLowerCase()).join(', ');
-    const shown = oldest.timeMs === null ? [] : ['Shown: last values of ',
-      timeElement(oldest.timeMs, hourMinuteSecond(oldest.timeMs)), '. '];
-    return {
-      title: all ? 'No temperature data' : `No data of the ${names}`, ageS: oldest.ageS,
-      text: [sentence(lost[0].reason), ' ', shown, state.forecast ? goesOn(all) : ''],
-    };
-  }
-  return silentSource(state, clock);
+  const lost = missingChannels(currentVerdict(state).missing)
+    .map((name) => readChannel(state, clock, name));
+  if (!lost.length) return silentSource(state, clock);
+  const oldest = lost.reduce((a, b) => ((a.ageS ?? Infinity) > (b.ageS ?? Infinity) ? a : b));
+  const shown = oldest.timeMs === null ? [] : ['Shown: last values of ',
+    timeElement(oldest.timeMs, hourMinuteSecond(oldest.timeMs)), '. '];
+  return {
+    title: `No ${listed(lostNames(state, clock, lost))} data`, ageS: oldest.ageS,
+    text: [sentence(lost[0].reason ?? 'no usable value'), ' ', shown, consequence(state, clock, lost)],
+  };
+}
+
+/** What is lost, in words; all temperatures with limits are one word. */
+function lostNames(state, clock, lost) {
+  const limited = limitedReadings(state, clock).map((reading) => reading.name);
+  const names = lost.map((reading) => reading.name);
+  const all = limited.length > 0 && limited.every((name) => names.includes(name));
+  const named = all ? names.filter((name) => !/^t_.*_c$/.test(name)) : names;
+  return [...(all ? ['temperature'] : []), ...named.map((name) => channelName(name).toLowerCase())];
+}
+
+const OPERATION = ['speed_rpm', 'load_n', 'ambient_c'];
+
+/** What follows from it for the twin. */
+function consequence(state, clock, lost) {
+  if (lost.some(({ name }) => OPERATION.includes(name))) return 'No forecast without them.';
+  if (!state.forecast) return '';
+  return limitedReadings(state, clock).some((reading) => reading.usable)
+    ? 'The twin goes on with the other sensors.' : 'Forecast by the twin alone.';
 }
 
 /** When what is shown was of now: process time runs on while nobody answers. */
@@ -186,8 +229,6 @@ function silentSource(state, clock) {
   };
 }
 
-const goesOn = (all) =>
-  (all ? 'Forecast by the twin alone.' : 'The twin goes on with the other sensors.');
 const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/\.?$/, '.');
 
 /** The strip that says which data are lost; the growing age is not read out every second. */

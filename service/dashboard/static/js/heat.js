@@ -26,5 +26,6 @@ export function heatLegend() {
         RAMP.map((value) => h('i', {}, value === RAMP.at(-1) ? `${value} °C` : String(value))))),
     h('div', { class: 'skeys' },
       h('span', { class: 'key' }, sensor, 'measured'),
-      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated, ± 95 %')));
+      h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated, ± 95 %'),
+      h('span', { class: 'key' }, h('i', { class: 'hatch' }), 'not known')));
 }

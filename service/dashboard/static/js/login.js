@@ -56,7 +56,7 @@ export function showLogin(main, reason = '', offered = '') {
     id: 'key', name: 'key', type: 'password', autocomplete: 'current-password', required: true,
     spellcheck: 'false', value: offered,
   });
-  const asked = offered ? [h('p', { class: 'note' },
+  const asked = offered ? [h('p', { class: 's' },
     'This link brings the key ', h('code', {}, offered.slice(0, PREFIX_LENGTH)),
     '. Log in with it only if you know where the link comes from.')] : [];
   const problem = h('p', { class: 'problem', role: 'alert' }, reason);

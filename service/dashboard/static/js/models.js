@@ -36,7 +36,8 @@ function intervalBar(parameter, at) {
     class: `ivb${verdict === 'prior only' ? ' po' : ''}`, title: `95 %: ${text}`, 'aria-hidden': 'true',
   },
   h('i', { style: { left: `${at(low)}%`, right: `${100 - at(high)}%` } }),
-  h('b', { style: { left: `${at(value)}%` } })), h('small', { class: 'mut nw' }, `${significant(low)} … ${significant(high)}`)];
+  h('b', { style: { left: `${at(value)}%` } })),
+  h('small', { class: 'mut nw' }, `${significant(low)} … ${significant(high)}`)];
 }
 
 /** Parameters of one version, and of another next to it. */

@@ -11,16 +11,19 @@ export class NodeTiles {
   }
 
   /**
-   * nodes: { name: estimate °C }, spreads: { name: its standard deviation in K },
+   * nodes: { name: estimate °C }, spreads: { name: its standard deviation in K }, unknown: names of
+   * those whose estimate says nothing,
    * measured: { name: { value, usable } } of measured points (which need not be nodes),
    * alerts: { name: { priority, predicted } }, stale: all is of the past.
    */
-  update({ nodes, spreads, measured, alerts, stale }) {
+  update({ nodes, spreads, unknown, measured, alerts, stale }) {
     const names = [...new Set([...Object.keys(measured), ...Object.keys(nodes)])];
     this.grid.classList.toggle('stale', stale);
     for (const name of names) {
       if (!this.tiles.has(name)) this.tiles.set(name, this.createTile(name));
-      const estimate = { mean: nodes[name], text: estimated(nodes[name], spreads[name]) };
+      const known = !unknown.includes(name);
+      const text = estimated(nodes[name], spreads[name], known);
+      const estimate = { mean: known ? nodes[name] : null, text, known };
       this.updateTile(this.tiles.get(name), estimate, measured[name], alerts[name]);
     }
   }
@@ -42,6 +45,7 @@ export class NodeTiles {
     value.className = measured ? (measured.usable ? 'me' : 'st') : 'es';
     element.className = [measured?.usable === false && 'gone', alert && `a${alert.priority}`,
       alert?.predicted && 'ahead'].filter(Boolean).join(' ');
-    heat.style.background = heatOf(shown);
+    heat.classList.toggle('hatch', !measured && !estimate.known);
+    heat.style.background = measured || estimate.known ? heatOf(shown) : '';
   }
 }

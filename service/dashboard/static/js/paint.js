@@ -97,8 +97,8 @@ export function paintAhead(plot, nowS) {
   context.restore();
 }
 
-/** The line between past and future, with an optional tag at its head. */
-export function paintNow(plot, nowS, tag) {
+/** The line between past and future. */
+export function paintNow(plot, nowS) {
   const { ctx: context, bbox } = plot;
   const ratio = pixelRatio();
   const x = plot.valToPos(nowS, 'x', true);
@@ -109,18 +109,6 @@ export function paintNow(plot, nowS, tag) {
   context.moveTo(x, bbox.top);
   context.lineTo(x, bbox.top + bbox.height);
   context.stroke();
-  if (!tag) return;
-  const size = fontSize() * ratio;
-  context.font = font(size, true);
-  const width = context.measureText(tag).width + 12 * ratio;
-  const height = size * 1.65;
-  const aside = bbox.width / ratio < 560 ? width / 2 - ratio : 0;
-  const room = bbox.left + bbox.width - width;
-  const left = Math.max(bbox.left, Math.min(x + aside - width / 2, room));
-  context.fillStyle = token('--ink');
-  context.fillRect(left, bbox.top, width, height);
-  write(context, tag, left + width / 2, bbox.top + height / 2,
-    { size, strong: true, colour: token('--bg'), align: 'center', base: 'middle' });
 }
 
 /** A pattern of slanted lines: data that must not be trusted. */

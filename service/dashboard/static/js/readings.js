@@ -1,8 +1,8 @@
 // What a channel is worth right now: a value is used only while it is good, fresh and connected.
+// How old a value may be is the service's to say: by channel, and by what its verdict misses.
 import { isNumber } from './format.js';
 
 export const GOOD = 192;
-const SILENT_WALL_S = 5; // even a slow line shows a new value within this time
 const LOST_KINDS = ['stale data', 'sensor fault'];
 
 export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'ACKED';
@@ -25,11 +25,11 @@ export function readChannel(state, clock, name) {
   const reading = {
     name, value: tag?.goodValue ?? null, timeMs, ageS, quality: tag?.quality ?? 0,
   };
-  const reason = whyUnusable(state, clock, name, tag, ageS);
+  const reason = whyUnusable(state, name, tag, ageS);
   return { ...reading, usable: reason === null, reason };
 }
 
-function whyUnusable(state, clock, name, tag, ageS) {
+function whyUnusable(state, name, tag, ageS) {
   if (state.link.status !== 'live') return 'the service is away';
   if (!tag || !isNumber(tag.goodValue)) return 'no value yet';
   const { source, max_age_s: maxAgeS } = channelOf(state.asset, name) ?? {};
@@ -39,9 +39,8 @@ function whyUnusable(state, clock, name, tag, ageS) {
     one.channel === name && isDistrust(one) && isActive(one));
   if (alarm) return alarm.message;
   if (tag.quality < GOOD) return qualityText(tag.quality);
-  const limitS = Math.max(maxAgeS ?? 0, SILENT_WALL_S * clock.rate);
-  if (ageS > limitS) return 'no new value';
-  return null;
+  if (isNumber(maxAgeS) && ageS > maxAgeS) return 'no new value';
+  return state.verdict?.missing.includes(name) ? 'no usable value' : null;
 }
 
 /** OPC DA quality in words. */

@@ -34,6 +34,8 @@ const LABELS_LEFT = [[1, 40, 256, 62], [8, 87, 212, 110], [7, 134, 262, 140], [6
 const LABELS_RIGHT = [[2, 40, 366, 103], [9, 87, 508, 110], [3, 134, 384, 166],
   [4, 181, 366, 246], [11, 228, 500, 240]];
 
+const LABELLED = [...LABELS_LEFT, ...LABELS_RIGHT].map(([node]) => node);
+
 function label(node, y, toX, toY, left) {
   const x = left ? 150 : 570;
   const side = left ? 1 : -1;
@@ -42,56 +44,62 @@ function label(node, y, toX, toY, left) {
     s('polyline', {
       class: 'lead', points: `${x + 6 * side},${y} ${x + 18 * side},${y} ${toX},${toY}`,
     }),
-    s('circle', { class: 'pin', cx: toX, cy: toY, r: 2.6 }),
+    pin(node, toX, toY),
     s('text', { class: 'n', x, y: y - 8, 'text-anchor': anchor }, NODE_NAMES[node - 1]),
     figure(node, x, y + 13, anchor),
   ];
 }
+
+/** What a label points at: a dot, or a ring where a sensor measures. */
+const pin = (node, x, y) => s('circle', { class: 'pin', 'data-pin': node, cx: x, cy: y, r: 2.6 });
 
 const figure = (node, x, y, anchor) =>
   s('text', { class: 'v es', 'data-figure': node, x, y, 'text-anchor': anchor }, '–');
 
 const tagged = (node, x) => [
   s('rect', { class: 'tag', x: x - 66, y: 262, width: 132, height: 44, rx: 3 }),
+  pin(node, x - 54, 292),
   s('text', { class: 'n', x, y: 279, 'text-anchor': 'middle' }, NODE_NAMES[node - 1]),
   figure(node, x, 299, 'middle'),
 ];
 
-const hatchPattern = () => s('defs', {}, s('pattern', {
-  id: 'distrust', width: 9, height: 9, patternUnits: 'userSpaceOnUse',
-  patternTransform: 'rotate(45)',
-}, s('path', { d: 'M0 0V9', stroke: 'var(--bad)', 'stroke-width': 2, opacity: 0.55 })));
+const pattern = (id, stroke, ground) => s('pattern', {
+  id, width: 9, height: 9, patternUnits: 'userSpaceOnUse', patternTransform: 'rotate(45)',
+}, ground && s('rect', { width: 9, height: 9, fill: ground, style: { stroke: 'none' } }),
+s('path', { d: 'M0 0V9', style: { stroke, strokeWidth: 2, opacity: 0.55 } }));
+const hatchPatterns = () => s('defs', {}, pattern('distrust', 'var(--bad)'),
+  pattern('unknown', 'var(--line-2)', 'var(--panel-2)'));
 
 export class Section {
   constructor(box) {
     this.outlines = s('g', {});
     this.hatches = s('g', {});
     this.svg = s('svg', { class: 'sect', viewBox: '0 12 720 444', role: 'img' },
-      hatchPattern(), parts(), this.hatches, this.outlines,
+      hatchPatterns(), parts(), this.hatches, this.outlines,
       s('path', { class: 'cl', d: 'M8 316H712' }),
       s('path', {
         class: 'brk', d: 'M26 248q9 17 0 34t0 34 0 34 0 34M694 248q-9 17 0 34t0 34 0 34 0 34',
       }),
-      s('g', { class: 'sens' },
-        s('circle', { cx: 360, cy: 246, r: 6 }), s('circle', { cx: 360, cy: 103, r: 6 })),
       LABELS_LEFT.map((one) => label(...one, true)),
       LABELS_RIGHT.map((one) => label(...one, false)),
       tagged(5, 110), tagged(12, 610),
       s('rect', { class: 'tag', x: 286, y: 418, width: 148, height: 28, rx: 3 }),
-      s('text', { class: 'n', x: 296, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
-      s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
+      s('text', { class: 'n', x: 308, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
+      pin(13, 297, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
+      pin(14, 14, 48),
       s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view, shortened'));
     put(box, this.svg, heatLegend());
   }
 
   /**
-   * nodes: { number: °C }, spreads: { number: standard deviation in K },
-   * measured: { number: { value, usable } }, alerts: { 2 or 4: { priority, predicted } },
-   * stale: the whole picture is of the past.
+   * nodes: { number: °C }, spreads: { number: standard deviation in K }, unknown: numbers of those
+   * whose estimate says nothing, measured: { number: { value, usable } },
+   * alerts: { 2 or 4: { priority, predicted } }, stale: the whole picture is of the past.
    */
-  update({ nodes, spreads, measured, alerts, stale }) {
+  update({ nodes, spreads, unknown, measured, alerts, stale }) {
     for (let node = 1; node <= 14; node += 1) {
-      this.updateNode(node, nodes[node], spreads[node], measured[node]);
+      const known = !unknown.includes(node);
+      this.updateNode(node, { value: nodes[node], spread: spreads[node], known }, measured[node]);
     }
     this.svg.classList.toggle('stale', stale);
     put(this.hatches, Object.entries(OUTLINES).filter(([node]) => measured[node]?.usable === false)
@@ -105,13 +113,18 @@ export class Section {
       + `outer ring ${say(2)} degrees Celsius.`);
   }
 
-  updateNode(node, estimate, spread, measured) {
-    const value = measured?.value ?? estimate;
+  updateNode(node, estimate, measured) {
+    const value = measured?.value ?? estimate.value;
     const figureText = this.svg.querySelector(`[data-figure="${node}"]`);
-    setText(figureText, measured ? fixed(value) : estimated(value, spread));
-    const look = measured ? (measured.usable ? 'me' : 'st') : 'es';
+    setText(figureText, measured ? fixed(value)
+      : estimated(value, estimate.spread, estimate.known));
+    const look = measured ? (measured.usable ? 'me' : 'st') : estimate.known ? 'es' : 'un';
     figureText.setAttribute('class', `v ${look}`);
-    const heat = heatOf(value);
+    const ring = this.svg.querySelector(`[data-pin="${node}"]`);
+    ring.setAttribute('class', measured ? `ring ${look}` : 'pin');
+    ring.setAttribute('r', measured ? 6 : 2.6);
+    ring.style.display = measured || LABELLED.includes(node) ? '' : 'none';
+    const heat = measured || estimate.known ? heatOf(value) : 'url(#unknown)';
     for (const part of this.svg.querySelectorAll(`[data-node="${node}"]`)) part.style.fill = heat;
   }
 }

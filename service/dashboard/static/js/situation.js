@@ -1,20 +1,26 @@
-// From the store to what the views draw: readings, what lies ahead, the three answers.
+// From the store to what the views draw: readings, what lies ahead, the service's answers.
+import { isStanding } from './alarms.js';
 import { distinctSteps, fanFrom, stepsFrom, timeToLimit } from './forecast.js';
 import { ageText, milliseconds } from './format.js';
+import { currentVerdict, missingChannels, missingText } from './live_verdict.js';
 import { limitedReadings, readChannel } from './readings.js';
 import { chartSensors } from './sensors.js';
-import { answerNextStep, answerNow, answerTimeToLimit } from './verdict.js';
 
 export const LOADING = 'asking for the forecast';
 
 const OLDEST_FORECAST_S = 900;
 const OLDEST_FORECAST_WALL_S = 30;
+const OPERATION = ['speed_rpm', 'load_n', 'ambient_c'];
+const COLD_C = 20;
 
 /** Why there is no forecast to be shown, or null when there is one. */
-function whyNoForecast(state, clock, fan) {
+function whyNoForecast(state, clock, fan, missing) {
   if (!state.loaded && !state.forecast) return LOADING;
   if (!state.asset?.active_model) return 'there is no model yet';
   if (state.asset.active_model.trusted === false) return 'the model is not trusted';
+  // Without the operation the twin holds what it knew last: no forecast of what is happening.
+  const blind = missing.filter((name) => OPERATION.includes(name));
+  if (blind.length) return missingText(state, clock, blind);
   if (!state.forecast) return 'the twin waits for its first data';
   const ageS = (clock.now() - milliseconds(state.forecast.made_at)) / 1000;
   if (ageS > Math.max(OLDEST_FORECAST_S, OLDEST_FORECAST_WALL_S * clock.rate)) {
@@ -34,35 +40,54 @@ export function crossingsAhead(forecast, fan, limits, nowMs) {
     }));
 }
 
+/**
+ * The temperature that is shown beside the word for now: the one that the verdict is about, else
+ * one that is lost, else the one that has come furthest from a cold machine to its own warning.
+ */
+function shownReading(readings, { limit }) {
+  const nearness = ({ value, limits }) => (value - COLD_C) / (limits.warning - COLD_C);
+  return readings.find((one) => one.sensor === limit?.channel)
+    ?? readings.find((one) => !one.usable)
+    ?? readings.toSorted((a, b) => nearness(b) - nearness(a))[0] ?? null;
+}
+
+/** Priority of the worst alarm over a measured limit that stands, null without one. */
+function standingPriority(alarms) {
+  const standing = [...alarms.values()].filter(isStanding).map((alarm) => alarm.priority);
+  return standing.length ? Math.min(...standing) : null;
+}
+
 /** Everything that the operator's screen shows at this moment; null before the first data. */
 export function situation(state, clock) {
   const nowMs = clock.now();
   if (!state.asset || nowMs === null) return null;
   const live = state.link.status === 'live';
+  const verdict = currentVerdict(state);
   const readings = limitedReadings(state, clock);
   const { limits } = state.asset;
   const names = [...new Set([...chartSensors(state.asset), ...Object.keys(limits)])];
   const wholeFan = fanFrom(state.forecast, nowMs, names);
-  const noForecast = whyNoForecast(state, clock, wholeFan);
+  const noForecast = whyNoForecast(state, clock, wholeFan, verdict.missing);
   const fan = noForecast || !live ? null : wholeFan;
   const steps = distinctSteps(stepsFrom(state.forecast, nowMs));
-  const speed = readChannel(state, clock, 'speed_rpm');
   const lost = readings.filter((reading) => !reading.usable);
   return {
-    nowMs, live, readings, limits, fan, noForecast, speed,
+    nowMs, live, readings, limits, fan, noForecast, verdict,
+    forecast: fan && state.forecast,
+    speed: readChannel(state, clock, 'speed_rpm'),
+    load: readChannel(state, clock, 'load_n'),
+    missing: verdict.missing,
+    missingText: missingText(state, clock, verdict.missing) || verdict.now.reasons[0],
+    lostChannels: missingChannels(verdict.missing),
+    lostText: missingText(state, clock, missingChannels(verdict.missing)),
     planned: state.forecast?.planned !== false,
     steps: fan ? steps : [],
     endMs: wholeFan?.times.at(-1) ?? null,
     crossings: crossingsAhead(state.forecast, fan, limits, nowMs),
-    load: readChannel(state, clock, 'load_n'),
     lostMs: lost.length ? Math.min(...lost.map((reading) => reading.timeMs ?? nowMs)) : null,
     alone: lost.length > 0 && lost.length === readings.length,
-    now: answerNow({
-      readings, speedRpm: speed.usable ? speed.value : null,
-      trusted: state.asset.active_model?.trusted !== false,
-    }),
-    next: answerNextStep({ forecast: state.forecast, fan, steps, limits, nowMs }),
-    toLimit: answerTimeToLimit({ forecast: state.forecast, fan, readings, limits, nowMs }),
+    reading: shownReading(readings, verdict.now),
+    standing: standingPriority(state.alarms),
   };
 }
 

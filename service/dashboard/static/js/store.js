@@ -51,6 +51,7 @@ export const emptyAsset = () => ({
   tags: {}, // { name: { value, quality, time (ms), unit } }
   nodes: null, // latest state message
   forecast: null,
+  verdict: null, // latest word of the service, with heardMs
   alarms: new Map(),
   alarmsKnown: false, // whether the service has told its alarms since it was started
   jobs: new Map(),

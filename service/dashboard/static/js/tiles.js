@@ -1,16 +1,21 @@
-// The answer tiles: one word, one figure, the reason below. Words come from verdict.js.
+// The answer tiles: one word, one figure, the reason below. The words are the service's.
 import { bold, h, unit } from './dom.js';
+import { coolsBelow, overSpan, timeToLimit } from './forecast.js';
 import {
-  ageText, channelName, celsius, fixed, hourMinute, joined, percent, spanNodes, spanText, timeElement,
-  wholeMinute,
+  ageText, channelName, celsius, fixed, hourMinute, isNumber, joined, percent, spanNodes, spanText,
+  timeElement, wholeMinute,
 } from './format.js';
 import { icon } from './icons.js';
+import { lacksModelOnly } from './live_verdict.js';
 import { LOADING } from './situation.js';
 import { THRESHOLDS } from './verdict.js';
 
 const SYMBOL = '.86em';
 const calm = () => icon('ok', 'filled', '.8em');
 const nothing = () => icon('none', 'filled', '.8em');
+const WORDS = {
+  safe: 'Safe', 'not safe': 'Not safe', recovering: 'Recovering', unknown: 'Unknown',
+};
 const lower = (sensor) => channelName(sensor).toLowerCase();
 
 /** No sensor is behind what is said. */
@@ -32,12 +37,17 @@ function tile({ look = '', label, title, symbol = null, word, figure, note, why 
     small && h('p', { class: 'why2' }, keep(small)), extra);
 }
 
-const unknown = (label, title, why) => tile({
-  look: 'bad', label, title, symbol: icon('bad', 'hollow', SYMBOL), word: 'Unknown', why: [why],
+/** Nothing is known; `doubtful`: because measured values are missing, not only a model. */
+const unknown = ({ label, title, why, small, doubtful = true, ...more }) => tile({
+  look: doubtful ? 'bad' : 'none', label, title, why: [why], small, word: WORDS.unknown,
+  symbol: doubtful ? icon('bad', 'hollow', SYMBOL) : nothing(), ...more,
 });
 
-/** A linear gauge: pointer = measured, bar = what the forecast may reach, ticks = limits. */
-function gauge(reading, high, crossing) {
+/**
+ * A linear gauge: pointer = measured, bar = what the forecast may reach (outline only until it
+ * touches a limit), ticks = limits.
+ */
+function gauge(reading, high) {
   const { warning, alarm } = reading.limits;
   const [low, top] = [20, alarm + 10];
   const at = (value) => Math.max(0, Math.min(100, (value - low) / (top - low) * 100));
@@ -49,115 +59,140 @@ function gauge(reading, high, crossing) {
   }, h('i', {}, String(value)));
   const { value } = reading;
   const far = Math.max(high ?? value, value);
+  const touches = far >= warning;
   return h('div', { class: 'gauge', 'aria-hidden': 'true' },
-    range(value, Math.min(far, warning), ''),
+    range(value, Math.min(far, warning), touches ? '' : 'out'),
     range(Math.max(value, warning), Math.min(far, alarm), 'w'),
     range(Math.max(value, alarm), far, 'a'),
-    limit(warning, crossing.warning ? 'w' : ''), limit(alarm, crossing.alarm ? 'a' : ''),
+    limit(warning, far > warning ? 'w' : ''), limit(alarm, far > alarm ? 'a' : ''),
     h('span', { class: 'ptr', style: { left: `${at(value)}%` } }));
 }
 
-/** Is it safe now? `high` is the forecast's 97.5 % peak of the same sensor, or null. */
-export function nowTile(answer, high) {
-  const { word, reading } = answer;
-  const label = 'Is it safe now';
-  const title = 'Now';
-  if (!reading) return unknown(label, title, 'no temperature has been measured yet');
-  if (word === 'unknown') {
-    const age = reading.ageS === null ? 'never had a value'
-      : ['last value is ', bold(ageText(reading.ageS)), ' old'];
-    const shown = reading.value !== null;
-    return tile({
-      look: 'bad', label, title, symbol: icon('bad', 'hollow', SYMBOL), word: 'Unknown',
-      figure: shown && h('span', { class: 'st' }, celsius(reading.value)),
-      note: shown && 'last value', why: [[`${lower(reading.sensor)}, `, age]],
-      extra: shown && gauge(reading, high, {}),
-    });
-  }
-  const { warning } = reading.limits;
-  const of = `${lower(reading.sensor)}, `;
-  const figure = h('span', {}, celsius(reading.value));
-  const threat = { warning: (high ?? 0) > warning, alarm: (high ?? 0) > reading.limits.alarm };
-  const common = {
-    label, title, figure, note: 'measured',
-    extra: gauge(reading, high, threat),
+/** Figure and gauge of the temperature beside the word; struck through when it is not of now. */
+function measured(reading, high) {
+  if (!reading || reading.value === null) return {};
+  return {
+    figure: reading.usable ? h('span', {}, celsius(reading.value))
+      : h('span', { class: 'st' }, celsius(reading.value)),
+    note: reading.usable ? 'measured' : ['last value, ', ageText(reading.ageS), ' old'],
+    extra: reading.limits && gauge(reading, high),
   };
-  if (word === 'over') {
-    const limit = reading.limits[answer.level];
+}
+
+/** Is it safe now? `now` is the situation; `high` the forecast's 97.5 % peak of the sensor shown. */
+export function nowTile(now, high) {
+  const { now: answer } = now.verdict;
+  const { reading, standing } = now;
+  const common = { label: 'Is it safe now', title: 'Now', ...measured(reading, high) };
+  if (answer.word === 'unknown') return unknown({ ...common, why: now.missingText });
+  const of = reading ? `${lower(reading.sensor)}, ` : '';
+  const missing = now.lostText && h('b', { class: 'bt' }, now.lostText);
+  if (answer.word === 'safe') {
+    const { warning } = reading?.limits ?? {};
     return tile({
-      ...common, look: `solid p${answer.priority}`, symbol: icon(answer.priority, 'inverse', SYMBOL),
-      word: ['Over ', String(limit), unit('°C')],
-      why: [[of, bold(`${fixed(reading.value - limit)} K`), ` over ${answer.level} ${limit} °C`]],
+      ...common, symbol: calm(), word: WORDS.safe, small: ambientNote(answer),
+      why: [reading ? [of, bold(`${fixed(warning - reading.value)} K`), ` below warning ${warning} °C`]
+        : answer.reasons[0]],
     });
   }
-  const margin = [of, bold(`${fixed(warning - reading.value)} K`), ` below warning ${warning} °C`];
-  const words = { safe: 'Safe', 'safe now': 'Safe now', rest: 'At rest' };
+  const limit = answer.limit?.value_c;
+  const why = isNumber(limit) ? [of, bold(`${fixed(reading.value - limit)} K`),
+    ` over ${answer.limit.level} ${limit} °C`] : answer.reasons[0];
+  if (answer.word === 'recovering') {
+    return tile({ ...common, symbol: nothing(), word: WORDS.recovering, why: [why, missing].filter(Boolean) });
+  }
+  const priority = answer.limit?.level === 'alarm' ? 1 : standing ?? 2;
   return tile({
-    ...common, symbol: word === 'rest' ? nothing() : calm(), word: words[word], why: [margin],
+    ...common, look: `solid p${priority}`, symbol: icon(priority, 'inverse', SYMBOL),
+    word: WORDS['not safe'], why: [why, missing].filter(Boolean),
   });
 }
 
+const ambientNote = ({ reasons }) => reasons.find((reason) => reason.startsWith('ambient assumed'));
+
 const LOOKS = { 0: '', 1: 'p1', 2: 'p2' };
 const aheadSymbol = (priority) => (priority ? icon(priority, 'dashed', SYMBOL) : calm());
-const WORDS = { safe: 'Safe', risk: 'At risk', unsafe: 'Not safe' };
 
 export const noForecastTile = (label, title, why) => tile({
   look: 'none', label, title, symbol: nothing(), why: [why],
   word: why === LOADING ? '…' : 'No forecast',
 });
 
-export const awayTile = (label, title) => unknown(label, title, 'the service does not answer');
+export const awayTile = (label, title) =>
+  unknown({ label, title, why: 'the service does not answer' });
+
+/** What is missing, for a tile about what lies ahead. */
+export const missingTile = (label, title, now, small) => unknown({
+  label, title, why: now.missingText, doubtful: !lacksModelOnly(now.missing), small,
+});
+
+/** Speed and load that were known last, struck through. */
+function lastPoint({ speed, load }) {
+  const figures = [[speed, 'rpm'], [load, 'N']].filter(([{ value }]) => value !== null)
+    .map(([{ value, usable }, name], i) => [i ? ', ' : '',
+      h(usable ? 'span' : 's', {}, joined(`${fixed(value, 0)} ${name}`))]);
+  return figures.length > 0 && figures;
+}
 
 /** Is the next step safe? */
-export function nextStepTile(answer, { nowMs, alone, planned }) {
-  const { peak, step, held, fromMs } = answer;
-  const rest = planned ? 'This step, the last one planned' : 'Present point, held';
-  const title = held ? rest : ['Next step in ', spanText((fromMs - nowMs) / 1000), ', ',
-      timeElement(wholeMinute(fromMs))];
-  const point = [bold(`${fixed(step.speed_rpm, 0)} rpm`), `, ${fixed(step.load_n, 0)} N, `,
+export function nextStepTile(now) {
+  const { nowMs, planned, steps, fan, alone } = now;
+  const { next_step: answer } = now.verdict;
+  const label = 'Is the next step safe';
+  const held = steps.length < 2;
+  const step = held ? steps[0] : steps[1];
+  const rest = planned ? 'Current step (last)' : 'Hold current operating point';
+  const title = held || !step ? rest : ['Next step in ', spanText((step.from - nowMs) / 1000), ', ',
+      timeElement(wholeMinute(step.from))];
+  if (answer.word === 'unknown') {
+    const last = now.lostChannels.length > 0 && lastPoint(now);
+    return missingTile(label, held ? 'Next step' : title, now, last);
+  }
+  const point = step && [bold(`${fixed(step.speed_rpm, 0)} rpm`), `, ${fixed(step.load_n, 0)} N, `,
     spanText(step.duration_s)];
-  if (answer.cools) {
-    const words = coolingWords(answer);
+  const { channel, value_c: limit } = answer.limit;
+  const peak = fan?.bands[channel] && step
+    && overSpan(fan, channel, now.limits[channel], step.from, step.to);
+  const common = { label, title, why: [point].filter(Boolean) };
+  if (answer.word === 'recovering') {
+    const cools = peak && coolsBelow(fan, channel, limit, step.from, step.to);
     return tile({
-      look: LOOKS[answer.priority], label: 'Is the next step safe', title,
-      symbol: aheadSymbol(answer.priority), ...words, why: [...words.why, point],
-      small: [words.small, alone && [', ', twinAlone()]],
+      ...common, symbol: nothing(), word: WORDS.recovering,
+      ...(cools ? coolingWords({ sensor: channel, limit, fromMs: step.from, ...cools }) : {}),
     });
   }
+  const priority = answer.word === 'safe' ? 0 : answer.alarm_probability >= THRESHOLDS.alarm ? 1 : 2;
   return tile({
-    look: LOOKS[answer.priority], label: 'Is the next step safe', title,
-    symbol: aheadSymbol(answer.priority), word: WORDS[answer.word], figure: percent(peak.warning),
-    note: `over ${peak.limits.warning} °C`, why: [point],
-    small: [`${lower(peak.sensor)} peak ${fixed(peak.median)} °C, 95 % `,
+    ...common, look: LOOKS[priority], symbol: aheadSymbol(priority), word: WORDS[answer.word],
+    figure: percent(answer.probability), note: `over ${limit} °C`,
+    small: peak && [`${lower(channel)} peak ${fixed(peak.median)} °C, 95 % `,
       `${fixed(peak.low)} … ${fixed(peak.high)}`, alone && [', ', twinAlone()]],
   });
 }
 
-/**
- * Over the limit already, and on the way down: the step is not what brings the danger, and the
- * figure is how long it lasts.
- */
-function coolingWords({ cools, fromMs }) {
-  const { sensor, limits, fromC, belowMs, surelyMs } = cools;
+/** A span that begins over a limit and cools: when it is below. */
+function coolingWords({ sensor, limit, fromMs, belowMs, surelyMs }) {
+  const into = (ms) => spanText((ms - fromMs) / 1000);
   return {
-    word: 'Not safe yet', figure: h('span', {}, spanNodes((belowMs - fromMs) / 1000)),
-    note: `then below ${limits.warning} °C`,
-    why: [[bold(`cools from ${fixed(fromC)} °C`), ', below by ', timeElement(belowMs),
-      surelyMs !== null && [', 97.5 % by ', timeElement(surelyMs)]]],
+    why: [[bold(`below ${limit} °C ${into(belowMs)} into the step`),
+      surelyMs !== null && ` (97.5 %: ${into(surelyMs)})`]],
     small: lower(sensor),
   };
 }
 
-/** Is a whole profile safe? `answer` is that of `answerNextStep` over its whole length. */
+/** Is a whole profile safe? `answer` is that of `judgeProfile`. */
 export function profileTile(answer) {
-  const { peak } = answer;
+  const { peak, cools, fromMs, word, priority } = answer;
   const common = {
-    look: LOOKS[answer.priority], label: 'Is this profile safe', title: 'This profile',
-    symbol: aheadSymbol(answer.priority),
+    look: LOOKS[priority], label: 'Is this profile safe', title: 'This profile', word: WORDS[word],
   };
-  if (answer.cools) return tile({ ...common, ...coolingWords(answer) });
+  if (word === 'recovering') {
+    const { sensor, limits } = cools;
+    return tile({ ...common, symbol: nothing(),
+      ...coolingWords({ ...cools, sensor, limit: limits.warning, fromMs }) });
+  }
   return tile({
-    ...common, word: WORDS[answer.word],
+    ...common, symbol: aheadSymbol(priority),
     why: [joined(`${percent(peak.warning)} over ${peak.limits.warning} °C, `
       + `${percent(peak.alarm)} over ${peak.limits.alarm} °C`)],
   });
@@ -167,40 +202,48 @@ export function profileTile(answer) {
 export function peakTile({ peak }, planned) {
   return tile({
     label: 'Peak', title: `Peak ${lower(peak.sensor)}`, word: celsius(peak.median),
-    why: [['97.5 % below ', bold(`${fixed(peak.high)} °C`),
+    why: [['upper bound (97.5 %) ', bold(`${fixed(peak.high)} °C`),
       planned && `, as planned ${fixed(planned.median)} °C`]],
   });
 }
 
+const TO_LIMIT = 'Time to limit';
+
+/** How long until a limit, by the service's word; figures run down with the page's clock. */
+export function liveLimitTile(now) {
+  const { time_to_limit: answer, time } = now.verdict;
+  if (!answer) return missingTile(TO_LIMIT, TO_LIMIT, now);
+  const { channel, level, value_c: limitC } = answer.limit;
+  // As in the banner, from the forecast itself; the verdict's own figures until it is there.
+  const crossing = now.forecast?.time_to_limit?.[channel]?.[level]
+    ? timeToLimit(now.forecast, channel, level, now.nowMs)
+    : { probability: answer.probability, median: answer.median_s, earliest: answer.earliest_s };
+  return timeToLimitTile({
+    sensor: channel, level, limitC, expected: answer.expected, ...crossing,
+    endMs: Date.parse(time) + answer.horizon_s * 1000,
+  }, now);
+}
+
 /** How long until a limit? */
-export function timeToLimitTile(answer, { nowMs, alone }) {
-  const label = 'Time to limit';
-  const { sensor, limits, level, asked, alarm, peak, endS } = answer;
-  if (answer.word === 'none') {
+export function timeToLimitTile(answer, { alone, nowMs }) {
+  const { sensor, level, limitC, probability, median, earliest, expected, endMs } = answer;
+  const common = {
+    label: TO_LIMIT, title: joined(`Time to ${level} ${limitC} °C`), figure: percent(probability),
+    small: alone && twinAlone(),
+  };
+  if (!expected) {
     return tile({
-      label, title: 'Time to limit', symbol: calm(), word: 'None',
-      figure: percent(asked.probability), note: `over ${limits[level]} °C`,
-      why: [`to ${level} ${limits[level]} °C until ${hourMinute(nowMs + endS * 1000)}`,
-        [`${lower(sensor)} peak ${fixed(peak.median)} °C, 97.5 % below ${fixed(peak.high)} °C`]],
-      small: alone && twinAlone(),
+      ...common, symbol: calm(), word: 'Not expected', note: 'probability',
+      why: [`${lower(sensor)}, until ${hourMinute(endMs)}`],
     });
   }
-  const crosses = asked.median !== null;
-  const first = asked.earliest ?? asked.median ?? endS;
-  const what = [`${lower(sensor)} to `, bold(`${level} ${limits[level]} °C`),
-    crosses && asked.earliest !== null && `, earliest ${spanText(asked.earliest)}`];
-  const more = [];
-  if (level === 'warning' && alarm.probability >= 0.005) {
-    more.push([`to alarm ${limits.alarm} °C `, bold(percent(alarm.probability)),
-      alarm.earliest !== null && alarm.probability >= THRESHOLDS.atRisk
-        && `, earliest ${spanText(alarm.earliest)}`]);
-  }
-  if (!crosses) more.push('the median stays below it');
+  const crosses = isNumber(median);
+  const priority = level === 'alarm' ? 1 : 2;
+  const first = earliest ?? median ?? (endMs - nowMs) / 1000;
   return tile({
-    look: LOOKS[answer.priority], label, title: 'Time to limit',
-    symbol: aheadSymbol(answer.priority),
-    word: crosses ? spanNodes(asked.median) : ['from ', spanNodes(first)],
-    figure: percent(asked.probability), note: 'probability', why: [what, more[0]].filter(Boolean),
-    small: alone && twinAlone(),
+    ...common, look: LOOKS[priority], symbol: aheadSymbol(priority), note: 'probability',
+    word: [h('small', {}, 'earliest in '), spanNodes(first)],
+    why: [[lower(sensor), crosses ? [', median in ', bold(spanText(median))]
+      : ', the median stays below it']],
   });
 }

@@ -1,6 +1,6 @@
 // The chart of the temperatures: measured, estimated and forecast, with their limits.
 import { ChartCursor } from './chart_cursor.js';
-import { token, rem } from './dom.js';
+import { h, token, rem } from './dom.js';
 import { QUANTILES } from './forecast.js';
 import {
   channelName, fixed, hourMinute, hourMinuteSecond, isNumber, utc,
@@ -130,11 +130,30 @@ export class TrendChart {
     this.paintMedians(plot);
     this.paintLimits(plot);
     this.paintLost(plot);
-    paintNow(plot, this.model.nowMs / 1000, this.small ? null : hourMinute(this.model.nowMs));
+    paintNow(plot, this.model.nowMs / 1000);
+    this.placeFlag(plot);
     this.paintFigures(plot);
     this.paintCrossings(plot);
     this.reading?.paintMark(plot);
     context.restore();
+  }
+
+  /** The flag with the time of now stands on the line; what it says comes from `showClock`. */
+  placeFlag(plot) {
+    if (this.small) return;
+    const { over } = plot;
+    if (!this.flag) this.flag = h('span', { class: 'nowflag', 'aria-hidden': 'true' });
+    if (this.flag.parentNode !== over) over.append(this.flag);
+    if (!this.flag.textContent) this.showClock(this.model.nowMs);
+    const x = plot.valToPos(this.model.nowMs / 1000, 'x');
+    this.flag.style.left = `${x}px`;
+    this.flag.classList.toggle('aside', over.clientWidth < NARROW);
+  }
+
+  /** The time on the flag, as often as the header's clock shows another one. */
+  showClock(nowMs) {
+    const text = hourMinute(nowMs);
+    if (this.flag && this.flag.textContent !== text) this.flag.textContent = text;
   }
 
   /** The part of the fan beyond a limit takes the limit's colour. */

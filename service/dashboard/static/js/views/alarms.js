@@ -108,7 +108,8 @@ export class AlarmsView {
     refuse(this.all, reason || (waiting.length ? '' : 'Nothing to acknowledge.'));
     this.all.checked = waiting.length > 0 && this.chosen.size === waiting.length;
     this.all.indeterminate = this.chosen.size > 0 && this.chosen.size < waiting.length;
-    const key = [...alarms.values()].map((alarm) => [alarm.id, alarm.state, alarm.since, alarm.comment].join()).join();
+    const key = [...alarms.values()].map((alarm) =>
+      [alarm.id, alarm.state, alarm.since, alarm.comment].join()).join();
     if (this.key !== undefined && key !== this.key) {
       this.journal.refresh();
       this.watched.refresh();

@@ -7,7 +7,6 @@ import { icon } from '../icons.js';
 const GROUPS = [
   ['over', 'over a limit', [2, 'filled']], ['ahead', 'limit ahead', [2, 'dashed']],
   ['lost', 'without data', ['bad', 'hollow']], ['safe', 'safe', ['ok']],
-  ['rest', 'at rest', ['none']],
 ];
 const COUNT_EVERY_MS = 10000;
 const FLOOD = 10;

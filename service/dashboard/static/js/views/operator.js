@@ -2,21 +2,24 @@
 import { AlarmList } from '../alarm_list.js';
 import { summary } from '../alarms.js';
 import { h, put, setText } from '../dom.js';
-import { fixed, isNumber, NODE_NAMES } from '../format.js';
+import { FirstData } from '../first_data.js';
+import { channelName, fixed, isNumber, NODE_NAMES } from '../format.js';
 import { LaneChart } from '../lane.js';
+import { listed } from '../live_verdict.js';
 import { NodeTiles } from '../nodes.js';
 import { readChannel } from '../readings.js';
 import { assetHash } from '../route.js';
 import { Section } from '../section.js';
 import { channelNames, chartSensors } from '../sensors.js';
 import { liveDetail, situation } from '../situation.js';
-import { awayTile, nextStepTile, noForecastTile, nowTile, timeToLimitTile } from '../tiles.js';
+import { liveLimitTile, nextStepTile, nowTile } from '../tiles.js';
 import { TrendChart } from '../trend.js';
 import { THRESHOLDS } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
 const SPANS = [[1, '1 h'], [3, '3 h'], [12, '12 h']];
 const BRIDGE_WALL_MS = 1500;
+const FLAG_MS = 250; // as often as the header's clock
 const PHONE = 760;
 const PHONE_PAST_MS = 1.5 * HOUR_MS;
 const BEARING_14 = 'bearing-14';
@@ -42,7 +45,8 @@ export class OperatorView {
       h('header', {}, this.sectionTitle, h('span', { class: 'sp' }), this.sectionChip), sectionBox);
     this.alarmCount = h('span', { class: 's mut' });
     const alarmBox = h('div', { class: 'alarmbox' });
-    put(box, h('h1', { class: 'vh' }, 'Operator'), this.answers, this.trendPanel,
+    this.firstData = new FirstData(page);
+    put(box, h('h1', { class: 'vh' }, 'Operator'), this.answers, this.firstData.element, this.trendPanel,
       this.sectionPanel, h('section', { class: 'panel p-al' },
         h('header', {}, h('h2', {}, 'Alarms'), this.alarmCount, h('span', { class: 'sp' }),
           h('a', { class: 'btn sm', href: assetHash('alarms', this.hashAsset()) }, 'Journal')),
@@ -55,10 +59,13 @@ export class OperatorView {
     this.alarms = new AlarmList(alarmBox, page.desk);
     const { store } = page;
     this.endings = [
-      store.on(['tags', 'forecast', 'nodes', 'asset', 'link', 'alarms', 'sources'],
+      store.on(['tags', 'forecast', 'verdict', 'nodes', 'asset', 'link', 'alarms', 'sources'],
         () => this.update(), 250),
       store.on(['history', 'loaded'], () => this.draw(), 500),
     ];
+    this.flagTimer = setInterval(() => {
+      if (page.clock.now() !== null) this.trend.showClock(page.clock.now());
+    }, FLAG_MS);
     this.timer = setInterval(() => {
       this.update();
       this.draw();
@@ -73,6 +80,7 @@ export class OperatorView {
 
   destroy() {
     clearInterval(this.timer);
+    clearInterval(this.flagTimer);
     this.endings.forEach((end) => end());
     [this.trend, this.speed, this.load].forEach((chart) => chart.destroy());
   }
@@ -117,7 +125,10 @@ export class OperatorView {
     this.updateSection(now);
     const detail = liveDetail(store.state, clock);
     this.alarms.update(store.get('alarms'), () => detail);
-    setText(this.alarmCount, summary(store.get('alarms')));
+    const told = now.live && store.get('alarmsKnown');
+    setText(this.alarmCount, told ? summary(store.get('alarms')) : 'not known now');
+    this.firstData.update(store.state, clock);
+    this.trendPanel.hidden = this.firstData.element.hidden === false;
   }
 
   updateAnswers(now) {
@@ -125,14 +136,7 @@ export class OperatorView {
       const band = now.fan?.bands[sensor];
       return band ? Math.max(...band.q975) : null;
     };
-    const tiles = [nowTile(now.now, peakOf(now.now.reading?.sensor))];
-    const ahead = [['Is the next step safe', 'Next step'], ['Time to limit', 'Time to limit']];
-    if (!now.live) tiles.push(...ahead.map(([label, title]) => awayTile(label, title)));
-    else if (!now.fan) {
-      tiles.push(...ahead.map(([label, title]) => noForecastTile(label, title, now.noForecast)));
-    } else {
-      tiles.push(nextStepTile(now.next, now), timeToLimitTile(now.toLimit, now));
-    }
+    const tiles = [nowTile(now, peakOf(now.reading?.sensor)), nextStepTile(now), liveLimitTile(now)];
     tiles.forEach((tile, i) => {
       const shown = this.answers.children[i];
       if (!shown) this.answers.append(tile);
@@ -142,14 +146,17 @@ export class OperatorView {
 
   updateHeads(now) {
     const { asset, forecast } = this.page.store.state;
-    const stale = now.alone || !now.live;
+    const stale = this.isStale(now);
+    const blind = this.blind(now);
+    setText(this.sectionChip, blind ? `estimates uncertain: no ${blind}` : 'last known values');
     this.trendPanel.classList.toggle('isstale', stale || now.lostMs !== null);
     this.sectionPanel.classList.toggle('isstale', stale);
     this.sectionChip.hidden = !stale;
     setText(this.sectionTitle, this.isBearing ? `Bearing ${asset.bearing} in section, °C`
       : `Network ${asset.network}, °C`);
     setText(this.modelText, this.modelLine(asset, now));
-    const labels = (now.fan && forecast?.labels) || [];
+    const labels = [...((now.fan && forecast?.labels) || []), isNumber(asset.ambient_assumed_c)
+      && `ambient assumed ${fixed(asset.ambient_assumed_c, 0)} °C`].filter(Boolean);
     if (labels.join() !== this.shownLabels) {
       put(this.labels, labels.map((label) => h('span', { class: 'chip dash' }, label)));
       this.shownLabels = labels.join();
@@ -159,9 +166,9 @@ export class OperatorView {
   modelLine(asset, now) {
     const model = asset.active_model;
     if (!model) return 'no model yet';
-    const name = `twin v${model.version}`;
+    const name = `model v${model.version}`;
     if (model.trusted === false) return `${name}, not trusted: no forecast`;
-    if (now.alone) return `${name} runs without data`;
+    if (now.alone) return `model v${model.version}, open loop (no sensor correction)`;
     if (!this.page.store.get('history')) return `${name}, the past is being fetched …`;
     const parts = [name];
     const residual = this.residual(now.nowMs);
@@ -182,8 +189,19 @@ export class OperatorView {
     return Math.sqrt(squares.reduce((sum, square) => sum + square, 0) / squares.length);
   }
 
+  /** What of the operation the estimates would need and do not have, in words. */
+  blind(now) {
+    const missing = this.page.store.get('nodes')?.missing ?? [];
+    return now.live && listed(missing.map((name) => channelName(name).toLowerCase()));
+  }
+
+  /** Whether the estimates are not of now. */
+  isStale(now) {
+    return now.alone || !now.live || Boolean(this.blind(now));
+  }
+
   updateSection(now) {
-    const stale = now.alone || !now.live;
+    const stale = this.isStale(now);
     if (this.isBearing) this.section.update({ ...this.bearingNodes(now), stale });
     else this.section.update({ ...this.ownNodes(now), stale });
   }
@@ -193,6 +211,7 @@ export class OperatorView {
     const { state } = this.page.store;
     const nodes = {};
     const spreads = {};
+    const unknown = [];
     const measured = {};
     const measure = (node, channel) => {
       if (state.tags[channel]) measured[node] = readChannel(state, this.page.clock, channel);
@@ -201,8 +220,10 @@ export class OperatorView {
       const estimate = state.nodes?.nodes?.[`t_node_${i + 1}_c`];
       nodes[i + 1] = estimate?.mean_c ?? null;
       spreads[i + 1] = estimate?.std_c ?? 0;
+      if (estimate?.known === false) unknown.push(i + 1);
       measure(i + 1, `t_node_${i + 1}_c`);
     });
+    nodes[14] = state.asset.ambient_assumed_c ?? null;
     measure(14, 'ambient_c');
     const alerts = {};
     for (const [sensor, node] of Object.entries(NODE_OF_SENSOR)) {
@@ -210,7 +231,7 @@ export class OperatorView {
       const priority = this.alertOf(now, now.readings.find((one) => one.sensor === sensor));
       if (priority) alerts[node] = priority;
     }
-    return { nodes, spreads, measured, alerts };
+    return { nodes, spreads, unknown, measured, alerts };
   }
 
   /** What the tiles show, by name. */
@@ -225,6 +246,7 @@ export class OperatorView {
     return {
       nodes: byName([...new Set([...nodes, ...temperatures])], estimate),
       spreads: byName(nodes, (name) => state.nodes.nodes[name].std_c),
+      unknown: nodes.filter((name) => state.nodes.nodes[name].known === false),
       measured: byName(temperatures, (name) => readChannel(state, this.page.clock, name)),
       alerts: Object.fromEntries(alerts.filter(([, alert]) => alert)),
     };

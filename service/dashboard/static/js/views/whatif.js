@@ -11,9 +11,11 @@ import { ProfilePanel } from '../profile_panel.js';
 import { readChannel } from '../readings.js';
 import { chartSensors } from '../sensors.js';
 import { crossingsAhead, situation } from '../situation.js';
-import { awayTile, noForecastTile, peakTile, profileTile, timeToLimitTile } from '../tiles.js';
+import {
+  awayTile, missingTile, noForecastTile, peakTile, profileTile, timeToLimitTile,
+} from '../tiles.js';
 import { TrendChart } from '../trend.js';
-import { answerNextStep, answerTimeToLimit } from '../verdict.js';
+import { judgeProfile, timeAlongProfile } from '../verdict.js';
 
 const HOUR_MS = 3600e3;
 const PAST_SHARE = 0.22; // of what lies ahead, within these bounds
@@ -312,11 +314,19 @@ export class WhatIfView {
       return;
     }
     const { limits, readings, nowMs } = now;
-    const whole = answerNextStep({ forecast: this.answer, fan, steps: [], limits, nowMs });
+    const whole = judgeProfile({ forecast: this.answer, fan, limits, nowMs });
+    if (!whole.word) {
+      put(this.answers, TITLES.map(([label, title]) => noForecastTile(label, title, 'no limits')));
+      return;
+    }
     const planned = now.planned && now.fan
       && overSpan(now.fan, whole.peak.sensor, whole.peak.limits, nowMs, Infinity);
-    const toLimit = answerTimeToLimit({ forecast: this.answer, fan, readings, limits, nowMs });
-    put(this.answers, profileTile(whole), peakTile(whole, planned), timeToLimitTile(toLimit, now));
+    const toLimit = timeAlongProfile({ forecast: this.answer, fan, readings, limits, nowMs });
+    // No word without its inputs: what the machine's own verdict lacks, a profile's lacks too.
+    const [profile, , limit] = TITLES.map(([label, title]) => missingTile(label, title, now));
+    const known = now.missing.every((name) => name === 'forecast');
+    put(this.answers, known ? profileTile(whole) : profile, peakTile(whole, planned),
+      known ? timeToLimitTile(toLimit, now) : limit);
   }
 
   draw(now, fan) {
