@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import Any
 
@@ -17,14 +18,16 @@ from service.alarms import AlarmBook, AlarmCondition, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ClockWatch, ProcessClock
-from service.ingest.metrics import watch_late
+from service.ingest.metrics import watch_forecasts, watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
+from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.bus import Bus
+from service.live.what_if_worker import WhatIfWorker
 from service.outlets import Outlet
 from service.settings import AssetSection, Settings
 from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
@@ -35,6 +38,7 @@ from service.wiring import Wiring
 
 HEALTH_EVERY_WALL_S = 1.0
 STORE_RETRY_WALL_S = 2.0
+WARM_UP_AFTER_S = 5.0
 
 _log = structlog.get_logger(__name__)
 
@@ -96,7 +100,12 @@ class Service:
         watch_late(
             lambda: {asset.id: asset.readings.late for asset in self.assets.values()}, self.registry
         )
+        watch_forecasts(
+            lambda: {asset.id: asset.forecast_age_s() for asset in self.assets.values()},
+            self.registry,
+        )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
+        self._what_ifs = WhatIfWorker(make_executor)
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
         self._kept_states = {asset: store.load_asset_state(asset) for asset in self.assets}
@@ -159,6 +168,7 @@ class Service:
             bus=self.bus,
             alarms=self.alarms,
             executor=self._executor,
+            what_if_executor=self._what_ifs,
             store_samples=self._store_derived,
             save_state=save_state,
             windows=self.histories[asset.id].windows_json,
@@ -274,6 +284,7 @@ class Service:
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
                     ("jobs", self._take_up_jobs()),
+                    ("what-if worker", self._warm_up()),
                     ("health", self._tell_health()),
                     ("upkeep", self.upkeep.run()),
                     *((name, work()) for name, work in outlets),
@@ -285,7 +296,15 @@ class Service:
                 ready()
                 await stop.wait()
         finally:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+            for executor in (self._executor, self._what_ifs):
+                executor.shutdown(wait=False, cancel_futures=True)
+
+    async def _warm_up(self) -> None:
+        """Have the worker of what-ifs ready before the first question, but not while we start."""
+        await asyncio.sleep(WARM_UP_AFTER_S)
+        with contextlib.suppress(BrokenProcessPool):
+            await asyncio.wrap_future(self._what_ifs.submit(compile_kernels))
+        await asyncio.Event().wait()
 
     async def _twins(self) -> None:
         # Side by side: their last saving takes its time when the store does not answer.

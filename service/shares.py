@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import Executor
 from typing import TypeVar
 
@@ -105,13 +105,18 @@ class Shares:
     async def run(
         self, caller: str, executor: Executor, work: Callable[..., Result], *arguments: object
     ) -> Result:
-        """Wait for a turn and work in a thread; the turn lasts as long as the work does.
+        """Wait for a turn and work in a thread; as `hold`."""
+        loop = asyncio.get_running_loop()
+        return await self.hold(caller, lambda: loop.run_in_executor(executor, work, *arguments))
+
+    async def hold(self, caller: str, begin: Callable[[], Awaitable[Result]]) -> Result:
+        """Wait for a turn and work; the turn lasts as long as the work does.
 
         Also where the caller has gone meanwhile: a thread cannot be stopped.
         """
         await self.enter(caller)
         try:
-            working = asyncio.get_running_loop().run_in_executor(executor, work, *arguments)
+            working = asyncio.ensure_future(begin())
         except BaseException:
             self.leave(caller)
             raise

@@ -5,7 +5,7 @@ with `Retry-After`.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -79,6 +79,13 @@ class HeldResponse(StreamingResponse):
             await super().__call__(scope, receive, send)
         finally:
             self._leave()
+
+
+async def pieces_in_turn(pieces: Sequence[bytes]) -> AsyncIterator[bytes]:
+    """Give the pieces of a long answer, each compressed by itself, with room between them."""
+    for piece in pieces:
+        yield piece
+        await asyncio.sleep(0)
 
 
 def turns_of(request: Request) -> Turns:

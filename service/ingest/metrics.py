@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 from prometheus_client import CollectorRegistry, Gauge, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -160,26 +161,39 @@ def watch_queues(
 
 def watch_late(late: Callable[[], Mapping[str, int]], registry: CollectorRegistry) -> None:
     """Show how many samples of each asset came when newer ones were known; they are stored too."""
-    registry.register(_LateSamples(late))
+    text = "Samples that came out of order, after newer ones."
+    registry.register(_ByAsset(CounterMetricFamily, f"{_PREFIX}_late", text, late))
 
 
-class _LateSamples:
-    def __init__(self, late: Callable[[], Mapping[str, int]]) -> None:
-        self._late = late
+def watch_forecasts(ages_s: Callable[[], Mapping[str, float]], registry: CollectorRegistry) -> None:
+    """Show how old the live forecast of each asset is."""
+    text = "Process seconds since the state that the live forecast begins from; NaN before it."
+    registry.register(
+        _ByAsset(GaugeMetricFamily, "bearing_twin_forecast_age_seconds", text, ages_s)
+    )
+
+
+class _ByAsset:
+    """One figure of each asset, asked for at each scrape."""
+
+    def __init__(
+        self,
+        family: type[CounterMetricFamily] | type[GaugeMetricFamily],
+        name: str,
+        text: str,
+        figures: Callable[[], Mapping[str, float]],
+    ) -> None:
+        self._new = partial(family, name, text, labels=["asset"])
+        self._figures = figures
 
     def describe(self) -> Iterable[Metric]:
-        return [self._family()]
+        return [self._new()]
 
     def collect(self) -> Iterable[Metric]:
-        counter = self._family()
-        for asset, count in self._late().items():
-            counter.add_metric([asset], count)
-        return [counter]
-
-    def _family(self) -> CounterMetricFamily:
-        return CounterMetricFamily(
-            f"{_PREFIX}_late", "Samples that came out of order, after newer ones.", labels=["asset"]
-        )
+        family = self._new()
+        for asset, figure in self._figures().items():
+            family.add_metric([asset], figure)
+        return [family]
 
 
 class SourceMetrics:

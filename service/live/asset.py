@@ -32,7 +32,8 @@ from service.wiring import ChannelFacts
 from twin_core.forecasting.design import Level
 
 STEP_S = 5.0
-FORECAST_EVERY_S = 60.0
+# With the step of the twin and the time that computing takes a forecast is never a minute old.
+FORECAST_EVERY_S = 45.0
 ESTIMATE_EVERY_S = 60.0
 SAVE_EVERY_WALL_S = 5.0
 LAST_SAVE_WALL_S = 1.0
@@ -64,8 +65,8 @@ class AssetRuntime:
         The model version to run on.
     clock, bus, alarms
         Process time, live messages, alarm book.
-    executor : concurrent.futures.Executor
-        Where forecasts are computed.
+    executor, what_if_executor : concurrent.futures.Executor
+        Where live forecasts, and those of callers, are computed; by default in one place.
     store_samples : callable
         Takes the twin's own estimates for the store.
     save_state : callable
@@ -90,6 +91,7 @@ class AssetRuntime:
         save_state: SaveState,
         windows: Callable[[], Awaitable[Sequence[Mapping[str, Any]]]],
         doubt: Callable[[str], str] = lambda channel: "",
+        what_if_executor: Executor | None = None,
     ) -> None:
         self.settings = settings
         self.facts = channels
@@ -116,7 +118,9 @@ class AssetRuntime:
         self._store_samples = store_samples
         self._save_state = save_state
         self._windows = windows
-        self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
+        self._forecasting = Forecasting(
+            settings, self.estimate, self.readings, clock, executor, what_if_executor or executor
+        )
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
         self._judgement = Judgement(
             settings, self.readings, self.estimate, self._forecasting, alarms, clock
@@ -279,6 +283,10 @@ class AssetRuntime:
         """Return the latest live forecast; None before the first."""
         latest = self._forecasting.latest
         return None if latest is None else latest | {"missing": self._judgement.blind}
+
+    def forecast_age_s(self) -> float:
+        """Process seconds since the state that the live forecast begins from; NaN before it."""
+        return self._forecasting.age_s(self._clock.now_us())
 
     async def what_if(
         self,

@@ -1,9 +1,11 @@
 """The live forecast of one asset, and what-if forecasts from its present state."""
 
 import asyncio
+import math
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, NamedTuple
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile
@@ -16,13 +18,21 @@ from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
-from service.settings import AssetSection
+from service.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
 
 FORECAST_ROW_S = 60.0
 HORIZON_S = 4 * 3600.0
 MEMBERS = 200
 _PLAN_MAX_AGE_S = 30.0
+
+
+class _Made(NamedTuple):
+    """A forecast, when it passes which limit, and both as JSON."""
+
+    result: Forecast
+    crossings: dict[str, dict[str, LimitCrossing]]
+    body: dict[str, Any]
 
 
 class Forecasting:
@@ -39,7 +49,10 @@ class Forecasting:
     clock : Clock
         Process time.
     executor : concurrent.futures.Executor
-        Where forecasts are computed.
+        Where live forecasts are computed.
+    what_if_executor : concurrent.futures.Executor
+        Where those of callers are computed, a process for example: no live forecast waits behind
+        them.
 
     Attributes
     ----------
@@ -60,16 +73,23 @@ class Forecasting:
         readings: Readings,
         clock: Clock,
         executor: Executor,
+        what_if_executor: Executor,
     ) -> None:
         self._limits = settings.limits
         self._estimate = estimate
         self._readings = readings
         self._clock = clock
         self._executor = executor
+        self._what_if_executor = what_if_executor
+        self._made_us: int | None = None
         self.plan: PlannedProfile | None = None
         self.latest: dict[str, Any] | None = None
         self.crossings: dict[str, dict[str, LimitCrossing]] = {}
         self.outlook: Outlook | None = None
+
+    def age_s(self, now_us: int) -> float:
+        """Process seconds since the state that the live forecast begins from; NaN before it."""
+        return math.nan if self._made_us is None else (now_us - self._made_us) / 1e6
 
     def take_plan(self, plan: PlannedProfile) -> bool:
         """Follow a plan from now on; returns whether it is another one than before."""
@@ -89,9 +109,11 @@ class Forecasting:
         if not steps:
             return None
         version = self._estimate.active.version
-        result = await self._compute(steps, FORECAST_ROW_S)
-        crossings = presentation.limit_crossings(result, self._limits)
-        body = presentation.forecast_json(result, self._limits, crossings)
+        arguments = self._arguments(steps, FORECAST_ROW_S)
+        loop = asyncio.get_running_loop()
+        result, crossings, body = await loop.run_in_executor(
+            self._executor, _make, arguments, self._limits
+        )
         body |= {
             "made_at": rfc3339(made_us),
             "model_version": version,
@@ -99,7 +121,7 @@ class Forecasting:
             "planned": self._has_plan(made_us),
             "missing": list(missing),
         }
-        self.latest, self.crossings = body, crossings
+        self.latest, self.crossings, self._made_us = body, crossings, made_us
         self.outlook = None
         if not missing:
             outlooks = step_outlooks(result, steps, self._limits)
@@ -126,12 +148,19 @@ class Forecasting:
             for step in profile
         ]
         model_version = self._estimate.active.version
-        result = await self._compute(steps, step_s or FORECAST_ROW_S)
-        crossings = presentation.limit_crossings(result, self._limits)
-        answer = presentation.forecast_json(
-            result, self._limits, crossings, list(nodes) if nodes else None
-        )
-        return answer | {"model_version": model_version, "profile": presentation.steps_json(steps)}
+        arguments = self._arguments(steps, step_s or FORECAST_ROW_S)
+        wanted = list(nodes) if nodes else None
+        loop = asyncio.get_running_loop()
+        try:
+            body = await loop.run_in_executor(
+                self._what_if_executor, _what_if, arguments, self._limits, wanted
+            )
+        except BrokenProcessPool as error:
+            raise NotReadyError("the worker that computes what-if forecasts has died") from error
+        return body | {
+            "model_version": model_version,
+            "profile": presentation.steps_json(steps),
+        }
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""
@@ -163,9 +192,10 @@ class Forecasting:
         point = self._estimate.point
         return () if point is None else point.inputs
 
-    async def _compute(self, steps: Sequence[Step], row_s: float) -> Forecast:
+    def _arguments(self, steps: Sequence[Step], row_s: float) -> tuple[Any, ...]:
+        """What `_forecast` computes a forecast from the present state from."""
         observer, active = self._estimate.observer, self._estimate.active
-        arguments = (
+        return (
             active.model,
             active.posterior,
             observer.temperatures_c.copy(),
@@ -176,8 +206,22 @@ class Forecasting:
             observer.operating_point,
             observer.inputs or self._inputs,
         )
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._executor, _forecast, *arguments)
+
+
+def _make(
+    arguments: tuple[Any, ...], limits: Mapping[str, Limits], nodes: Sequence[str] | None = None
+) -> _Made:
+    # JSON too: two days in all nodes are a hundred thousand figures, no work for the event loop.
+    result = _forecast(*arguments)
+    crossings = presentation.limit_crossings(result, limits)
+    return _Made(result, crossings, presentation.forecast_json(result, limits, crossings, nodes))
+
+
+def _what_if(
+    arguments: tuple[Any, ...], limits: Mapping[str, Limits], nodes: Sequence[str] | None
+) -> dict[str, Any]:
+    """Give only what the caller gets: it comes from another process."""
+    return _make(arguments, limits, nodes).body
 
 
 def _forecast(*arguments: Any) -> Forecast:

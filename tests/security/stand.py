@@ -152,6 +152,12 @@ class Stand(Station):
         except httpx2.TransportError:
             return False
 
+    def metric(self, name: str) -> float:
+        """A metric by its name and labels, as Prometheus writes them."""
+        lines = self.client.get("/metrics").text.splitlines()
+        start = f"bearing_twin_{name} "
+        return next(float(line[len(start) :]) for line in lines if line.startswith(start))
+
     # ------------------------------------------------------------------ watching
     def watch(self, seconds: float) -> Course:
         """Watch for so long how acquisition goes and how other callers are answered."""

@@ -1,8 +1,12 @@
 """Nobody may disturb acquisition: polls of a device while callers take all they can get."""
 
+import json
+import time
 from collections.abc import Iterator
+from datetime import datetime
 
 import pytest
+from security.attackers import ASSET
 from security.stand import Course, Stand
 
 from service.store import Role
@@ -46,8 +50,32 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[Course, Course]:
         ("rejected_pushes", "gateway"),
         ("large_reads", "viewer"),
         ("downloads", "viewer"),
+        ("what_ifs", "operator"),
     ],
 )
 def test_no_caller_makes_a_poll_late(stand: Stand, name: str, role: Role) -> None:
     before, during = measured(stand, name, role)
     assert during.skipped - before.skipped < SHARE, f"without: {before}; with: {during}"
+
+
+def test_forty_what_ifs_leave_the_live_forecast_fresh(stand: Stand) -> None:
+    shown_s, told_s = [], []
+    with stand.attack("what_ifs", "operator", 80.0) as attacker:
+        while attacker.poll() is None:
+            made_at = stand.get(f"/api/v1/assets/{ASSET}/forecast")["made_at"]
+            shown_s.append(time.time() - datetime.fromisoformat(made_at).timestamp())
+            told_s.append(stand.metric(f'forecast_age_seconds{{asset="{ASSET}"}}'))
+            time.sleep(0.5)
+        assert attacker.stdout is not None
+        answers = json.loads(attacker.stdout.read().removeprefix("attacking\n"))
+    assert answers["200"] > 0
+    assert answers["503"] > 0, "a key has so many and no more"
+    assert len(shown_s) > 20
+    assert max(shown_s + told_s) < 60.0
+    assert max(told_s) > 10.0, "it grows until the next one"
+    # A client that leaves takes its questions with it: the next one is answered at once.
+    profile = [{"duration_s": 600, "speed_rpm": 1500, "load_n": 3000}]
+    began_s = time.monotonic()
+    answer = stand.client.post(f"/api/v1/assets/{ASSET}/forecasts", json={"profile": profile})
+    assert answer.status_code == 200, answer.text
+    assert time.monotonic() - began_s < 15.0, "it stood behind those of clients that have left"

@@ -3,12 +3,14 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.context import MAX_PROFILE_HOURS
 from service.api.deps import Asset, json_response
 from service.api.planning import AdviceDocument
+from service.api.turns import caller_of, turns_of
 from service.security.roles import ENGINEER
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
@@ -22,6 +24,7 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
 )
 async def get_advice(
     asset: Asset,
+    request: Request,
     speed_rpm: Annotated[
         float,
         Query(
@@ -57,4 +60,5 @@ async def get_advice(
 
     409 before the first identification: there is nothing yet that a step could improve.
     """
-    return json_response(await asset.advice(speed_rpm, load_n, duration_s))
+    async with turns_of(request).studies.turn(caller_of(request)):
+        return json_response(await asset.advice(speed_rpm, load_n, duration_s))

@@ -1,11 +1,13 @@
 """The safe operating envelope."""
 
 from fastapi import APIRouter
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.api.access import secured
 from service.api.deps import Asset, json_response
 from service.api.planning import EnvelopeDocument
+from service.api.turns import caller_of, turns_of
 from service.security.roles import VIEWER
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
@@ -17,9 +19,10 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
     summary="Safe operating envelope over speed and load",
     **secured(VIEWER, 404),
 )
-async def get_envelope(asset: Asset) -> Response:
+async def get_envelope(asset: Asset, request: Request) -> Response:
     """Steady temperatures and times to the limits, each point held from the present state.
 
     Kept until the model version, the plan's range or the machine's state changes.
     """
-    return json_response(await asset.envelope())
+    async with turns_of(request).studies.turn(caller_of(request)):
+        return json_response(await asset.envelope())

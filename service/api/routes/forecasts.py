@@ -1,13 +1,21 @@
 """Forecasts: the live one, and what-if."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
 from fastapi import APIRouter
-from starlette.responses import Response
+from pydantic_core import to_json
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
 
 from service.api.access import secured
 from service.api.bodies import LiveForecast, WhatIf
 from service.api.context import ForecastRequest, NotReadyError, RequestRefusedError
 from service.api.deps import Asset, json_response
+from service.api.turns import caller_of, pieces_in_turn, turns_of, while_there
 from service.security.roles import OPERATOR, VIEWER
+
+_PIECE_BYTES: Final = 1 << 16
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
 
@@ -32,14 +40,30 @@ async def get_forecast(asset: Asset) -> Response:
     summary="What if: forecast a profile from the present state",
     **secured(OPERATOR, 404, audit=None),
 )
-async def post_forecast(asset: Asset, request: ForecastRequest) -> Response:
-    """Answer at once; nothing is kept and nothing is commanded."""
-    for number, name in enumerate(request.nodes or ()):
+async def post_forecast(asset: Asset, request: Request, body: ForecastRequest) -> Response:
+    """Nothing is kept and nothing is commanded.
+
+    One is computed at a time, and four more of each key may wait; keys take turns.
+    """
+    for number, name in enumerate(body.nodes or ()):
         if name not in asset.temperature_names:
             raise RequestRefusedError(
                 f"/nodes/{number}",
                 f"{name!r} is no sensor or node of this asset, expected one of "
                 f"{', '.join(asset.temperature_names)}",
             )
-    answer = await asset.what_if(request.profile, request.step_s, request.nodes)
-    return json_response(answer)
+    turns, caller = turns_of(request), caller_of(request)
+
+    async def compute() -> Sequence[bytes]:
+        answer = await turns.what_ifs.hold(
+            caller, lambda: asset.what_if(body.profile, body.step_s, body.nodes)
+        )
+        return await turns.read(caller, _pieces_of, answer)
+
+    pieces = await while_there(request, compute())
+    return StreamingResponse(pieces_in_turn(pieces), media_type="application/json")
+
+
+def _pieces_of(answer: Mapping[str, Any]) -> list[bytes]:
+    text = to_json(answer, inf_nan_mode="null")
+    return [text[begin : begin + _PIECE_BYTES] for begin in range(0, len(text), _PIECE_BYTES)]

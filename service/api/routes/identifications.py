@@ -13,6 +13,7 @@ from service.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
 from service.api.trail import REPLAYED
+from service.api.turns import caller_of, turns_of
 from service.security.roles import ENGINEER
 
 RETRY_AFTER_S = 2
@@ -28,9 +29,10 @@ JobId = Annotated[str, Path(max_length=64, description="The job's id.")]
     summary="Low-risk windows in the store",
     **secured(ENGINEER, 404),
 )
-async def list_windows(asset: Asset) -> Response:
+async def list_windows(asset: Asset, request: Request) -> Response:
     """Contiguous good data inside the low-risk region, with operating points and score."""
-    return json_response({"items": await asset.windows(), "next": None})
+    async with turns_of(request).studies.turn(caller_of(request)):
+        return json_response({"items": await asset.windows(), "next": None})
 
 
 @router.post(

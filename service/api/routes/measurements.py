@@ -1,8 +1,7 @@
 """Measurements: the history of channels, and the way in for gateways."""
 
-import asyncio
 import io
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -20,7 +19,7 @@ from service.api.deps import Asset, Context, json_response
 from service.api.problems import Problem, parameter_problem
 from service.api.pushes import PushRequest, PushRoute, Verdict, give_turn_back, in_thread, judge
 from service.api.times import Instant
-from service.api.turns import HeldResponse, Turns, caller_of, turns_of, while_there
+from service.api.turns import HeldResponse, Turns, caller_of, pieces_in_turn, turns_of, while_there
 from service.security.roles import PUSH, VIEWER
 from service.store import Store, StoreUnavailableError
 from service.transfer.exporting import ParquetPages
@@ -133,7 +132,9 @@ async def get_measurements(
     if rows_max is not None and rows_max <= LIMIT:
         reading = turns.read(caller, _page, context.store, asset.id, place, format, rows_max)
         page, following = await while_there(request, reading)
-        return StreamingResponse(_pieces(page), **_options(request, asset, format, following))
+        return StreamingResponse(
+            pieces_in_turn(page), **_options(request, asset, format, following)
+        )
     await turns.long_reads.enter(caller)
     leave = partial(turns.long_reads.leave, caller)
     try:
@@ -142,7 +143,7 @@ async def get_measurements(
         if rows_max is not None:
             reading = turns.read(caller, _page, context.store, asset.id, place, format, rows_max)
             page, following = await while_there(request, reading)
-            pieces = _pieces(page)
+            pieces = pieces_in_turn(page)
         elif format == "csv":
             pieces = _csv(turns, caller, context.store, asset.id, place)
         else:
@@ -232,12 +233,6 @@ def _page(
         items = to_json(as_items(page.rows[begin : begin + _PIECE_ROWS]), inf_nan_mode="null")
         pieces.append((b"," if begin else b"") + items[1:-1])
     return [*pieces, b'],"next":' + to_json(following) + b"}"], following
-
-
-async def _pieces(pieces: Sequence[bytes]) -> AsyncIterator[bytes]:
-    for piece in pieces:
-        yield piece
-        await asyncio.sleep(0)  # others have their turn between two pieces
 
 
 async def _csv(
