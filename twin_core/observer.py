@@ -53,6 +53,9 @@ SENSOR_DRIFT_K = 0.1
 SENSOR_DRIFT_TIME_S = 60.0
 """White noise, quantisation step, and a part of the error that lasts for about a minute."""
 
+FLOOR_ERROR_K = 0.5
+"""Standard deviation of the coldest temperature of the surroundings."""
+
 _REST_OFFSET_K = 1.0
 _REST_SCATTER_K = 0.3
 _REST_CONTRADICTION_K = 3.0
@@ -416,6 +419,38 @@ class Observer:
         elapsed = self._elapsed_s.get(name, SENSOR_DRIFT_TIME_S)
         repeats = max(SENSOR_DRIFT_TIME_S / max(elapsed, 1e-3), 1.0)
         return SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0 + SENSOR_DRIFT_K**2 * repeats
+
+
+def not_colder_than(
+    floor_c: float, mean_c: ArrayLike, covariance: ArrayLike
+) -> NDArray[np.float64]:
+    """Project an estimate onto what is possible: no node colder than its coldest surroundings.
+
+    The nearest possible state in the metric of the covariance (Simon and Chia, IEEE Trans. AES 38,
+    2002, 128): what is known hardly moves, what is not known goes to the bound and takes with it
+    what depends on it.
+
+    Parameters
+    ----------
+    floor_c
+        Coldest temperature of the surroundings, now and as long as a body remembers, degC.
+    mean_c, covariance
+        Estimate (nodes,) in degC and its covariance (nodes, nodes) in K2.
+    """
+    mean = np.asarray(mean_c, np.float64)
+    spread = np.asarray(covariance, np.float64)
+    bound: set[int] = set()
+    result = mean.copy()
+    for _ in range(mean.size):
+        below = set(np.flatnonzero(result < floor_c - 1e-9).tolist())
+        if below <= bound:
+            break
+        bound |= below
+        rows = sorted(bound)
+        # Where the bound lies is known no better than the sensors that it comes from.
+        block = spread[np.ix_(rows, rows)] + FLOOR_ERROR_K**2 * np.eye(len(rows))
+        result = mean - spread[:, rows] @ np.linalg.solve(block, mean[rows] - floor_c)
+    return np.maximum(result, floor_c) if bound else result
 
 
 def _number(data: Mapping[str, object], name: str) -> float:

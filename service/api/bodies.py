@@ -123,6 +123,9 @@ class NodeState(_Answer):
 
     mean_c: Number = Field(description="°C", examples=[71.2])
     std_c: Number = Field(description="Standard deviation, K.", examples=[0.8])
+    known: bool = Field(
+        False, description="Whether half the 95 % interval is within 8 K; else it is not known."
+    )
 
 
 class State(_Answer):

@@ -67,6 +67,15 @@ class OperatingPoint(_Answer):
     load_n: float = Field(examples=[2650])
 
 
+class PresentPoint(OperatingPoint):
+    """Where the machine is now, and what is measured there."""
+
+    measured_c: dict[str, Number] = Field(
+        {},
+        description="Good and fresh readings by sensor, °C; `labels` say where the map is low.",
+    )
+
+
 class EnvelopeDocument(_Answer):
     """Steady temperatures and times to the limits over speed and load."""
 
@@ -81,7 +90,7 @@ class EnvelopeDocument(_Answer):
     load_n: list[float] = Field(description="Rows of all maps.", examples=[[450, 900]])
     sensors: dict[str, SensorMaps]
     runaway: RunawayMap
-    present: OperatingPoint
+    present: PresentPoint
     low_risk: LowRisk
     labels: list[str] = Field(
         description="What must be said with it.",

@@ -17,6 +17,7 @@ from service.channels import unit_of
 from service.clock import rfc3339
 from service.live import presentation
 from service.live.bus import Bus
+from service.live.envelope import with_measured
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.guard import Guard
@@ -300,7 +301,14 @@ class AssetRuntime:
 
     async def envelope(self) -> Mapping[str, Any]:
         """Return the safe operating envelope, of late or computed now."""
-        return await self._planning.envelope(self._forecasting.steps_ahead(self._clock.now_us()))
+        now_us = self._clock.now_us()
+        document = await self._planning.envelope(self._forecasting.steps_ahead(now_us))
+        measured_c = {
+            name: self.readings.good_value(name, now_us)
+            for name in document["sensors"]
+            if name in self.facts
+        }
+        return with_measured(document, measured_c)
 
     async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
         """Rank low-risk steps by what they would teach about a point."""

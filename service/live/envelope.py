@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.clock import rfc3339
 from service.live.estimate import ActiveModel
+from service.live.rules import label
 from service.settings import AssetSection
 from twin_core.forecasting.design import Present
 from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
@@ -158,6 +159,42 @@ class EnvelopeKeeper:
             "low_risk": self._settings.low_risk.model_dump(),
             "labels": labels,
         }
+
+
+def with_measured(
+    document: Mapping[str, Any], measured_c: Mapping[str, float | None]
+) -> dict[str, Any]:
+    """Put beside the map what is measured at the present point, and say where the map is too low.
+
+    Parameters
+    ----------
+    document : mapping
+        The envelope as the REST interface shows it.
+    measured_c : mapping of str to float or None
+        Good and fresh readings by sensor.
+    """
+    present = document["present"]
+    row = _nearest(document["load_n"], present["load_n"])
+    column = _nearest(document["speed_rpm"], present["speed_rpm"])
+    labels = list(document["labels"])
+    for name, value_c in measured_c.items():
+        maps = document["sensors"][name]
+        expected_c = maps["steady_c"]["q50"][row][column]
+        for level in ("alarm", "warning"):
+            limit_c = maps["limits"].get(level, {}).get("limit_c")
+            if value_c is None or limit_c is None or expected_c is None:
+                continue
+            if value_c >= limit_c > expected_c:
+                labels.append(
+                    f"{label(name)} measured {value_c:.1f} °C at the present point, over {level} "
+                    f"{limit_c:g} °C: the map shows {expected_c:.1f} °C there"
+                )
+                break
+    return dict(document) | {"labels": labels, "present": present | {"measured_c": measured_c}}
+
+
+def _nearest(axis: Sequence[float], value: float) -> int:
+    return min(range(len(axis)), key=lambda index: abs(axis[index] - value))
 
 
 def grid(

@@ -12,7 +12,7 @@ from adapters.samples import Quality, Sample
 from service.live.ahead import OperatingPoint
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
-from twin_core.observer import Innovation, Observer, initial_state
+from twin_core.observer import Innovation, Observer, initial_state, not_colder_than
 
 _STANDING_RPM = 5.0
 _AT_REST_K = 1.5
@@ -20,6 +20,8 @@ _AT_REST_K = 1.5
 # and so does a clock that was set back by more than it ever jitters.
 _LONGEST_GAP_S = 1800.0
 _CLOCK_JITTER_S = 60.0
+# So long a heavy machine stays colder than an ambient that has become warmer.
+_REMEMBERS_COLD_S = 6 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,7 @@ class LiveEstimate:
         self._observer: Observer | None = None
         self._revolutions = 0.0
         self._ambient_measured = False
+        self._floor_c: float | None = None
 
     @property
     def started(self) -> bool:
@@ -75,6 +78,25 @@ class LiveEstimate:
         if self._observer is None:
             raise RuntimeError("the estimate has not started")
         return self._observer
+
+    @property
+    def temperatures_c(self) -> NDArray[np.float64]:
+        """Mean of the node temperatures in degC: the observer's, not colder than is possible."""
+        observer = self.observer
+        if self._floor_c is None:
+            return observer.temperatures_c
+        return not_colder_than(self._floor_c, observer.temperatures_c, observer.covariance)
+
+    def _note_surroundings(
+        self, duration_s: float, point: OperatingPoint, temperatures: Mapping[str, float]
+    ) -> None:
+        """Follow the coldest of ambient and readings; a body remembers it for hours."""
+        coldest_c = min([point.ambient_c, *temperatures.values()])
+        if self._floor_c is None or coldest_c < self._floor_c:
+            self._floor_c = coldest_c
+        else:
+            forgotten = -math.expm1(-max(duration_s, 0.0) / _REMEMBERS_COLD_S)
+            self._floor_c += forgotten * (coldest_c - self._floor_c)
 
     def swap(self, active: ActiveModel) -> None:
         """Go on with another model version from the present temperatures."""
@@ -124,6 +146,7 @@ class LiveEstimate:
         if temperatures:
             self.innovations = self._observer.update(temperatures)
         self.time_us, self.point = now_us, point
+        self._note_surroundings(duration_s, point, temperatures)
 
     def stop(self) -> None:
         """Give the estimate up; the next good temperatures start it anew."""
@@ -183,7 +206,7 @@ class LiveEstimate:
 
     def samples(self, asset: str, now_us: int, quality: int = Quality.GOOD) -> list[Sample]:
         """The estimate of every standard sensor as samples for the store, of a given quality."""
-        model, temperatures = self.active.model, self.observer.temperatures_c
+        model, temperatures = self.active.model, self.temperatures_c
         return [
             Sample(
                 asset,

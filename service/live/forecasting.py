@@ -198,7 +198,7 @@ class Forecasting:
         return (
             active.model,
             active.posterior,
-            observer.temperatures_c.copy(),
+            self._estimate.temperatures_c,
             observer.covariance.copy(),
             float(observer.revolutions),
             operating_profile(steps, row_s, self._inputs),

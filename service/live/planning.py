@@ -71,7 +71,7 @@ class Planning:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         observer = self._estimate.observer
         present = Present(
-            observer.temperatures_c.copy(),
+            self._estimate.temperatures_c,
             observer.covariance.copy(),
             max(float(observer.revolutions), 0.0),
             point.ambient_c,

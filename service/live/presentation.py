@@ -16,6 +16,10 @@ from service.settings import Limits
 from service.store import Alarm
 from twin_core.forecasting import Forecast
 
+KNOWN_WITHIN_K = 8.0
+"""A node is known where half its 95 % interval is within a tenth of the scale of 20 to 100 °C."""
+_HALF_WIDTH = 1.959964
+
 QUANTILE_NAMES = ("q025", "q25", "q50", "q75", "q975")
 
 
@@ -115,7 +119,7 @@ def estimate_tags(
     if not estimate.started:
         waiting = Quality.WAITING_FOR_INITIAL_DATA
         return {f"{name}.twin": tag(None, "°C", waiting, began) for name in names}
-    temperatures = estimate.observer.temperatures_c
+    temperatures = estimate.temperatures_c
     made = rfc3339(estimate.time_us or 0)
     quality = Quality.LAST_USABLE if blind else Quality.GOOD
     return {
@@ -180,14 +184,19 @@ def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any
 def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
     """Mean and standard deviation of the node temperatures, null before the first data."""
     active = estimate.active
-    nodes: dict[str, dict[str, float | None]] = {
-        name: {"mean_c": None, "std_c": None} for name in active.model.node_names
+    nodes: dict[str, dict[str, float | bool | None]] = {
+        name: {"mean_c": None, "std_c": None, "known": False} for name in active.model.node_names
     }
     time_us = now_us
     if estimate.started:
         observer, time_us = estimate.observer, estimate.time_us or now_us
-        for name, mean, std in zip(nodes, observer.temperatures_c, observer.std_c, strict=True):
-            nodes[name] = {"mean_c": round(float(mean), 3), "std_c": round(float(std), 3)}
+        for name, mean, std in zip(nodes, estimate.temperatures_c, observer.std_c, strict=True):
+            known = bool(_HALF_WIDTH * std <= KNOWN_WITHIN_K)
+            nodes[name] = {
+                "mean_c": round(float(mean), 3),
+                "std_c": round(float(std), 3),
+                "known": known,
+            }
     return {
         "time": rfc3339(time_us),
         "model_version": active.version,

@@ -32,7 +32,11 @@ async def test_it_starts_with_the_first_good_values_and_forecasts(
     live = make_live()
     live.start()
     assert live.tag("t_node_7_c.twin")["quality"] == Quality.WAITING_FOR_INITIAL_DATA
-    assert live.runtime.state()["nodes"]["t_node_7_c"] == {"mean_c": None, "std_c": None}
+    assert live.runtime.state()["nodes"]["t_node_7_c"] == {
+        "mean_c": None,
+        "std_c": None,
+        "known": False,
+    }
     assert live.runtime.forecast() is None
     with pytest.raises(NotReadyError):
         await live.runtime.what_if(STEPS, None, None)

@@ -11,6 +11,7 @@ from service.live.estimate import ActiveModel, LiveEstimate
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import ThermalModel, build_model
+from twin_core.observer import not_colder_than
 from twin_core.simulation import OperatingProfile, simulate
 
 START_US = 1_763_700_000_000_000
@@ -252,3 +253,38 @@ def test_what_cannot_be_restored_leaves_it_to_start_anew(
     assert not again.started
     again.step(at(60), REST)
     assert again.started
+
+
+# ---------------------------------------------------------------------- what is possible
+def test_no_passive_body_is_colder_than_all_its_surroundings(estimate: LiveEstimate) -> None:
+    """Rings at 36 and 58 °C in air of 22.7 °C had balls at 16 °C."""
+    means = REST | {"ambient_c": 22.7, "t_inner_ring_c": 36.0, "t_outer_ring_c": 58.0}
+    follow(estimate, means, 0.0, 4 * 3600.0)
+    raw_c = estimate.observer.temperatures_c
+    assert raw_c.min() < 22.2, "or this test shows nothing"
+    assert estimate.temperatures_c.min() >= 22.7 - 1e-6
+    rows = estimate.active.model.sensor_matrix(["t_inner_ring_c", "t_outer_ring_c"])
+    assert rows @ estimate.temperatures_c == pytest.approx(rows @ raw_c, abs=0.5)
+
+
+def test_a_machine_stays_colder_than_air_that_has_become_warmer(estimate: LiveEstimate) -> None:
+    cold = REST | {"ambient_c": 12.0, "t_inner_ring_c": 12.0, "t_outer_ring_c": 12.0}
+    follow(estimate, cold, 0.0, 600.0)
+    follow(estimate, cold | {"ambient_c": 25.0}, 605.0, 1800.0)
+    assert estimate.temperatures_c.max() < 14.0, "not as warm as the air"
+    assert estimate.temperatures_c.min() >= 12.0 - 1e-6
+
+
+def test_what_is_possible_is_never_further_from_a_possible_truth() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        factor = rng.normal(0.0, 3.0, (13, 13))
+        covariance = factor @ factor.T + 0.01 * np.eye(13)
+        truth_c = np.maximum(rng.normal(30.0, 8.0, 13), 23.0)
+        mean_c = truth_c + np.linalg.cholesky(covariance) @ rng.standard_normal(13)
+        inverse = np.linalg.inv(covariance)
+        possible_c = not_colder_than(23.0, mean_c, covariance)
+        assert possible_c.min() >= 23.0
+        before, after = mean_c - truth_c, possible_c - truth_c
+        # Not by much more than the bound itself is uncertain.
+        assert after @ inverse @ after <= before @ inverse @ before + 13

@@ -11,7 +11,7 @@ import pytest
 
 from service.api.context import NotIdentifiedError, NotReadyError
 from service.api.planning import AdviceDocument, EnvelopeDocument
-from service.live.envelope import grid
+from service.live.envelope import grid, with_measured
 from service.live.estimate import ActiveModel
 from twin_core.identification.posterior import TrainedRange
 from twin_core.operating_points import OperatingPoint
@@ -192,3 +192,27 @@ async def test_the_event_loop_goes_on_while_they_are_computed(
     await computing
     assert len(late_s) > 20
     assert max(late_s) < sum(late_s) / 2
+
+
+def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:
+    """The ring was at 77 °C over a warning of 70, and the map rated the point 61 °C."""
+    document: dict[str, Any] = {
+        "speed_rpm": [1000.0, 2000.0],
+        "load_n": [1000.0, 3000.0],
+        "present": {"speed_rpm": 1900.0, "load_n": 2650.0},
+        "labels": [],
+        "sensors": {
+            "t_inner_ring_c": {
+                "steady_c": {"q50": [[40.0, 50.0], [45.0, 61.0]]},
+                "limits": {"warning": {"limit_c": 70.0}, "alarm": {"limit_c": 95.0}},
+            }
+        },
+    }
+    shown = with_measured(document, {"t_inner_ring_c": 77.1})
+    assert shown["present"]["measured_c"] == {"t_inner_ring_c": 77.1}
+    assert shown["labels"] == [
+        "Inner ring measured 77.1 °C at the present point, over warning 70 °C: "
+        "the map shows 61.0 °C there"
+    ]
+    for calm in (60.0, None):
+        assert with_measured(document, {"t_inner_ring_c": calm})["labels"] == []

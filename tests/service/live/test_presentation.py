@@ -91,7 +91,11 @@ def test_tags_of_an_estimate_that_has_not_started(estimate: LiveEstimate) -> Non
             "time": BEGAN,
         }
     state = presentation.state_json(estimate, START_US)
-    assert state["nodes"]["t_node_1_c"] == {"mean_c": None, "std_c": None}
+    assert state["nodes"]["t_node_1_c"] == {
+        "mean_c": None,
+        "std_c": None,
+        "known": False,
+    }
     assert state["time"] == "2025-11-21T04:40:00.000Z"
 
 
@@ -109,6 +113,7 @@ def test_tags_and_state_of_a_running_estimate(
     assert state["nodes"]["t_node_7_c"] == {
         "mean_c": tag["value"],
         "std_c": round(float(estimate.observer.std_c[6]), 3),
+        "known": True,
     }
 
 
