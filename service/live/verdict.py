@@ -3,7 +3,7 @@
 *Safe* needs its inputs: good and fresh temperatures, speed and load (ambient too where it is
 configured) and a twin that runs; the next step also needs an identified model and a forecast of
 it. Whatever is missing is named, and the word is then *unknown*. A temperature that is measured
-above its limit needs no other input: it is *not safe* whatever else is missing.
+above its limit stands among the reasons all the same, with that limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -196,6 +196,8 @@ def _now(
         word: Word = "recovering" if cools and limit.level == "warning" else "not safe"
         if word == "recovering":
             reasons += ("the present step cools it",)
+        if absent:
+            word = "unknown"
         return Verdict(word, reasons + lost, limit, 1.0, 0.0).to_dict()
     returning = sorted(evidence.returning & set(evidence.settings.limits))
     if absent:

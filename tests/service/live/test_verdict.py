@@ -189,12 +189,14 @@ def test_seconds_count_from_now_not_from_the_forecast(evidence: Evidence) -> Non
     assert verdict["time_to_limit"]["earliest_s"] == 895
 
 
-def test_over_a_limit_is_not_safe_whatever_else_is_missing(evidence: Evidence) -> None:
+def test_over_a_limit_the_reason_and_the_limit_stand_whatever_is_missing(evidence: Evidence) -> None:
     put(evidence.readings, RING, "good", 97.0)
+    assert words(evidence)[0] == "not safe"
     put(evidence.readings, "speed_rpm", "stale")
     put(evidence.readings, "t_outer_ring_c", "bad")
     verdict = judge(evidence)
-    assert verdict["now"]["word"] == "not safe"
+    assert verdict["now"]["word"] == "unknown"
+    assert verdict["now"]["reasons"][0] == "Inner ring 97.0 °C, over alarm 95 °C"
     assert verdict["now"]["limit"] == {"channel": RING, "level": "alarm", "value_c": 95.0}
     assert verdict["next_step"]["word"] == "unknown"
     assert set(verdict["missing"]) == {"speed_rpm", "t_outer_ring_c"}

@@ -84,7 +84,11 @@ export function nowTile(now, high) {
   const { now: answer } = now.verdict;
   const { reading, standing } = now;
   const common = { label: 'Is it safe now', title: 'Now', ...measured(reading, high) };
-  if (answer.word === 'unknown') return unknown({ ...common, why: now.missingText });
+  if (answer.word === 'unknown') {
+    // A temperature that is over its limit is said first, whatever else is missing.
+    const over = answer.limit && [bold(answer.reasons[0]), '; '];
+    return unknown({ ...common, why: [over, now.missingText].filter(Boolean) });
+  }
   const of = reading ? `${lower(reading.sensor)}, ` : '';
   const missing = now.lostText && h('b', { class: 'bt' }, now.lostText);
   if (answer.word === 'safe') {
