@@ -1,6 +1,8 @@
 """What works before the store is there: drivers, checks and the queue in front of the store."""
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Mapping
 
 from prometheus_client import CollectorRegistry
 
@@ -8,6 +10,9 @@ from adapters.drivers import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.ingest import Ingest, QualityChecks, Spool
 from service.wiring import Wiring
+
+#: Wall seconds for which the word of a source on its channels holds.
+ASK_AGAIN_S = 0.1
 
 
 class Acquisition:
@@ -41,6 +46,8 @@ class Acquisition:
             None, spool, clock, self._hand_on, registry=self.registry, checks=self.checks
         )
         self.drivers: list[Driver] = [source.create(clock) for source in wiring.sources]
+        self._by_name = {driver.name: driver for driver in self.drivers}
+        self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
         self._take: Callable[[Batch], None] | None = None
         # What the twins begin with, bounded by the number of channels.
         self._samples: dict[tuple[str, str], Sample] = {}
@@ -56,6 +63,22 @@ class Acquisition:
     def health(self) -> list[SourceHealth]:
         """Health of every source, from memory."""
         return [driver.health() for driver in self.drivers]
+
+    def problem(self, source: str, asset: str, channel: str) -> str:
+        """Why a channel's latest sample is not good, as its source says; empty where it is.
+
+        A source is asked ten times a second at most: whoever shows a thousand bad channels asks
+        for each of them.
+        """
+        driver = self._by_name.get(source)
+        if driver is None:
+            return ""
+        now_s = time.monotonic()
+        asked_s, problems = self._problems.get(source, (-math.inf, {}))
+        if now_s - asked_s > ASK_AGAIN_S:
+            problems = driver.health().problems
+            self._problems[source] = now_s, problems
+        return problems.get(f"{asset}/{channel}", "")
 
     def _hand_on(self, batch: Batch) -> None:
         if self._take is not None:

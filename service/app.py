@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -12,7 +13,7 @@ import anyio.to_thread
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from adapters.samples import Batch
+from adapters.samples import Batch, PlannedProfile, Sample
 from service.acquisition import Acquisition
 from service.alarms import AlarmBook, AlarmCondition, alarm_document
 from service.api import create_app
@@ -186,8 +187,17 @@ class Service:
 
     # ------------------------------------------------------------------ what flows
     def _take(self, batch: Batch) -> None:
-        for asset in self.assets.values():
-            asset.take(batch.samples, batch.plans)
+        # Each asset gets its own: most have nothing to do with a batch.
+        samples: defaultdict[str, list[Sample]] = defaultdict(list)
+        plans: defaultdict[str, list[PlannedProfile]] = defaultdict(list)
+        for sample in batch.samples:
+            samples[sample.asset].append(sample)
+        for plan in batch.plans:
+            plans[plan.asset].append(plan)
+        for asset_id in samples.keys() | plans.keys():
+            asset = self.assets.get(asset_id)
+            if asset is not None:
+                asset.take(samples.get(asset_id, ()), plans.get(asset_id, ()))
 
     def _store_derived(self, samples: Any) -> None:
         self.acquisition.ingest.submit(samples)
@@ -202,10 +212,8 @@ class Service:
         found = self.acquisition.checks.reason(asset, channel)
         if found:
             return found
-        problems = (
-            health.problems.get(f"{asset}/{channel}") for health in self.acquisition.health()
-        )
-        return next(filter(None, problems), "")
+        facts = self.assets[asset].facts.get(channel)
+        return "" if facts is None else self.acquisition.problem(facts.source, asset, channel)
 
     def _history_problem(self) -> str | None:
         """Why history is not kept as configured; None while it is."""

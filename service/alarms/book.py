@@ -69,6 +69,8 @@ class AlarmBook:
         self._timers: defaultdict[AlarmKey, Timer] = defaultdict(Timer)
         self._normal: dict[AlarmKey, Alarm] = {}
         self._open = {key_of(alarm): alarm for alarm in outbox.load_alarms()}
+        # Of those the ones that come back by themselves, looked at with every condition.
+        self._shelved = {key for key, one in self._open.items() if one.shelved_until_us is not None}
         self._conditions: dict[AlarmKey, AlarmCondition] = {}
         self._outbox = outbox
 
@@ -284,7 +286,7 @@ class AlarmBook:
     def _end_shelving(self, now_us: int) -> None:
         """Bring back what was shelved long enough; also after the clock was set back by hours."""
         longest_us = round(LONGEST_SHELVING_S * _MICROSECONDS)
-        for alarm in list(self._open.values()):
+        for alarm in [self._open[key] for key in self._shelved]:
             until_us = alarm.shelved_until_us
             if until_us is not None and not 0 < until_us - now_us <= longest_us:
                 alarm = self._move(alarm, AlarmEvent.UNSHELVE, now_us, SERVICE, _TIME_IS_OVER)
@@ -365,6 +367,10 @@ class AlarmBook:
                 self._normal[key] = following_life
         else:
             self._open[key] = moved
+        if moved.shelved_until_us is None:
+            self._shelved.discard(key)
+        else:
+            self._shelved.add(key)
         line = journal_line(moved, alarm.state, event, now_us, who, comment)
         self._outbox.record(AlarmChange(moved, (line,)))
         self._on_change(moved)

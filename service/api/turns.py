@@ -37,6 +37,10 @@ class Turns:
         Pushes between the last byte of the body and their samples' way to the store.
     what_ifs : Shares
         Forecasts of profiles.
+    streams : Shares
+        Open WebSockets.
+    catching_up : Shares
+        Streams that send what was missed.
     studies : Shares
         Envelope, advice and the search for windows.
     """
@@ -46,6 +50,8 @@ class Turns:
         self.pushes = Shares("pushes", at_once=40, at_once_each=16)
         self.judging = Shares("pushes", at_once=3, at_once_each=2, waiting_each=16)
         self.what_ifs = Shares("what-if forecasts", at_once=1, at_once_each=1, waiting_each=4)
+        self.streams = Shares("streams", at_once=1000, at_once_each=600)
+        self.catching_up = Shares("streams", at_once=4, at_once_each=2, waiting_each=600)
         self.studies = Shares("studies", at_once=2, at_once_each=1, waiting_each=4)
         self._reads = Shares("reads", at_once=_READERS, at_once_each=_READERS, waiting_each=64)
         self._readers = ThreadPoolExecutor(_READERS, thread_name_prefix="read")

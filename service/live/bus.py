@@ -37,7 +37,7 @@ _TIER: Mapping[MessageType, int] = {
 _TIERS = 3
 
 HISTORY_MESSAGES = 4096
-HISTORY_BYTES = 16 * 1024 * 1024
+HISTORY_BYTES = 4 * 1024 * 1024
 SUBSCRIPTION_MESSAGES = 256
 
 
@@ -78,6 +78,8 @@ class Subscription:
         True when messages after the resume point are gone, so that a fresh snapshot is needed.
     dropped
         Messages left out so far because the subscriber was slow.
+    missed
+        Messages after the resume point that were waiting at the beginning.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class Subscription:
         self.start_seq = start_seq
         self.gap = gap
         self.dropped = 0
+        self.missed = 0
         self._bus = bus
         self._assets = assets
         self._types = types
@@ -301,6 +304,7 @@ class Bus:
             for message in missed:
                 if subscription.wants(message):
                     subscription._put(message)
+                    subscription.missed += 1
             if self._closed is None:
                 self._subscriptions.add(subscription)
             else:

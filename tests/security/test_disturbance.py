@@ -51,6 +51,7 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[Course, Course]:
         ("large_reads", "viewer"),
         ("downloads", "viewer"),
         ("what_ifs", "operator"),
+        ("assets", "viewer"),
     ],
 )
 def test_no_caller_makes_a_poll_late(stand: Stand, name: str, role: Role) -> None:

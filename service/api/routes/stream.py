@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import time
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 import structlog
@@ -16,17 +17,20 @@ from service.api.access import (
     refuse_other_sites,
     secured,
     subprotocol_key,
+    too_many,
 )
 from service.api.context import ServiceContext
 from service.api.deps import Context, Keys, Trail
-from service.api.problems import Problem, parameter_problem, problem_response
+from service.api.problems import RETRY_AFTER_S, Problem, parameter_problem, problem_response
 from service.live.bus import Bus, Subscription, SubscriptionClosedError
 from service.security import AuditTrail, Authenticator, Principal
 from service.security.roles import VIEWER
+from service.shares import BusyError, Shares
 
 HEARTBEAT_S = 15.0
 SEND_PATIENCE_S = 20.0
 WATCH_EVERY_S = 0.9
+_MESSAGES_AT_ONCE = 10
 _GOING_AWAY, _POLICY, _TRY_AGAIN = 1001, 1008, 1013
 _PATH = "/stream"
 
@@ -75,14 +79,53 @@ async def stream(websocket: WebSocket, context: Context, keys: Keys, trail: Trai
     """Let a subscriber in and send until one side ends it."""
     try:
         principal, subprotocol = await _admit(websocket, keys, trail)
-        subscription, wanted = _subscribe(websocket, context)
+        _count(principal, keys)
+        async with _place(websocket, principal), contextlib.AsyncExitStack() as turn:
+            if websocket.query_params.get("resume"):
+                # Hundreds that come back at once want megabytes each: a few at a time.
+                catching_up: Shares = websocket.app.state.turns.catching_up
+                await turn.enter_async_context(catching_up.turn(principal.key_id))
+            await _stay(websocket, context, keys, principal, subprotocol, turn)
     except Problem as problem:
         await _refuse(websocket, problem)
-        return
+
+
+def _count(principal: Principal, keys: Authenticator) -> None:
+    """Count a stream as a request: one that is opened again and again is none the cheaper."""
+    wait_s = keys.requests.wait_s(principal.key_id)
+    if wait_s:
+        raise too_many(f"more than {keys.requests.per_minute:g} requests a minute", wait_s)
+    keys.requests.count(principal.key_id)
+
+
+@contextlib.asynccontextmanager
+async def _place(websocket: WebSocket, principal: Principal) -> AsyncIterator[None]:
+    """Have one of the places for streams."""
+    streams: Shares = websocket.app.state.turns.streams
+    try:
+        await streams.enter(principal.key_id)
+    except BusyError as error:
+        headers = {"Retry-After": str(RETRY_AFTER_S)}
+        raise Problem(503, str(error), headers=headers) from error
+    try:
+        yield
+    finally:
+        streams.leave(principal.key_id)
+
+
+async def _stay(
+    websocket: WebSocket,
+    context: ServiceContext,
+    keys: Authenticator,
+    principal: Principal,
+    subprotocol: str | None,
+    turn: contextlib.AsyncExitStack,
+) -> None:
+    subscription, wanted = _subscribe(websocket, context)
     try:
         await websocket.accept(subprotocol)
         _log.info("stream_opened", who=principal.who, assets=wanted)
-        code, reason = await _serve(websocket, context, subscription, wanted, keys)
+        code, reason = await _serve(websocket, context, subscription, wanted, keys, turn)
     finally:
         subscription.close()
     _log.info(
@@ -153,11 +196,12 @@ async def _serve(
     subscription: Subscription,
     wanted: list[str],
     keys: Authenticator,
+    turn: contextlib.AsyncExitStack,
 ) -> tuple[int, str]:
     """Send until the client leaves, is too slow, loses its right, or the service stops."""
     sender = _Sender(websocket)
     tasks = {
-        asyncio.create_task(_send(sender, context, subscription, wanted)),
+        asyncio.create_task(_send(sender, context, subscription, wanted, turn)),
         asyncio.create_task(_listen(websocket)),
         asyncio.create_task(_watch(sender, keys)),
     }
@@ -202,7 +246,11 @@ class _Sender:
 
 
 async def _send(
-    sender: _Sender, context: ServiceContext, subscription: Subscription, wanted: list[str]
+    sender: _Sender,
+    context: ServiceContext,
+    subscription: Subscription,
+    wanted: list[str],
+    turn: contextlib.AsyncExitStack,
 ) -> Ending:
     bus = context.bus
     try:
@@ -218,6 +266,11 @@ async def _send(
                 extra={"gap": subscription.gap},
             )
             await sender.send(hello)
+        for number in range(subscription.missed):
+            await sender.send((await subscription.get()).text)
+            if number % _MESSAGES_AT_ONCE == 0:
+                await asyncio.sleep(0)  # a poll that is due comes between
+        await turn.aclose()
         while True:
             message = await subscription.get()
             await sender.send(message.text)

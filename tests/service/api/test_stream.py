@@ -16,6 +16,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from service.api.routes import stream
 from service.security import revoke_key
+from service.security.limits import RateLimit
+from service.shares import Shares
 
 PATH = "/api/v1/stream"
 # Much longer than any of this takes on a machine that does nothing else.
@@ -304,3 +306,31 @@ async def test_heartbeat_reaches_everybody(world: Any, server: Any) -> None:
             assert second["seq"] > first["seq"]
     finally:
         beating.cancel()
+
+
+async def test_a_key_has_so_many_streams(world: Any, server: Any) -> None:
+    viewer, operator = world.keys["viewer"], world.keys["operator"]
+    world.app.state.turns.streams = Shares("streams", at_once=3, at_once_each=2)
+    async with server.open(key=viewer) as first, server.open(key=viewer):
+        with pytest.raises(InvalidStatus) as refused:
+            async with server.open(key=viewer):
+                pass
+        assert refused.value.response.status_code == 503
+        assert "Retry-After" in refused.value.response.headers
+        async with server.open(key=operator):
+            pass
+        await first.close()
+        await subscribed(world, 1)
+        async with server.open(key=viewer) as again:
+            assert (await receive(again))[0]["type"] == "hello"
+
+
+async def test_opening_a_stream_counts_as_a_request(world: Any, server: Any) -> None:
+    world.app.state.authenticator.requests = RateLimit(2)
+    for _ in range(2):
+        async with server.open(key=world.keys["viewer"]):
+            pass
+    with pytest.raises(InvalidStatus) as refused:
+        async with server.open(key=world.keys["viewer"]):
+            pass
+    assert refused.value.response.status_code == 429
