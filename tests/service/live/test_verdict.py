@@ -189,7 +189,9 @@ def test_seconds_count_from_now_not_from_the_forecast(evidence: Evidence) -> Non
     assert verdict["time_to_limit"]["earliest_s"] == 895
 
 
-def test_over_a_limit_the_reason_and_the_limit_stand_whatever_is_missing(evidence: Evidence) -> None:
+def test_over_a_limit_the_reason_and_the_limit_stand_whatever_is_missing(
+    evidence: Evidence,
+) -> None:
     put(evidence.readings, RING, "good", 97.0)
     assert words(evidence)[0] == "not safe"
     put(evidence.readings, "speed_rpm", "stale")
