@@ -37,10 +37,13 @@ class Acquisition:
         The way of all samples to the store.
     drivers : list of Driver
         One for each source.
+    spool : Spool
+        Where samples wait.
     """
 
     def __init__(self, wiring: Wiring, clock: Clock, spool: Spool) -> None:
         self.registry = CollectorRegistry()
+        self.spool = spool
         self.checks = QualityChecks(wiring.check_limits, self.registry)
         self.ingest = Ingest(
             None, spool, clock, self._hand_on, registry=self.registry, checks=self.checks

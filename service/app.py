@@ -19,7 +19,7 @@ from service.alarms import AlarmBook, AlarmCondition, alarm_document
 from service.api import create_app
 from service.api.context import ServiceContext
 from service.clock import ClockWatch, ProcessClock
-from service.ingest.metrics import watch_forecasts, watch_late
+from service.ingest.metrics import watch_damage, watch_forecasts, watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
@@ -92,6 +92,11 @@ class Service:
             "Alarm changes and audit lines that wait for the store, in memory or on the disk.",
             registry=self.registry,
         ).set_function(lambda: self.outbox.waiting)
+        watch_damage(
+            {"spool": lambda: acquisition.spool.mended, "outbox": lambda: self.outbox.mended},
+            lambda: self.outbox.lost,
+            self.registry,
+        )
         self.alarms = AlarmBook(self.outbox, clock, self._alarm_changed)
         self._clock_steps = Counter(
             "bearing_twin_clock_steps",
@@ -144,7 +149,7 @@ class Service:
                 jobs=self.jobs,
                 registry=self.registry,
                 sources=acquisition.health,
-                history_problem=self._history_problem,
+                problems=self._problems,
             )
         )
 
@@ -215,9 +220,20 @@ class Service:
         facts = self.assets[asset].facts.get(channel)
         return "" if facts is None else self.acquisition.problem(facts.source, asset, channel)
 
-    def _history_problem(self) -> str | None:
-        """Why history is not kept as configured; None while it is."""
-        return self.acquisition.ingest.too_old_problem or self.upkeep.problem
+    def _problems(self) -> dict[str, str | None]:
+        """What is wrong with history and with the files, by check; None where all is well."""
+        spool, ingest = self.acquisition.spool, self.acquisition.ingest
+        mended = (
+            f"{name} was damaged: {one.salvaged} rows salvaged, {one.lost} lost; kept as "
+            f"{one.kept_as.name}"
+            for name, one in (("spool", spool.mended), ("outbox", self.outbox.mended))
+            if one is not None
+        )
+        files = [*([self.upkeep.damage] if self.upkeep.damage else []), *mended]
+        return {
+            "history": ingest.too_old_problem or self.upkeep.problem,
+            "files": "; ".join(files) or None,
+        }
 
     def _report_too_old(self) -> None:
         """Raise an alarm for the assets whose samples are not stored because they are too old."""
@@ -295,6 +311,7 @@ class Service:
                     ("what-if worker", self._warm_up()),
                     ("health", self._tell_health()),
                     ("upkeep", self.upkeep.run()),
+                    ("check of the store", self.upkeep.check()),
                     *((name, work()) for name, work in outlets),
                 ):
                     await stack.enter_async_context(background(task, name, stop))

@@ -10,14 +10,16 @@ from pathlib import Path
 import structlog
 
 from adapters.drivers import Clock
+from service.files import replacing
 
 MICROSECONDS = 1_000_000
 _ANCHOR_FILE = "clock.json"
 # Time servers correct a clock by less; process seconds at rate 1.
 _CLOCK_SET_S = 1.0
-_log = structlog.get_logger(__name__)
-
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_LATEST_US = 32_503_680_000_000_000  # the year 3000
+
+_log = structlog.get_logger(__name__)
 
 
 class ClockError(ValueError):
@@ -51,6 +53,8 @@ class ProcessClock:
     def resume(cls, rate: float, data_dir: Path) -> "ProcessClock":
         """Continue the process time that a service with this data directory was in.
 
+        A damaged file never stops a start: process time then goes on from the wall clock.
+
         Parameters
         ----------
         rate : float
@@ -64,34 +68,53 @@ class ProcessClock:
             If the system clock is to be followed, but process time is ahead of it already.
         """
         path = data_dir / _ANCHOR_FILE
-        if path.exists():
-            kept = json.loads(path.read_text())
-            earlier = cls(kept["rate"], (kept["wall_s"], kept["process_us"]))
-            if kept["rate"] == rate:
+        earlier = cls._read(path)
+        wall_us = time.time_ns() // 1000
+        begin_us = wall_us
+        if earlier is not None:
+            if earlier.rate == rate:
                 return earlier
-            reached_us, wall_us = earlier.now_us(), time.time_ns() // 1000
+            reached_us = earlier.now_us()
             ahead_s = (reached_us - wall_us) / MICROSECONDS
             if rate == 1.0 and ahead_s > _CLOCK_SET_S:
                 raise ClockError(
-                    f"clock.rate = 1: the clock of {data_dir} ran at rate {kept['rate']:g} and has "
+                    f"clock.rate = 1: the clock of {data_dir} ran at rate {earlier.rate:g} and has "
                     f"reached {rfc3339(reached_us)}, so that times would run a second time; "
-                    f"expected clock.rate = {kept['rate']:g}, another service.data_dir, or no file "
+                    f"expected clock.rate = {earlier.rate:g}, another service.data_dir, or no file "
                     f"{path} if that is what you want"
                 )
             _log.warning(
-                "clock_rate_changed", before=kept["rate"], now=rate, at=rfc3339(reached_us)
+                "clock_rate_changed", before=earlier.rate, now=rate, at=rfc3339(reached_us)
             )
-            if rate == 1.0:
-                path.unlink()  # else a later run would count this one at the earlier rate
-                return cls()
-            clock = cls(rate, (time.time(), max(reached_us, wall_us)))
-        elif rate == 1.0:
+            begin_us = max(reached_us, wall_us)
+        if rate == 1.0:
+            path.unlink(missing_ok=True)  # else a later run would count this one at that rate
             return cls()
-        else:
-            clock = cls(rate)
+        clock = cls(rate, (wall_us / MICROSECONDS, begin_us))
         wall_s, process_us = clock._anchor
-        path.write_text(json.dumps({"rate": rate, "wall_s": wall_s, "process_us": process_us}))
+        with replacing(path, private=True) as file:
+            json.dump({"rate": rate, "wall_s": wall_s, "process_us": process_us}, file)
         return clock
+
+    @classmethod
+    def _read(cls, path: Path) -> "ProcessClock | None":
+        """Read a kept anchor; None where there is none that makes sense."""
+        try:
+            kept = json.loads(path.read_bytes())
+            wall_s, process_us = kept["wall_s"], kept["process_us"]
+            if not (
+                isinstance(process_us, int)
+                and isinstance(wall_s, float | int)
+                and 0 <= process_us < _LATEST_US
+                and 0 <= wall_s < _LATEST_US / MICROSECONDS
+            ):
+                raise ValueError(f"wall_s = {wall_s!r}, process_us = {process_us!r}")
+            return cls(kept["rate"], (wall_s, process_us))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            _log.error("clock_file_damaged", file=str(path), error=str(error))
+            return None
 
     def now_us(self) -> int:
         """Process time in UTC microseconds since the epoch."""

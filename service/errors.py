@@ -12,4 +12,11 @@ class TemporaryError(ServiceError):
     """Trouble that passes by itself: a port still in use, a store that is not there yet.
 
     The service waits for its end; a command that cannot wait ends with status 75.
+
+    Attributes
+    ----------
+    passes : bool
+        False where only a running service may hope for its end, and a start may not.
     """
+
+    passes = True

@@ -1,5 +1,6 @@
 """Files that are written."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,8 +12,8 @@ class FileError(ValueError):
 
 
 @contextmanager
-def replacing(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
-    """Write a file beside its place and move it there when it is complete.
+def replacing(path: Path, *, binary: bool = False, private: bool = False) -> Iterator[IO[Any]]:
+    """Write a file beside its place, and move it there when it is complete and on the disk.
 
     Parameters
     ----------
@@ -20,6 +21,8 @@ def replacing(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
         Its place.
     binary
         Takes bytes instead of text, which is written in UTF-8.
+    private
+        Only the owner may read it.
 
     Raises
     ------
@@ -30,9 +33,23 @@ def replacing(path: Path, *, binary: bool = False) -> Iterator[IO[Any]]:
     text: dict[str, Any] = {} if binary else {"encoding": "utf-8", "newline": ""}
     try:
         with part.open("wb" if binary else "w", **text) as file:
+            if private:
+                part.chmod(0o600)
             yield file
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(path)
+        _sync_folder(path.parent)
     except OSError as error:
         raise FileError(f"{path}: cannot be written ({error.strerror})") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def _sync_folder(path: Path) -> None:
+    """Have the disk note a file's new name."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -11,7 +11,7 @@ from anyio import to_thread
 from adapters.drivers import Clock
 from service.clock import MICROSECONDS, ClockWatch, rfc3339
 from service.security.keys import wall_us
-from service.store import Retention, RetentionTime, Store, StoreUnavailableError
+from service.store import Retention, RetentionTime, Store, StoreError, StoreUnavailableError
 
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
 ROLLUPS_EVERY_S = 30.0
@@ -19,6 +19,9 @@ EXPIRE_EVERY_S = 600.0
 #: Nothing is removed before the process clock has agreed with time that passes for so many
 #: wall seconds.
 TRUST_AFTER_S = 3600.0
+#: Wall seconds after a start, and between two looks, for damage of the store's file.
+CHECK_AFTER_S = 60.0
+CHECK_EVERY_S = 86_400.0
 #: Process time that a finished hour is given for late samples; later ones are right as well,
 #: but cost another computation.
 _SETTLE_US = 120_000_000
@@ -53,6 +56,8 @@ class Upkeep:
     ----------
     problem : str or None
         Why nothing is removed although the clock says that it is due; None while all is well.
+    damage : str or None
+        What is wrong with the store's file, and what to do; None while nothing was found.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class Upkeep:
         self._retention = retention
         self._trust_after_s = trust_after_s
         self.problem: str | None = None
+        self.damage: str | None = None
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""
@@ -96,6 +102,19 @@ class Upkeep:
             except StoreUnavailableError as error:
                 _log.warning("upkeep_postponed", error=str(error))
             await asyncio.sleep(min(ROLLUPS_EVERY_S, max(expire_at_s - now_s, 1.0)))
+
+    async def check(self) -> None:
+        """Look through the store's file for damage soon and then once a day, until cancelled."""
+        await asyncio.sleep(CHECK_AFTER_S)
+        while True:
+            try:
+                damage = await to_thread.run_sync(self._store.find_damage, abandon_on_cancel=True)
+            except StoreError as error:
+                damage = str(error)
+            if damage and damage != self.damage:
+                _log.error("store_damaged", problem=damage)
+            self.damage = damage
+            await asyncio.sleep(CHECK_EVERY_S)
 
     def _expire(self, now_us: int, wall_now_us: int) -> int:
         step_s = 2 * EXPIRE_EVERY_S + _HOUR_S

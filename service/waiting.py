@@ -70,7 +70,7 @@ class Waiting:
                 found = await self._unless_stopped(to_thread.run_sync(work, abandon_on_cancel=True))
             except TemporaryError as error:
                 now_s = time.monotonic()
-                if now_s >= ends_s:
+                if now_s >= ends_s or not error.passes:
                     raise
                 text = str(error)
                 if text != said or now_s - said_s > _REMIND_S:

@@ -27,6 +27,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=0.1,
         help="how long random faults strike a bench at 60 times the speed of life",
     )
+    group.addoption(
+        "--damages",
+        type=int,
+        default=200,
+        help="how many random damages are done to the spool, the outbox, the clock and the store",
+    )
 
 
 def pytest_configure() -> None:

@@ -368,4 +368,4 @@ class ServiceContext:
     jobs: JobManager
     registry: CollectorRegistry
     sources: Callable[[], Sequence[SourceHealth]]
-    history_problem: Callable[[], str | None] = lambda: None
+    problems: Callable[[], Mapping[str, str | None]] = dict

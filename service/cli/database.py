@@ -1,6 +1,7 @@
 """``bearing-twin db``: the store's schema, and from when on it keeps raw samples."""
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -75,3 +76,50 @@ def horizon(
         typer.echo(
             f"Raw samples are kept from {shown} on." if shown else "All raw samples are kept."
         )
+
+
+@db.command()
+def salvage(
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Put what can be read of a damaged SQLite store into a new file; the damaged one is kept.
+
+    Stop the service first.
+    """
+    from service.store import StoreError, lock_data_directory
+    from service.store.opening import database_address
+    from service.store.salvage import damage_of, salvage_store
+
+    settings = load_settings(config)
+    url = database_address(settings.service.database_url, settings.data_dir)
+    if url.get_backend_name() != "sqlite":
+        raise StoreError("db salvage: expected an SQLite store; a PostgreSQL server has amcheck")
+    path = Path(url.database or "")
+    with lock_data_directory(settings.data_dir):
+        problem = damage_of(path)
+        done = None if problem is None else salvage_store(path, problem)
+    if as_json:
+        typer.echo(
+            json.dumps(
+                {
+                    "problem": problem,
+                    "kept_as": None if done is None else str(done.kept_as),
+                    "rows": {} if done is None else done.rows,
+                    "unnamed_channels": 0 if done is None else done.unnamed_channels,
+                }
+            )
+        )
+    elif done is None:
+        typer.echo(f"{path} is whole: nothing to do.")
+    else:
+        typer.echo(f"{path}: {done.problem}.")
+        typer.echo(f"The damaged file is kept as {done.kept_as}. The new one holds")
+        for table, count in done.rows.items():
+            typer.echo(f"  {count:>10} {table}")
+        if done.unnamed_channels:
+            typer.echo(
+                f"{done.unnamed_channels} channels have lost their names: see asset 'salvaged'."
+            )

@@ -84,7 +84,8 @@ def main() -> None:
             _refuse(message)
         sys.exit(2)  # called without arguments: the help has been shown
     except ServiceError as error:
-        _refuse(str(error), status=os.EX_TEMPFAIL if isinstance(error, TemporaryError) else 2)
+        passes = isinstance(error, TemporaryError) and error.passes
+        _refuse(str(error), status=os.EX_TEMPFAIL if passes else 2)
     except ValueError as error:
         if type(error).__module__.partition(".")[0] not in _OURS:
             raise

@@ -10,10 +10,11 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 
 from adapters.drivers import Clock, Driver
 from service.ingest.spool import Spool
-from service.store import QueueUnavailableError
+from service.store import Mended, QueueUnavailableError
 
 #: Why an accepted sample may not reach the store.
 SKIP_REASONS = (
+    "damaged",
     "queue_full",
     "refused",
     "spool_full",
@@ -163,6 +164,38 @@ def watch_late(late: Callable[[], Mapping[str, int]], registry: CollectorRegistr
     """Show how many samples of each asset came when newer ones were known; they are stored too."""
     text = "Samples that came out of order, after newer ones."
     registry.register(_ByAsset(CounterMetricFamily, f"{_PREFIX}_late", text, late))
+
+
+def watch_damage(
+    files: Mapping[str, Callable[[], Mended | None]],
+    changes_lost: Callable[[], int],
+    registry: CollectorRegistry,
+) -> None:
+    """Show which files were found damaged in this run, and what that has cost."""
+    salvaged = Gauge(
+        "bearing_twin_damaged_file_rows_salvaged",
+        "Rows that were read from a file when it was last found damaged.",
+        ["file"],
+        registry=registry,
+    )
+    lost = Gauge(
+        "bearing_twin_damaged_file_rows_lost",
+        "Rows that were lost when a file was last found damaged.",
+        ["file"],
+        registry=registry,
+    )
+    for name, mended in files.items():
+        salvaged.labels(name).set_function(partial(_rows, mended, "salvaged"))
+        lost.labels(name).set_function(partial(_rows, mended, "lost"))
+    Gauge(
+        "bearing_twin_outbox_changes_lost",
+        "Alarm changes and audit lines that damage of the outbox has cost in this run.",
+        registry=registry,
+    ).set_function(changes_lost)
+
+
+def _rows(mended: Callable[[], Mended | None], what: str) -> float:
+    return float(getattr(mended(), what, 0))
 
 
 def watch_forecasts(ages_s: Callable[[], Mapping[str, float]], registry: CollectorRegistry) -> None:

@@ -2,12 +2,16 @@
 
 import math
 import sqlite3
+import struct
+import zlib
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
+
+import structlog
 
 from adapters.samples import Sample, is_bad
-from service.store import QueueFile
+from service.store import Mended, PageRow, QueueFile, QueueLayout, note_count
 
 FILE_NAME = "spool.db"
 
@@ -25,21 +29,27 @@ CREATE TABLE IF NOT EXISTS samples (
     time_us INTEGER NOT NULL,
     value REAL,
     quality INTEGER NOT NULL,
-    received_us INTEGER NOT NULL
+    received_us INTEGER NOT NULL,
+    checksum INTEGER
 )
 """
-_PROBE = "SELECT id, importance, received_us FROM samples LIMIT 1"
-_INSERT = """
-INSERT INTO samples (importance, asset, channel, time_us, value, quality, received_us)
-VALUES (?, ?, ?, ?, ?, ?, ?)
-"""
+_COLUMNS = "asset, channel, time_us, value, quality, received_us, checksum"
+_PROBE = f"SELECT id, importance, {_COLUMNS} FROM samples LIMIT 1"
+_INSERT = f"INSERT INTO samples (importance, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_FIXED = struct.Struct("<qqqd")
+
+_log = structlog.get_logger(__name__)
 
 
 class Chunk(NamedTuple):
-    """The oldest samples of the spool; `last_id` removes them when they are stored."""
+    """The oldest samples of the spool; `last_id` removes them when they are stored.
+
+    `damaged` rows among them are not what was put there, and are left out.
+    """
 
     last_id: int
     samples: list[Sample]
+    damaged: int = 0
 
 
 class Spool:
@@ -59,9 +69,11 @@ class Spool:
 
     def __init__(self, file: QueueFile, size_mib: int) -> None:
         self._file = file
+        self._lost = 0 if file.mended is None else file.mended.lost
+        file.on_mended(self._note_mended)
         with file.reading() as connection:
             self._page_bytes = int(connection.execute("PRAGMA page_size").fetchone()[0])
-            self._count = int(connection.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
+            self._count = _count(connection)
         self._pages_max = max(size_mib * _BYTES_PER_MIB // self._page_bytes, 16)
 
     @classmethod
@@ -73,11 +85,21 @@ class Spool:
         StoreError
             If the file can be neither opened nor made; one line that names it.
         """
-        return cls(QueueFile.open(folder / FILE_NAME, _APPLICATION_ID, _TABLES, _PROBE), size_mib)
+        return cls(QueueFile.open(folder / FILE_NAME, _LAYOUT), size_mib)
 
     def __len__(self) -> int:
         """Samples that wait."""
         return self._count
+
+    @property
+    def mended(self) -> Mended | None:
+        """What became of the file when it was last found damaged in this run."""
+        return self._file.mended
+
+    def take_lost(self) -> int:
+        """Samples that damage of the file has cost since the last call."""
+        lost, self._lost = self._lost, 0
+        return lost
 
     @property
     def size_bytes(self) -> int:
@@ -112,21 +134,16 @@ class Spool:
         QueueUnavailableError
             If the disk does not take them; then none is in the spool.
         """
-        rows = [
-            (
-                importance(one.channel),
-                one.asset,
-                one.channel,
-                one.time_us,
-                one.value if math.isfinite(one.value) else None,
-                int(one.quality),
-                one.received_us,
-            )
-            for one in samples
-        ]
+        rows = []
+        for one in samples:
+            # Minus zero, which the file does not keep, becomes zero.
+            value = one.value + 0.0 if math.isfinite(one.value) else None
+            row = (one.asset, one.channel, one.time_us, value, int(one.quality), one.received_us)
+            rows.append((importance(one.channel), *row, _checksum(*row)))
         with self._file.writing() as connection:
             connection.executemany(_INSERT, rows)
             given_up = self._make_room(connection, self._count + len(rows))
+            note_count(connection, self._count + len(rows) - given_up)
         self._count += len(rows) - given_up
         return given_up
 
@@ -140,17 +157,20 @@ class Spool:
         """
         with self._file.reading() as connection:
             rows = connection.execute(
-                "SELECT id, asset, channel, time_us, value, quality, received_us FROM samples "
-                "ORDER BY id LIMIT ?",
-                (limit,),
+                f"SELECT id, {_COLUMNS} FROM samples ORDER BY id LIMIT ?", (limit,)
             ).fetchall()
         if not rows:
+            self._lost += self._count
+            self._count = 0
             return None
         samples = [
             Sample(asset, channel, time_us, math.nan if value is None else value, quality, received)
-            for _, asset, channel, time_us, value, quality, received in rows
+            for _, asset, channel, time_us, value, quality, received, checksum in rows
+            # Rows of an earlier version have no checksum.
+            if checksum is None
+            or checksum == _checksum(asset, channel, time_us, value, quality, received)
         ]
-        return Chunk(rows[-1][0], samples)
+        return Chunk(rows[-1][0], samples, len(rows) - len(samples))
 
     def remove(self, chunk: Chunk) -> None:
         """Forget samples that are in the store now.
@@ -161,8 +181,14 @@ class Spool:
             If the disk does not take the change; they will be read, and stored, once more.
         """
         with self._file.writing() as connection:
-            connection.execute("DELETE FROM samples WHERE id <= ?", (chunk.last_id,))
-        self._count -= len(chunk.samples)
+            removed = connection.execute(
+                "DELETE FROM samples WHERE id <= ?", (chunk.last_id,)
+            ).rowcount
+            note_count(connection, self._count - removed)
+        self._count -= removed
+        if chunk.damaged:
+            self._lost += chunk.damaged
+            _log.error("spool_samples_damaged", lost=chunk.damaged)
 
     def newest(self) -> dict[tuple[str, str], int | None]:
         """Time of the newest sample of each asset and channel; None where it is bad."""
@@ -179,6 +205,11 @@ class Spool:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _note_mended(self, mended: Mended) -> None:
+        # What waited is known better than the damaged file can say.
+        self._lost += max(self._count - mended.salvaged, 0)
+        self._count = mended.salvaged
 
     def _make_room(self, connection: sqlite3.Connection, count: int) -> int:
         given_up = 0
@@ -204,6 +235,67 @@ def importance(channel: str) -> int:
     if channel in ("speed_rpm", "load_n", "ambient_c"):
         return 2
     return 1
+
+
+def _count(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
+
+
+def _checksum(
+    asset: str, channel: str, time_us: int, value: float | None, quality: int, received_us: int
+) -> int:
+    """CRC-32 of a sample: SQLite has none of its own, and a flipped bit makes a wrong value."""
+    try:
+        numbers = _FIXED.pack(time_us, quality, received_us, math.nan if value is None else value)
+        return zlib.crc32(f"{asset}\0{channel}".encode(), zlib.crc32(numbers))
+    except (struct.error, TypeError, UnicodeEncodeError):
+        return -1  # a damaged row has other kinds of values
+
+
+def _salvage(row: PageRow) -> tuple[Any, ...] | None:
+    """Turn a row of any page into one of the table of samples; None if it is none."""
+    if row.rowid is None or len(row.values) not in (8, 9):
+        return None
+    _, rank, asset, channel, time_us, value, quality, received_us, *checksum = row.values
+    numbers = (rank, time_us, quality, received_us)
+    if not (
+        isinstance(asset, str)
+        and isinstance(channel, str)
+        and all(isinstance(number, int) for number in numbers)
+        and isinstance(value, int | float | None)
+        and isinstance(quality, int)
+        and 0 <= quality <= 255
+        and isinstance(time_us, int)
+        and isinstance(received_us, int)
+        and 0 <= time_us < 2**63
+    ):
+        return None
+    value = None if value is None else float(value)
+    if checksum and checksum[0] is not None:
+        wanted = _checksum(asset, channel, time_us, value, quality, received_us)
+        if checksum[0] != wanted:
+            return None
+    return (
+        row.rowid,
+        rank,
+        asset,
+        channel,
+        time_us,
+        value,
+        quality,
+        received_us,
+        checksum[0] if checksum else None,
+    )
+
+
+_LAYOUT = QueueLayout(
+    application_id=_APPLICATION_ID,
+    tables=_TABLES,
+    probe=_PROBE,
+    table="samples",
+    salvage=_salvage,
+    added_columns=[("checksum", "INTEGER")],
+)
 
 
 def _used_pages(connection: sqlite3.Connection) -> int:

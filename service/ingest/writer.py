@@ -90,7 +90,9 @@ class SampleWriter:
         self.problem: str | None = None
         self.spool_problem: str | None = None
         self.too_old = TooOld()
-        self._ledger.accept(len(spool))
+        lost = spool.take_lost()
+        self._ledger.accept(len(spool) + lost)
+        self._ledger.skip(lost, "damaged")
 
     @property
     def queued(self) -> int:
@@ -345,6 +347,8 @@ class SampleWriter:
             except QueueUnavailableError as error:
                 _log.warning("spool_unavailable", error=str(error), waiting=len(self._spool))
                 self._store_asked_at = time.monotonic()
+            finally:
+                self._ledger.skip(self._spool.take_lost(), "damaged")
             # What is stored but still on the spool is read once more, and a duplicate then.
             self._ledger.accept(settled)
             return

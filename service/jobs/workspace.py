@@ -88,10 +88,10 @@ class JobFolder:
         self._replace(_PROGRESS, asdict(progress))
 
     def read_progress(self) -> Progress | None:
-        """Return the latest progress, or None before the first."""
+        """Return the latest progress; None before the first, or where it is not readable."""
         try:
             return Progress(**json.loads((self.path / _PROGRESS).read_text()))
-        except FileNotFoundError:
+        except (OSError, ValueError, TypeError):
             return None
 
     def write_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -102,7 +102,7 @@ class JobFolder:
         """Return the latest checkpoint; None where there is none or it is not readable."""
         try:
             checkpoint = json.loads((self.path / _CHECKPOINT).read_text())
-        except (FileNotFoundError, ValueError):
+        except (OSError, ValueError):
             return None
         return checkpoint if isinstance(checkpoint, dict) else None
 

@@ -13,12 +13,20 @@ from service.store.errors import (
     ActiveJobError,
     DatabaseInUseError,
     DataDirectoryInUseError,
+    StoreDamagedError,
     StoreError,
     StoreUnavailableError,
 )
 from service.store.locking import DataDirectoryLock, lock_data_directory
 from service.store.outbox import AlarmChange, Outbox
-from service.store.queue_file import QueueFile, QueueUnavailableError
+from service.store.pages import PageRow
+from service.store.queue_file import (
+    Mended,
+    QueueFile,
+    QueueLayout,
+    QueueUnavailableError,
+    note_count,
+)
 from service.store.records import (
     Activation,
     ApiKey,
@@ -60,21 +68,26 @@ __all__ = [
     "JobChanges",
     "JobStatus",
     "JournalFilter",
+    "Mended",
     "MinuteTable",
     "ModelStatus",
     "ModelVersion",
     "Outbox",
+    "PageRow",
     "QueueFile",
+    "QueueLayout",
     "QueueUnavailableError",
     "Retention",
     "RetentionTime",
     "Role",
     "Rollup",
     "Store",
+    "StoreDamagedError",
     "StoreError",
     "StoreUnavailableError",
     "StoredSample",
     "WriteCounts",
     "lock_data_directory",
     "lock_database",
+    "note_count",
 ]

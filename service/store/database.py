@@ -1,5 +1,7 @@
 """The database connection: how it is read from and written to, whatever the server."""
 
+import json
+import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -10,7 +12,7 @@ from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DatabaseError, InterfaceError, InternalError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
-from service.store.errors import StoreUnavailableError
+from service.store.errors import StoreDamagedError, StoreUnavailableError
 
 #: Wall seconds that a reader or a short transaction waits for its turn before it gives up.
 PATIENCE_S = 30.0
@@ -116,13 +118,40 @@ class Database:
         except DatabaseError as error:
             # Locked, full, I/O error, damaged, gone: the state of disk or server. The other kinds
             # (a broken constraint, a wrong statement) are the caller's.
+            if is_damage(error.orig):
+                raise StoreDamagedError(damaged(self.name, error.orig)) from error
             if isinstance(error, OperationalError | InternalError) or type(error) is DatabaseError:
                 raise StoreUnavailableError(f"{self.name}: {_one_line(error.orig)}") from error
             raise
+        except (json.JSONDecodeError, UnicodeDecodeError) as error:
+            raise StoreDamagedError(damaged(self.name, error)) from error
 
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+
+
+def is_damage(error: BaseException | None) -> bool:
+    """Tell whether an SQLite file makes no sense, rather than being away."""
+    code = getattr(error, "sqlite_errorcode", 0) or 0
+    return (
+        code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+        or code
+        in (
+            sqlite3.SQLITE_IOERR_READ,
+            sqlite3.SQLITE_IOERR_SHORT_READ,
+            sqlite3.SQLITE_IOERR_CORRUPTFS,
+        )
+        or "Could not decode to UTF-8" in str(error)
+    )
+
+
+def damaged(name: str, error: BaseException | None) -> str:
+    """Say that a store is damaged and what to do, in one line."""
+    return (
+        f"store {name}: damaged ({_one_line(error)}); stop the service and run "
+        "'bearing-twin db salvage', or restore a backup"
+    )
 
 
 def _one_line(error: BaseException | None) -> str:

@@ -52,6 +52,15 @@ class DatabaseInUseError(StoreUnavailableError):
     """Another service works on this database."""
 
 
+class StoreDamagedError(StoreUnavailableError):
+    """The store's file is damaged; the text is one line that says what to do.
+
+    A running service goes on onto the spool; a start ends.
+    """
+
+    passes = False
+
+
 class ActiveJobError(Exception):
     """An identification job of this asset is already queued or running.
 

@@ -1,13 +1,15 @@
 """Alarm changes and audit lines on their way to the store: in order, crash-safe, once."""
 
 import json
+import sqlite3
 import threading
+import zlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 from uuid import uuid4
 
 import structlog
@@ -16,7 +18,14 @@ from service.store.alarm_records import Alarm, AlarmTransition
 from service.store.closable import Closable
 from service.store.deliveries import Delivery
 from service.store.errors import StoreUnavailableError
-from service.store.queue_file import QueueFile, QueueUnavailableError
+from service.store.pages import PageRow
+from service.store.queue_file import (
+    Mended,
+    QueueFile,
+    QueueLayout,
+    QueueUnavailableError,
+    note_count,
+)
 from service.store.records import AuditEntry
 from service.store.store import Store
 
@@ -27,10 +36,11 @@ _TABLES = """
 CREATE TABLE IF NOT EXISTS changes (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     sender TEXT NOT NULL,
-    document TEXT NOT NULL
+    document TEXT NOT NULL,
+    checksum INTEGER
 );
 """
-_PROBE = "SELECT number, sender, document FROM changes"
+_PROBE = "SELECT number, sender, document, checksum FROM changes"
 #: Some 700 changes find room on a full disk.
 _RESERVED_BYTES = 2**20
 #: Both the store and the disk are left alone so many wall seconds after they refused.
@@ -74,6 +84,8 @@ class Outbox(Closable):
         Why the store takes nothing at the moment; None while all is well.
     disk_problem : str or None
         Why the disk takes nothing: changes wait in memory only. None while it does.
+    lost : int
+        Changes that damage of the file has cost in this run.
     """
 
     def __init__(self, file: QueueFile, store: Store) -> None:
@@ -88,6 +100,8 @@ class Outbox(Closable):
         # Each run is a sender of its own: the numbers of a file that was restored from a copy
         # begin again where the store has gone on from.
         self._sender = uuid4().hex
+        self.lost = 0 if file.mended is None else file.mended.lost
+        file.on_mended(self._note_mended)
         with file.reading() as connection:
             self._kept = int(connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
         self._threads = [
@@ -110,7 +124,12 @@ class Outbox(Closable):
             If its file can be neither opened nor made; one line that names it.
         """
         path = data_dir / FILE_NAME
-        return cls(QueueFile.open(path, _APPLICATION_ID, _TABLES, _PROBE, _RESERVED_BYTES), store)
+        return cls(QueueFile.open(path, _LAYOUT), store)
+
+    @property
+    def mended(self) -> Mended | None:
+        """What became of the file when it was last found damaged in this run."""
+        return self._file.mended
 
     @property
     def waiting(self) -> int:
@@ -193,10 +212,12 @@ class Outbox(Closable):
             changes = list(islice(self._new, _PORTION))
         try:
             with self._file.writing() as connection:
+                documents = [_document(change) for change in changes]
                 connection.executemany(
-                    "INSERT INTO changes (sender, document) VALUES (?, ?)",
-                    [(self._sender, _document(change)) for change in changes],
+                    "INSERT INTO changes (sender, document, checksum) VALUES (?, ?, ?)",
+                    [(self._sender, text, _checksum(self._sender, text)) for text in documents],
                 )
+                _note_rows(connection)
         except QueueUnavailableError as error:
             if self.disk_problem is None:
                 _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
@@ -230,6 +251,7 @@ class Outbox(Closable):
         try:
             with self._file.writing() as connection:
                 connection.execute("DELETE FROM changes WHERE number <= ?", (self._taken,))
+                _note_rows(connection)
         except QueueUnavailableError as error:
             # No harm: the store knows what it has.
             _log.warning("outbox_unavailable", error=str(error), waiting=self.waiting)
@@ -244,6 +266,8 @@ class Outbox(Closable):
                 self._store.add_audit_entry(change, delivery)
             elif change is not None:
                 self._store.save_alarm(change.alarm, change.lines, delivery)
+            else:
+                self.lost += 1
         except StoreUnavailableError as error:
             if self.problem is None:
                 _log.warning("changes_wait", error=str(error), waiting=self.waiting)
@@ -261,11 +285,21 @@ class Outbox(Closable):
         """Read the oldest changes that the store does not have."""
         with self._file.reading() as connection:
             rows = connection.execute(
-                "SELECT sender, number, document FROM changes WHERE number > ? "
+                "SELECT sender, number, document, checksum FROM changes WHERE number > ? "
                 "ORDER BY number LIMIT ?",
                 (self._taken, limit),
             ).fetchall()
-        return [(Delivery(sender, number), _change(document)) for sender, number, document in rows]
+        return [
+            (Delivery(sender, number), _change(sender, document, checksum))
+            for sender, number, document, checksum in rows
+        ]
+
+    def _note_mended(self, mended: Mended) -> None:
+        with self._condition:
+            self.lost += max(self._kept - mended.salvaged, 0)
+            self._kept = mended.salvaged
+            # The numbers may begin again: what the store has already it knows by its sender.
+            self._sender, self._taken = uuid4().hex, 0
 
 
 def _document(change: Change) -> str:
@@ -273,9 +307,11 @@ def _document(change: Change) -> str:
     return json.dumps({kind: asdict(change)}, default=float)
 
 
-def _change(document: str) -> Change | None:
-    """Read a change; None, with a log line, for one of another version of the program."""
+def _change(sender: str, document: str, checksum: int | None) -> Change | None:
+    """Read a change; None, with a log line, for a damaged one or one of another version."""
     try:
+        if checksum is not None and checksum != _checksum(sender, document):
+            raise ValueError("damaged")
         ((kind, given),) = json.loads(document).items()
         if kind == "audit":
             return AuditEntry(**given)
@@ -284,3 +320,34 @@ def _change(document: str) -> Change | None:
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         _log.error("change_refused", change=document, error=repr(error))
         return None
+
+
+def _checksum(sender: str, document: str) -> int:
+    return zlib.crc32(f"{sender}\0{document}".encode(errors="replace"))
+
+
+def _note_rows(connection: sqlite3.Connection) -> None:
+    note_count(connection, connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
+
+
+def _salvage(row: PageRow) -> tuple[Any, ...] | None:
+    """Turn a row of any page into one of the table of changes; None if it is none."""
+    if row.rowid is None or len(row.values) not in (3, 4):
+        return None
+    _, sender, document, *checksum = row.values
+    if not (isinstance(sender, str) and isinstance(document, str)):
+        return None
+    if checksum and checksum[0] is not None and checksum[0] != _checksum(sender, document):
+        return None
+    return row.rowid, sender, document, checksum[0] if checksum else None
+
+
+_LAYOUT = QueueLayout(
+    application_id=_APPLICATION_ID,
+    tables=_TABLES,
+    probe=_PROBE,
+    table="changes",
+    salvage=_salvage,
+    added_columns=[("checksum", "INTEGER")],
+    reserved_bytes=_RESERVED_BYTES,
+)

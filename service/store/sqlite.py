@@ -12,8 +12,16 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from adapters.samples import Quality
-from service.store.database import PATIENCE_S, WRITES, Database, Dialect, SampleColumns
-from service.store.errors import StoreError, opening_error
+from service.store.database import (
+    PATIENCE_S,
+    WRITES,
+    Database,
+    Dialect,
+    SampleColumns,
+    damaged,
+    is_damage,
+)
+from service.store.errors import StoreDamagedError, StoreError, opening_error
 from service.store.migrations import is_current, upgrade
 
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
@@ -61,7 +69,12 @@ def open_sqlite(url: URL) -> Database:
     except (DBAPIError, sqlite3.Error) as error:
         engine.dispose()
         cause = error.orig if isinstance(error, DBAPIError) else error
+        if is_damage(cause) and path.stat().st_size and _is_sqlite(path):
+            raise StoreDamagedError(damaged(str(path), cause)) from error
         raise opening_error(f"store {path}: {_explained(cause)}", cause) from error
+    except StoreDamagedError:
+        engine.dispose()
+        raise
     except StoreError as error:
         engine.dispose()
         raise type(error)(f"store {path}: {error}") from error
@@ -116,6 +129,16 @@ def _engine(url: URL) -> Engine:
     event.listen(engine, "connect", prepare)
     event.listen(engine, "begin", begin)
     return engine
+
+
+def _is_sqlite(path: Path) -> bool:
+    """Tell whether a file looks like one of SQLite, if only by the kind of its second page."""
+    with path.open("rb") as file:
+        begin = file.read(16)
+        if begin == b"SQLite format 3\0":
+            return True
+        file.seek(4096)
+        return file.read(1) in (b"\x02", b"\x05", b"\x0a", b"\x0d")
 
 
 def _explained(cause: BaseException | None) -> str:

@@ -8,11 +8,13 @@ from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
+from service.store.database import damaged
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
 from service.store.rollups import Rollups
+from service.store.salvage import damage_of
 
 
 class Store(
@@ -47,6 +49,17 @@ class Store(
             If the store cannot be used; one line that names it.
         """
         return cls(open_database(database_url, data_dir, migrate=migrate))
+
+    def find_damage(self) -> str | None:
+        """Look through an SQLite file for damage; one line that says what to do, or None.
+
+        It reads the whole file. A PostgreSQL server has its own ways (`amcheck`): always None.
+        """
+        path = self._database.engine.url.database
+        if self._database.engine.dialect.name != "sqlite" or path is None:
+            return None
+        problem = damage_of(Path(path))
+        return None if problem is None else damaged(path, ValueError(problem))
 
     def close(self) -> None:
         """Close all connections."""

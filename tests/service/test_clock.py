@@ -84,3 +84,16 @@ def test_rfc3339_there_and_back() -> None:
         from_rfc3339("2023-11-14T22:13:20")
     with pytest.raises(ValueError, match="RFC 3339"):
         from_rfc3339("yesterday")
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "null", '{"rate": 60.0}', '{"rate": "x", "wall_s": 1, "process_us": 1}',
+     '{"rate": 60.0, "wall_s": NaN, "process_us": 1}', "\x00" * 90],
+)  # fmt: skip
+def test_a_torn_file_does_not_stop_the_clock(tmp_path: Path, content: str) -> None:
+    (tmp_path / "clock.json").write_text(content)
+    clock = ProcessClock.resume(60.0, tmp_path)
+    assert clock.rate == 60.0
+    before_us = clock.now_us()
+    assert 0 <= ProcessClock.resume(60.0, tmp_path).now_us() - before_us < 3_600_000_000

@@ -56,7 +56,7 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
     """
     checks = [
         await _store(context),
-        _history(context),
+        *_problems(context),
         *_twins(context),
         *_sources(context),
     ]
@@ -128,9 +128,9 @@ async def _store(context: ServiceContext) -> Check:
     return Check("store", "degraded", f"{problem}; {ingest.spooled} samples wait on the spool")
 
 
-def _history(context: ServiceContext) -> Check:
-    problem = context.history_problem()
-    return Check("history", "degraded" if problem else "ok", problem or "kept as configured")
+def _problems(context: ServiceContext) -> Iterator[Check]:
+    for name, problem in context.problems().items():
+        yield Check(name, "degraded" if problem else "ok", problem or "as it should be")
 
 
 def _twins(context: ServiceContext) -> Iterator[Check]:

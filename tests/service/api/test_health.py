@@ -26,7 +26,6 @@ async def test_ready_while_all_is_well(world: Any) -> None:
     assert (status, document.status) == (200, "ready")
     assert {check.name for check in document.checks} == {
         "store",
-        "history",
         "twin:bench-1",
         "twin:rig-2",
         "source:pt100",

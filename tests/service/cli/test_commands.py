@@ -14,6 +14,7 @@ from processes import Command
 
 from adapters.samples import Sample
 from service.clock import rfc3339
+from service.security import create_key
 from service.store import Retention, Store
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -173,3 +174,32 @@ def test_grease_is_renewed_in_the_store_while_no_service_runs(
     )  # fmt: skip
     start("serve", "-c", config)
     assert "POST /api/v1/assets/motor-1/grease-renewed" in refused(*told)
+
+
+def test_a_damaged_store_is_named_and_salvaged(cli: Cli, tmp_path: Path) -> None:
+    config = tmp_path / "bearing-twin.toml"
+    config.write_text('[service]\ndata_dir = "var"\nport = 0\n')
+    path = tmp_path / "var" / "bearing-twin.db"
+    with Store.open("", path.parent) as store:
+        store.write_samples([Sample("a", "x", k, 1.0, 192, 0) for k in range(5000)])
+        key = create_key(store, "viewer").record.prefix
+    content = bytearray(path.read_bytes())
+    content[100:4096] = bytes(3996)  # the list of tables
+    path.write_bytes(content)
+    for command in (("serve",), ("keys", "list"), ("export", "--asset", "a", "--out", "a.csv")):
+        refused = cli(*command, "-c", str(config))
+        assert refused.returncode == 2
+        (line,) = refused.stderr.strip().splitlines()
+        assert f"store {path}: damaged (" in line
+        assert "'bearing-twin db salvage'" in line
+    salvaged = cli("db", "salvage", "-c", str(config), "--json")
+    assert salvaged.returncode == 0, salvaged.stderr
+    document = json.loads(salvaged.stdout)
+    assert document["rows"]["samples"] == 5000
+    assert Path(document["kept_as"]).read_bytes() == bytes(content)
+    with Store.open("", path.parent) as store:
+        # Without the list of tables only the pages are left: names and keys are lost.
+        (asset, name) = ("salvaged", "channel-1") if document["unnamed_channels"] else ("a", "x")
+        assert store.latest(asset)[name].time_us == 4999
+        assert key not in [one.prefix for one in store.api_keys()]
+    assert "is whole" in cli("db", "salvage", "-c", str(config)).stdout

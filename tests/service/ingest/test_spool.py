@@ -1,6 +1,8 @@
+import contextlib
 import math
 import random
 import sqlite3
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -161,3 +163,80 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
         assert times[-1] >= 2 * last + 1
         assert times[-1] % 2 == 1, "both of an append, or none"
         (tmp_path / FILE_NAME).unlink()
+
+
+def test_damage_that_shows_while_it_runs_costs_what_is_damaged(tmp_path: Path) -> None:
+    spool = Spool.open(tmp_path, 16)
+    count = 60_000  # more than SQLite holds in memory
+    spool.append([sample(k) for k in range(count)])
+    with (tmp_path / FILE_NAME).open("r+b") as file:
+        file.seek(200 * 4096)
+        file.write(random.Random(3).randbytes(2 * 4096))
+    found: list[int] = []
+    refusals = 0
+    while len(spool):
+        try:
+            chunk = spool.first(7000)
+            if chunk is not None:
+                found += [one.time_us for one in chunk.samples]
+                spool.remove(chunk)
+        except QueueUnavailableError:
+            refusals += 1
+            spool.append([sample(count + refusals)])  # what comes meanwhile stays
+            assert refusals < 10
+    assert refusals
+    assert spool.mended is not None
+    assert spool.mended.kept_as.exists()
+    lost = count - len({time_us for time_us in found if time_us < count})
+    assert 0 < lost < 300, "no more than stood on three pages"
+    assert spool.take_lost() == lost
+    assert {count + k + 1 for k in range(refusals)} <= set(found)
+    spool.close()
+
+
+def test_a_file_that_the_disk_does_not_give_back_is_set_aside(tmp_path: Path) -> None:
+    # Reading the memory of a process where nothing is gives an I/O error, as a bad sector does.
+    (tmp_path / FILE_NAME).symlink_to("/proc/self/mem")
+    spool = Spool.open(tmp_path, 16)
+    assert spool.mended is not None
+    spool.append([sample(1)])
+    assert len(spool) == 1
+    spool.close()
+    assert (tmp_path / "spool-damaged-1.db").is_symlink()
+
+
+def test_a_value_that_a_flipped_bit_made_is_no_sample(tmp_path: Path) -> None:
+    spool = Spool.open(tmp_path, 16)
+    spool.append([sample(k, value=1000.5 + k) for k in range(10)])
+    spool.close()
+    path = tmp_path / FILE_NAME
+    content = path.read_bytes()
+    wanted = struct.pack(">d", 1003.5)
+    assert content.count(wanted) == 1
+    path.write_bytes(content.replace(wanted, struct.pack(">d", 7.5)))
+    spool = Spool.open(tmp_path, 16)
+    chunk = spool.first(99)
+    assert chunk is not None
+    assert [one.time_us for one in chunk.samples] == [0, 1, 2, 4, 5, 6, 7, 8, 9]
+    spool.remove(chunk)
+    assert spool.take_lost() == 1
+    assert len(spool) == 0
+    spool.close()
+
+
+def test_a_spool_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(tmp_path / FILE_NAME)) as old:
+        old.execute(
+            "CREATE TABLE samples (id INTEGER PRIMARY KEY AUTOINCREMENT, importance INTEGER NOT "
+            "NULL, asset TEXT NOT NULL, channel TEXT NOT NULL, time_us INTEGER NOT NULL, value "
+            "REAL, quality INTEGER NOT NULL, received_us INTEGER NOT NULL)"
+        )
+        old.execute("INSERT INTO samples VALUES (1, 3, 'a', 't_inner_ring_c', 5, 1.5, 192, 12)")
+        old.commit()
+    spool = Spool.open(tmp_path, 16)
+    spool.append([sample(6)])
+    chunk = spool.first(99)
+    assert chunk is not None
+    assert chunk.samples == [sample(5, 1.5), sample(6)]
+    assert spool.mended is None
+    spool.close()
