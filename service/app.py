@@ -37,6 +37,8 @@ from service.upkeep import Upkeep
 from service.web_side import WebSide
 from service.wiring import Wiring
 
+#: Samples of a channel are counted up to this number where it is only a hint.
+_COUNTED_MAX = 100_000
 HEALTH_EVERY_WALL_S = 1.0
 STORE_RETRY_WALL_S = 2.0
 WARM_UP_AFTER_S = 5.0
@@ -115,9 +117,10 @@ class Service:
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
         self._kept_states = {asset: store.load_asset_state(asset) for asset in self.assets}
-        for alarm in self.alarms.active():
-            if alarm.asset not in self.assets:
-                self.alarms.withdraw(alarm.asset, ())
+        left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
+        self._report_unconfigured(left)
+        for alarm in left:
+            self.alarms.withdraw(alarm.asset, ())
         job_seconds = Histogram(
             "bearing_twin_job_seconds",
             "Wall seconds of an identification job.",
@@ -219,6 +222,21 @@ class Service:
             return found
         facts = self.assets[asset].facts.get(channel)
         return "" if facts is None else self.acquisition.problem(facts.source, asset, channel)
+
+    def _report_unconfigured(self, alarms: Sequence[Alarm]) -> None:
+        """Warn once of what the store holds and the configuration names no more."""
+        samples: dict[str, int] = {}
+        for (asset, channel), count in self.store.sample_counts(_COUNTED_MAX).items():
+            if asset not in self.assets or channel not in self.assets[asset].channels:
+                name = f"{asset}/{channel}" if asset in self.assets else asset
+                samples[name] = samples.get(name, 0) + count
+        if samples or alarms:
+            _log.warning(
+                "not_configured",
+                samples=samples,
+                alarms_withdrawn=len(alarms),
+                hint="'bearing-twin export --asset NAME' writes what is stored of it",
+            )
 
     def _problems(self) -> dict[str, str | None]:
         """What is wrong with history and with the files, by check; None where all is well."""

@@ -152,8 +152,19 @@ class ClockWatch:
 
 def rfc3339(time_us: int) -> str:
     """UTC microseconds as RFC 3339 with milliseconds, for example ``2026-11-21T08:00:00.000Z``."""
-    moment = datetime.fromtimestamp(time_us / MICROSECONDS, UTC)
+    moment = _EPOCH + timedelta(microseconds=time_us)
     return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def rfc3339_exact(time_us: int) -> str:
+    """As `rfc3339`, with microseconds where the time has any: it can be read back as it is.
+
+    The times of stored samples are printed so, for two samples of a channel may lie some
+    microseconds apart.
+    """
+    moment = _EPOCH + timedelta(microseconds=time_us)
+    timespec = "microseconds" if time_us % 1000 else "milliseconds"
+    return moment.isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 def from_rfc3339(text: str) -> int:

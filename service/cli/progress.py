@@ -1,5 +1,7 @@
-"""The bar that long work shows on a terminal."""
+"""The bar that long work shows on a terminal, and its lines elsewhere."""
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -10,9 +12,21 @@ from service.cli.consoles import make_console
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[float, str], None]]:
-    """Yield what to call with the fraction done; nothing is shown where nobody watches."""
+def progress_bar(
+    title: str, line_every_s: float | None = None
+) -> Iterator[Callable[[float, str], None]]:
+    """Yield what to call with the fraction done.
+
+    Parameters
+    ----------
+    title : str
+        What is being done.
+    line_every_s : float, optional
+        Without a terminal, write a line on standard error every so many wall seconds; absent:
+        nothing.
+    """
     console = make_console(stderr=True)
+    shown_s = time.monotonic()
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -23,6 +37,13 @@ def progress_bar(title: str) -> Iterator[Callable[[float, str], None]]:
         task = bar.add_task(title, total=1.0, done="")
 
         def tell(fraction: float, text: str) -> None:
+            nonlocal shown_s
             bar.update(task, completed=fraction, done=text)
+            now_s = time.monotonic()
+            if line_every_s is None or console.is_terminal or now_s < shown_s + line_every_s:
+                return
+            shown_s = now_s
+            sys.stderr.write(f"{title}: {100 * fraction:.0f} % {text}".rstrip() + "\n")
+            sys.stderr.flush()
 
         yield tell

@@ -15,6 +15,8 @@ from service.configuration import SettingsError
 from service.settings import Settings, load_settings
 
 _SHOWN_REJECTED = 20
+#: Wall seconds between two lines of progress where there is no terminal.
+_PROGRESS_S = 5.0
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
 AssetId = Annotated[str, typer.Option(help="Asset that the data belong to.")]
 
@@ -54,7 +56,7 @@ def import_(
             store = stack.enter_context(
                 Store.open(settings.service.database_url, settings.data_dir)
             )
-        tell = stack.enter_context(progress_bar(f"import {file.name}"))
+        tell = stack.enter_context(progress_bar(f"import {file.name}", _PROGRESS_S))
         report = import_file(
             file,
             asset,
@@ -124,7 +126,6 @@ def export(
     from service.transfer.pages import Place, is_resolution
 
     settings = load_settings(config)
-    _channels(settings, asset)
     start_us = 0 if start is None else _time_us("--start", start)
     end_us = 2**62 - 1 if end is None else _time_us("--end", end)
     if end_us <= start_us:
@@ -134,6 +135,9 @@ def export(
         raise SettingsError(f"--resolution {resolution}: expected raw, 1s, 1min, 1h or minutes")
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         known = store.channels(asset)
+        if not known:  # what the configuration names no more can still be exported
+            stored = set(store.sample_counts(0))
+            _check_asset(settings, asset, {one for one, _ in stored})
         for name in channel or ():
             if name not in known:
                 raise SettingsError(
@@ -160,9 +164,15 @@ def _channels(settings: Settings, asset: str) -> list[str] | None:
         if one.id == asset:
             return None if one.network is None else list(one.channels)
     if settings.assets:
-        known = ", ".join(one.id for one in settings.assets)
-        raise SettingsError(f"--asset {asset}: no such asset; expected one of {known}")
+        _check_asset(settings, asset, set())
     return None
+
+
+def _check_asset(settings: Settings, asset: str, stored: set[str]) -> None:
+    """Refuse an asset that neither the configuration nor the store knows."""
+    known = dict.fromkeys([*(one.id for one in settings.assets), *sorted(stored)])
+    if known and asset not in known:
+        raise SettingsError(f"--asset {asset}: no such asset; expected one of {', '.join(known)}")
 
 
 def _time_us(option: str, text: str) -> int:

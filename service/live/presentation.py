@@ -9,7 +9,7 @@ import numpy as np
 
 from adapters.samples import Quality, Sample
 from service.alarms import alarm_summary
-from service.clock import rfc3339
+from service.clock import rfc3339, rfc3339_exact
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
 from service.settings import Limits
@@ -210,7 +210,7 @@ def samples_json(samples: Iterable[Sample]) -> list[dict[str, Any]]:
     return [
         {
             "channel": sample.channel,
-            "time": rfc3339(sample.time_us),
+            "time": rfc3339_exact(sample.time_us),
             "value": sample.value,
             "quality": int(sample.quality),
         }

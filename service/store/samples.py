@@ -205,6 +205,17 @@ class Samples(Section):
                     newest[name] = StoredSample(name, *row)
         return newest
 
+    def sample_counts(self, count_max: int) -> dict[tuple[str, str], int]:
+        """Count the samples of every asset and channel that was ever stored, up to a number."""
+        counts = {}
+        with self._database.reading() as connection:
+            channels = connection.execute(select(ChannelRow.asset, ChannelRow.name, ChannelRow.id))
+            for asset, name, channel_id in channels.all():
+                some = select(SampleRow.time_us).where(SampleRow.channel_id == channel_id)
+                count = select(func.count()).select_from(some.limit(count_max).subquery())
+                counts[asset, name] = connection.scalar(count) or 0
+        return counts
+
     def open_ends(self) -> dict[tuple[str, str], int]:
         """Find the channels, of all assets, whose newest sample is not bad, and its time.
 

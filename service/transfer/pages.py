@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field
 
-from service.clock import rfc3339
+from service.clock import rfc3339_exact
 from service.spreadsheets import quoted_cell
 from service.store import Rollup, Store, StoredSample
 
@@ -30,7 +30,9 @@ class Place(BaseModel):
     start_us: int = Field(ge=0, lt=2**62)
     end_us: int = Field(ge=0, lt=2**62)
     channels: list[str] | None = Field(max_length=100)
-    after: tuple[int, str] | None = None
+    after: (
+        tuple[Annotated[int, Field(ge=0, lt=2**62)], Annotated[str, Field(max_length=1000)]] | None
+    ) = None
 
     def behind(self, row: StoredSample | Rollup) -> Self:
         """Give the same query, answered up to and with this row."""
@@ -105,14 +107,14 @@ def as_items(rows: Sequence[StoredSample | Rollup]) -> list[dict[str, Any]]:
     return [
         {
             "channel": row.channel,
-            "time": rfc3339(row.time_us),
+            "time": rfc3339_exact(row.time_us),
             "value": row.value,
             "quality": row.quality,
         }
         if isinstance(row, StoredSample)
         else {
             "channel": row.channel,
-            "time": rfc3339(row.time_us),
+            "time": rfc3339_exact(row.time_us),
             "mean": row.mean,
             "min": row.min,
             "max": row.max,
@@ -132,9 +134,9 @@ def csv_header(resolution: str) -> str:
 def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
     """Rows as lines of the CSV answer; an absent value is an empty cell."""
     return "".join(
-        f"{rfc3339(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}\r\n"
+        f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}\r\n"
         if isinstance(row, StoredSample)
-        else f"{rfc3339(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
+        else f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
         f"{_cell(row.min)},{_cell(row.max)},{row.count},{row.quality}\r\n"
         for row in rows
     )

@@ -1,15 +1,18 @@
 """GET measurements, on the real store."""
 
 import asyncio
+import base64
 import csv
 import io
+import json
 from typing import Any
 
 import pyarrow.parquet as parquet
 import pytest
 
+from adapters.samples import Sample
 from service.api.bodies import Measurements
-from service.clock import rfc3339
+from service.clock import from_rfc3339, rfc3339, rfc3339_exact
 
 PATH = "/api/v1/assets/bench-1/measurements"
 HOUR_US = 3_600_000_000
@@ -270,3 +273,48 @@ async def test_a_key_has_so_many_long_reads_at_once(world: Any) -> None:
             *(world.client("viewer").get(PATH, params=span | {"limit": 100}) for _ in range(12))
         )
         assert {one.status_code for one in answers} == {200}
+
+
+@pytest.mark.parametrize("time_us", [2**63 - 1, 2**62, -1, 10**30])
+@pytest.mark.parametrize("resolution", ["raw", "1s", "28d"])
+async def test_a_made_up_cursor_is_refused(world: Any, time_us: int, resolution: str) -> None:
+    world.write("bench-1", INNER, world.clock.now_us() - 10**7, [1.0])
+    place = {
+        "resolution": resolution, "start_us": 0, "end_us": 2**61, "channels": None,
+        "after": [time_us, INNER],
+    }  # fmt: skip
+    cursor = base64.urlsafe_b64encode(json.dumps(place).encode()).decode().rstrip("=")
+    for output in ("json", "csv"):
+        response = await world.client("viewer").get(
+            PATH, params={"cursor": cursor, "format": output}
+        )
+        assert response.status_code == 422
+        assert response.json()["errors"][0]["parameter"] == "cursor"
+
+
+async def test_the_largest_times_of_cursors_are_answered(world: Any) -> None:
+    world.write("bench-1", INNER, world.clock.now_us() - 10**7, [1.0])
+    for resolution in ("raw", "1s", "28d"):
+        place = {
+            "resolution": resolution, "start_us": 0, "end_us": 2**62 - 1, "channels": None,
+            "after": [2**62 - 1, INNER],
+        }  # fmt: skip
+        cursor = base64.urlsafe_b64encode(json.dumps(place).encode()).decode().rstrip("=")
+        response = await world.client("viewer").get(PATH, params={"cursor": cursor})
+        assert response.status_code == 200, response.text
+    journal = base64.urlsafe_b64encode(json.dumps({"before": 2**63 - 1}).encode()).decode()
+    for path in ("/api/v1/alarms/journal", "/api/v1/audit"):
+        answer = await world.client("admin").get(path, params={"cursor": journal.rstrip("=")})
+        assert answer.status_code == 200, answer.text
+
+
+async def test_samples_some_microseconds_apart_have_times_of_their_own(world: Any) -> None:
+    start_us = (world.clock.now_us() - 10**7) // 1000 * 1000
+    world.store.write_samples(
+        [Sample("bench-1", INNER, start_us + 30 * k, float(k), 192, 0) for k in range(40)]
+    )
+    found = await get(world, start=rfc3339_exact(start_us + 30), end=rfc3339_exact(start_us + 90))
+    times = [item["time"] for item in found["items"]]
+    assert [from_rfc3339(text) for text in times] == [start_us + 30, start_us + 60]
+    whole = await get(world, start=rfc3339_exact(start_us), limit=1)
+    assert len(whole["items"][0]["time"]) == len("2026-11-21T08:00:00.000Z"), "no more than it has"

@@ -3,6 +3,7 @@
 import json
 import math
 import random
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typer.testing import CliRunner
 
 from adapters.samples import Sample
 from service.cli.main import app
-from service.clock import from_rfc3339, rfc3339
+from service.clock import from_rfc3339, rfc3339, rfc3339_exact
 from service.store import Store
 
 Run = Callable[..., tuple[int, dict[str, Any], str]]
@@ -280,3 +281,48 @@ t_bearing_c = {{ source = "push" }}
     assert "4 stored" in run(table(tmp_path, f"{START},1500,2650,21.5,40.1", header=header))
     wrong = table(tmp_path, f"{START},1500,2650,21.5,40.1", header=HEADER)
     assert "missing column 't_bearing_c'" in run(wrong)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_samples_some_microseconds_apart_survive_export_and_import(
+    tmp_path: Path, run: Run, suffix: str
+) -> None:
+    # Frames of a CAN bus that a busy service reads in one go.
+    frames = [Sample("a", "load_n", START_US + 30 * k, 1000.0 + k, 192, 0) for k in range(2000)]
+    with Store.open("", tmp_path / "data") as store:
+        assert store.write_samples(frames) == (2000, 0)
+    before = stored(tmp_path)
+    out = tmp_path / f"frames{suffix}"
+    status, report, _ = run("export", "--out", out)
+    assert (status, report["rows"]) == (0, 2000)
+    shutil.rmtree(tmp_path / "data")
+    status, report, _ = run("import", out)
+    assert (status, report["stored"], report["duplicates"]) == (0, 2000, 0)
+    assert stored(tmp_path) == before
+    # The span is exact too.
+    part = tmp_path / f"part{suffix}"
+    begin, end = rfc3339_exact(START_US + 30), rfc3339_exact(START_US + 120)
+    status, report, _ = run("export", "--out", part, "--start", begin, "--end", end)
+    assert (status, report["rows"]) == (0, 3)
+
+
+def test_what_is_not_configured_any_more_can_be_exported(tmp_path: Path, run: Run) -> None:
+    with Store.open("", tmp_path / "data") as store:
+        store.write_samples([Sample("old", "load_n", START_US, 1.0, 192, 0)])
+    out = tmp_path / "old.csv"
+    config = tmp_path / "c.toml"
+    arguments = ["export", "--out", str(out), "-c", str(config), "--asset"]
+    assert CliRunner().invoke(app, [*arguments, "old"]).exit_code == 0
+    assert out.read_text().splitlines()[1] == "2026-03-01T12:00:00.000Z,load_n,1.0,192"
+    refused = CliRunner().invoke(app, [*arguments, "older"])
+    assert "--asset older: no such asset; expected one of a, old" in str(refused.exception)
+
+
+def test_progress_is_shown_without_a_terminal(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.cli.transfer._PROGRESS_S", 0.0)
+    rows = [f"2026-03-01T12:{k // 60:02}:{k % 60:02}Z,1500,2650,21.5,40.1,38.2" for k in range(60)]
+    status, _, text = run("import", table(tmp_path, *rows))
+    assert status == 0
+    assert "import data.csv: 100 %" in text
