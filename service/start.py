@@ -24,6 +24,7 @@ from service.settings import Settings
 from service.store import (
     DatabaseInUseError,
     DatabaseLock,
+    DataDirectoryLock,
     Outbox,
     Store,
     lock_data_directory,
@@ -137,8 +138,7 @@ class _Start:
                 self._supervisor.ready()
                 store, database_lock = await opening
                 await self._work(store, acquisition, clock)
-                if database_lock is not None:
-                    lost = database_lock.lost
+                lost = database_lock.lost
         if lost:
             raise DatabaseInUseError(lost)
 
@@ -153,7 +153,7 @@ class _Start:
 
     async def _open_store(
         self, running: contextlib.AsyncExitStack
-    ) -> tuple[Store, DatabaseLock | None]:
+    ) -> tuple[Store, DatabaseLock | DataDirectoryLock]:
         """Listen, and open all that the service needs beside its devices."""
         settings, until = self._settings, self._waiting.until
         service, data_dir = settings.service, settings.data_dir
@@ -174,8 +174,7 @@ class _Start:
             partial(lock_database, url, data_dir, lost),
             LEAVE_DATABASE_S,
         )
-        if lock is not None:
-            self._open.callback(lock.close)
+        self._open.callback(lock.close)
         if not is_loopback(service.host):
             await until("the store", partial(_check_key, store, service.host))
         return store, lock

@@ -89,7 +89,7 @@ def salvage(
 
     Stop the service first.
     """
-    from service.store import StoreError, lock_data_directory
+    from service.store import StoreError, lock_data_directory, lock_database
     from service.store.opening import database_address
     from service.store.salvage import damage_of, salvage_store
 
@@ -98,7 +98,10 @@ def salvage(
     if url.get_backend_name() != "sqlite":
         raise StoreError("db salvage: expected an SQLite store; a PostgreSQL server has amcheck")
     path = Path(url.database or "")
-    with lock_data_directory(settings.data_dir):
+    with (
+        lock_data_directory(settings.data_dir),
+        lock_database(settings.service.database_url, settings.data_dir, lambda: None),
+    ):
         problem = damage_of(path)
         done = None if problem is None else salvage_store(path, problem)
     if as_json:

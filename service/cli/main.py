@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 from typer.exceptions import TyperException
 
+from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
 from service.cli.benchmark import benchmark
 from service.cli.check import check
@@ -45,6 +46,8 @@ app.command()(benchmark)
 app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
+app.command()(backup)
+app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(keys, name="keys")
 app.add_typer(db, name="db")

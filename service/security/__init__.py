@@ -9,6 +9,7 @@ from service.security.keys import (
     UnknownRoleError,
     create_key,
     list_keys,
+    revoke_all_keys,
     revoke_key,
     verify_key,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "UnknownRoleError",
     "create_key",
     "list_keys",
+    "revoke_all_keys",
     "revoke_key",
     "verify_key",
 ]

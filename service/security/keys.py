@@ -112,16 +112,17 @@ def create_key(
     if expires_in_days is not None:
         expires_us = now_us + round(expires_in_days * MICROSECONDS_PER_DAY)
     text = f"bt_{secrets.token_hex(4)}_{secrets.token_urlsafe(_SECRET_BYTES)}"
+    prefix = text[:_PREFIX_LENGTH]
+    detail = f"role {role}" + (f", {label}" if label else "")
     record = store.add_api_key(
-        prefix=text[:_PREFIX_LENGTH],
+        prefix=prefix,
         sha256=fingerprint(text),
         role=known,
         created_us=now_us,
         expires_us=expires_us,
         label=label,
+        line=_line(actor, "key.create", prefix, detail),
     )
-    detail = f"role {role}" + (f", {label}" if label else "")
-    _note(store, actor, "key.create", record, detail)
     return NewKey(text, record)
 
 
@@ -165,8 +166,7 @@ def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKe
         raise UnknownKeyError(f"key {id_or_prefix!r}: {how_many} this id or prefix")
     (key,) = found
     if key.revoked_us is None:
-        store.revoke_api_key(key.id, wall_us())
-        _note(store, actor, "key.revoke", key, f"role {key.role}")
+        store.revoke_api_key(key.id, wall_us(), _revocation(actor, key))
     return next(one for one in store.api_keys() if one.id == key.id)
 
 
@@ -180,7 +180,9 @@ def revoke_all_keys(store: Store, actor: Actor = SERVICE) -> list[ApiKey]:
     return [revoke_key(store, key.id, actor) for key in valid]
 
 
-def _note(store: Store, actor: Actor, action: str, key: ApiKey, detail: str) -> None:
-    store.add_audit_entry(
-        AuditEntry(wall_us(), actor.who, actor.address, action, f"key {key.prefix}", detail)
-    )
+def _revocation(actor: Actor, key: ApiKey) -> AuditEntry:
+    return _line(actor, "key.revoke", key.prefix, f"role {key.role}")
+
+
+def _line(actor: Actor, action: str, prefix: str, detail: str) -> AuditEntry:
+    return AuditEntry(wall_us(), actor.who, actor.address, action, f"key {prefix}", detail)

@@ -8,7 +8,8 @@ from uuid import uuid4
 
 from sqlalchemy import RowMapping, delete, insert, select, update
 
-from service.store.records import ApiKey, BrowserSession, Role
+from service.store.audit import add_line
+from service.store.records import ApiKey, AuditEntry, BrowserSession, Role
 from service.store.section import Section
 from service.store.tables import ApiKeyRow, BrowserSessionRow
 
@@ -35,8 +36,9 @@ class Access(Section):
         created_us: int,
         expires_us: int | None,
         label: str = "",
+        line: AuditEntry | None = None,
     ) -> ApiKey:
-        """Store a key.
+        """Store a key, and the line of the audit trail in the same transaction.
 
         Parameters
         ----------
@@ -50,6 +52,8 @@ class Access(Section):
             Wall time, UTC microseconds; a key without expiry lives until it is revoked.
         label : str
             What people call it.
+        line : AuditEntry, optional
+            Who made it.
         """
         key = ApiKey(uuid4().hex, prefix, role, label, created_us, expires_us, revoked_us=None)
         with self._database.writing() as connection:
@@ -65,6 +69,7 @@ class Access(Section):
                     revoked_us=None,
                 )
             )
+            add_line(connection, line)
         return key
 
     def api_keys(self) -> list[ApiKey]:
@@ -80,15 +85,20 @@ class Access(Section):
             row = connection.execute(query).one_or_none()
         return _key(row._mapping) if row else None
 
-    def revoke_api_key(self, key_id: str, at_us: int) -> bool:
-        """Revoke a key and with it its sessions; False when there is no such key."""
+    def revoke_api_key(self, key_id: str, at_us: int, line: AuditEntry | None = None) -> bool:
+        """Revoke a key and with it its sessions; False when there is no such key.
+
+        The line of the audit trail is written in the same transaction, and only for a key that
+        was not revoked yet.
+        """
         with self._database.writing() as connection:
             connection.execute(delete(BrowserSessionRow).where(BrowserSessionRow.key_id == key_id))
-            connection.execute(
+            changed = connection.execute(
                 update(ApiKeyRow)
                 .where(ApiKeyRow.id == key_id, ApiKeyRow.revoked_us.is_(None))
                 .values(revoked_us=at_us)
-            )
+            ).rowcount
+            add_line(connection, line if changed else None)
             found = connection.scalar(select(ApiKeyRow.id).where(ApiKeyRow.id == key_id))
         return found is not None
 

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, fields
 
-from sqlalchemy import insert, select
+from sqlalchemy import Connection, insert, select
 
 from service.store.deliveries import Delivery
 from service.store.records import AuditEntry, AuditPage
@@ -12,6 +12,12 @@ from service.store.tables import AuditRow
 _COLUMNS = tuple(getattr(AuditRow, field.name) for field in fields(AuditEntry))
 
 
+def add_line(connection: Connection, entry: AuditEntry | None) -> None:
+    """Write one line, if there is one, within the transaction of the change that it tells of."""
+    if entry is not None:
+        connection.execute(insert(AuditRow).values(asdict(entry)))
+
+
 class Audit(Section):
     """Who did what to what, when and from where."""
 
@@ -19,7 +25,7 @@ class Audit(Section):
         """Write one line; what an outbox delivers again is known."""
         with self._writing_once(delivery) as connection:
             if connection is not None:
-                connection.execute(insert(AuditRow).values(asdict(entry)))
+                add_line(connection, entry)
 
     def expire_audit(self, before_us: int) -> int:
         """Remove lines from before a wall time that is more than a year ago; returns how many.

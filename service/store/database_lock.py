@@ -15,6 +15,7 @@ from sqlalchemy.engine import URL
 from service.store.addresses import shown
 from service.store.closable import Closable
 from service.store.errors import DatabaseInUseError
+from service.store.locking import DataDirectoryLock, lock_sqlite_file
 from service.store.opening import database_address
 from service.store.postgresql_connection import (
     CONNECT_ARGS,
@@ -148,13 +149,9 @@ def _first(cursor: psycopg.Cursor[Any]) -> Any:
 
 def lock_database(
     database_url: str, data_dir: Path, on_lost: Callable[[], object]
-) -> DatabaseLock | None:
-    """Take a PostgreSQL database for one service; see `DatabaseLock`.
-
-    Returns
-    -------
-    DatabaseLock or None
-        None for an SQLite file.
-    """
+) -> DatabaseLock | DataDirectoryLock:
+    """Take a database for one service: see `DatabaseLock`, and `lock_sqlite_file`."""
     url = database_address(database_url, data_dir)
-    return DatabaseLock(url, on_lost) if url.get_backend_name() == "postgresql" else None
+    if url.get_backend_name() == "postgresql":
+        return DatabaseLock(url, on_lost)
+    return lock_sqlite_file(Path(url.database or ""))

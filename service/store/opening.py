@@ -4,6 +4,7 @@ from pathlib import Path
 
 from sqlalchemy.engine import URL
 
+from service.files import make_private_folder
 from service.store.addresses import parse_address
 from service.store.database import Database
 from service.store.errors import opening_error
@@ -23,7 +24,7 @@ def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Databa
     """
     url = database_address(database_url, data_dir)
     try:
-        data_dir.mkdir(parents=True, exist_ok=True)
+        make_private_folder(data_dir)
     except OSError as error:
         raise opening_error(
             f"data directory {error.filename}: cannot be made ({error.strerror})", error

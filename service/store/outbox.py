@@ -136,6 +136,11 @@ class Outbox(Closable):
         """Changes that the store does not have yet."""
         return len(self._new) + self._kept
 
+    @property
+    def unkept(self) -> int:
+        """Changes that neither the store nor the disk has: a power cut would lose them."""
+        return len(self._new)
+
     def load_alarms(self) -> list[Alarm]:
         """All alarms that are not over, as they are when all that waits has been written."""
         # The file first: what leaves it meanwhile is in the store by then.

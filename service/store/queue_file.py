@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import structlog
 
+from service.files import make_private_file
 from service.store.errors import opening_error
 from service.store.pages import PageRow, page_rows
 
@@ -248,6 +249,7 @@ def _is_damage(error: sqlite3.Error) -> bool:
 
 
 def _connect(path: Path, layout: QueueLayout) -> sqlite3.Connection:
+    make_private_file(path)
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1.0)
     reserved_bytes = layout.reserved_bytes
     try:

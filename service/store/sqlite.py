@@ -1,5 +1,6 @@
 """SQLite: one file, readers never wait, a commit is on the disk when it returns."""
 
+import contextlib
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from adapters.samples import Quality
+from service.files import make_private_file, make_private_folder
+from service.store.copies import copy_sqlite
 from service.store.database import (
     PATIENCE_S,
     WRITES,
@@ -22,6 +25,7 @@ from service.store.database import (
     is_damage,
 )
 from service.store.errors import StoreDamagedError, StoreError, opening_error
+from service.store.locking import who_uses
 from service.store.migrations import is_current, upgrade
 
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
@@ -35,6 +39,8 @@ _ROW = "(?, ?, ?, ?)"
 #: So many rows go in by one statement: the other threads run meanwhile, which they cannot when
 #: every row is a step of its own. SQLite takes 32,766 parameters.
 _ROWS = 1024
+#: Copies that upgrades of the tables have left.
+_KEPT_COPIES = 3
 _UPSERT_ONE = _UPSERT.format(_ROW)
 _UPSERT_MANY = _UPSERT.format(", ".join([_ROW] * _ROWS))
 
@@ -51,11 +57,12 @@ def open_sqlite(url: URL) -> Database:
     """
     path = Path(url.database or "")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_private_folder(path.parent)
     except OSError as error:
         raise opening_error(
             f"data directory {error.filename}: cannot be made ({error.strerror})", error
         ) from error
+    make_private_file(path)
     engine = _engine(url)
     try:
         with engine.connect() as connection:
@@ -63,6 +70,7 @@ def open_sqlite(url: URL) -> Database:
             raw: Any = connection.connection.driver_connection
             raw.execute("PRAGMA journal_mode = WAL")
         if not is_current(engine):
+            _prepare_upgrade(path)
             upgrade(engine)
         with engine.connect() as connection:
             connection.execution_options(**{WRITES: True}).begin().rollback()
@@ -79,6 +87,26 @@ def open_sqlite(url: URL) -> Database:
         engine.dispose()
         raise type(error)(f"store {path}: {error}") from error
     return Database(engine, str(path), Dialect(_upsert_samples, _with_patience))
+
+
+def _prepare_upgrade(path: Path) -> None:
+    """Make sure that no older service runs on a store with tables, and keep a copy of it."""
+    with contextlib.closing(sqlite3.connect(path, timeout=PATIENCE_S)) as connection:
+        if not connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+            return
+        (revision,) = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+    holder = who_uses(path)
+    if holder is not None:
+        raise StoreError(
+            f"its tables ({revision}) are those of an earlier version, and a service is running "
+            f"on it{holder}; stop that service first"
+        )
+    copy = path.with_name(f"{path.stem}-before-upgrade-{revision}{path.suffix}")
+    if not copy.exists():
+        copy_sqlite(path, copy)
+    copies = sorted(path.parent.glob(f"{path.stem}-before-upgrade-*{path.suffix}"))
+    for old in copies[:-_KEPT_COPIES]:
+        old.unlink()
 
 
 def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:

@@ -220,7 +220,22 @@ async def _done(
 
 
 async def _written(context: ServiceContext) -> None:
-    await anyio.to_thread.run_sync(context.outbox.flush, _FLUSH_S)
+    """Wait until the change is kept.
+
+    Raises
+    ------
+    Problem
+        With status 503 when neither the store nor the disk takes it.
+    """
+    outbox = context.outbox
+    if await anyio.to_thread.run_sync(outbox.flush, _FLUSH_S) or not outbox.unkept:
+        return
+    raise Problem(
+        503,
+        "the change is made, but neither the store nor the disk takes it "
+        f"({outbox.disk_problem or 'the disk is slow'}): it is lost if the service stops before "
+        "one of them does",
+    )
 
 
 def _comment(request: CommentedRequest | None) -> str:

@@ -1,6 +1,8 @@
+import contextlib
 import csv
 import io
 import json
+import sqlite3
 from typing import Any
 
 from service.api.alarm_bodies import (
@@ -254,3 +256,20 @@ async def test_no_comment_is_a_formula_in_the_journals_csv(world: Any) -> None:
     rows = csv.DictReader(io.StringIO(answer.text))
     found = [row["comment"] for row in rows if row["comment"]]
     assert found[::-1] == [f"'{comment}" for comment in comments[:-1]] + ["-5"]
+
+
+async def test_an_action_that_nothing_keeps_is_not_answered_as_done(world: Any) -> None:
+    alarm = world.raise_alarm()
+    assert world.context.outbox.flush(30.0)
+    with contextlib.ExitStack() as stack:
+        for name in ("outbox.db", "bearing-twin.db"):  # other programs hold both
+            path = world.data_dir / name
+            other = stack.enter_context(contextlib.closing(sqlite3.connect(path)))
+            other.execute("BEGIN EXCLUSIVE")
+        answer = await acknowledge(world, alarm)
+        assert answer.status_code == 503, answer.text
+        assert "neither the store nor the disk takes it" in answer.json()["detail"]
+        other.close()
+    assert world.context.outbox.flush(30.0)
+    (found,) = await listed(world)
+    assert found.state == "ACKED"
