@@ -1,6 +1,7 @@
 """The service of unusual configurations, and its end."""
 
 import asyncio
+import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +14,9 @@ import pytest
 from asyncua import Client as OpcUaClient
 from processes import Command, free_port, wait_until
 
+from adapters.samples import Sample
 from service.clock import ProcessClock, rfc3339
+from service.ingest import Spool
 from service.security.keys import create_key
 from service.settings import load_settings
 from service.store import Store
@@ -200,3 +203,46 @@ def test_it_ends_within_seconds_though_the_store_is_locked(
         time.sleep(5.5)  # a save is under way now
         assert service.terminate() == 0
         other.execute("ROLLBACK")
+
+
+def test_a_damaged_spool_stops_no_start_and_what_is_left_is_stored(
+    configure: Callable[..., Path], start: Start, connect: Callable[[Path], Client]
+) -> None:
+    config = configure(ASSET)
+    settings = load_settings(config)
+    begin_us = time.time_ns() // 1000 - 60_000_000
+    samples = [
+        Sample("motor-1", "load_n", begin_us + k, float(k), 192, begin_us) for k in range(5000)
+    ]
+    with Store.open("", settings.data_dir) as store:
+        store.write_samples([Sample("motor-0", "load_n", k, 1.0, 192, 0) for k in range(7)])
+    spool = Spool.open(settings.data_dir, 16)
+    spool.append(samples)
+    spool.close()
+    path = settings.data_dir / "spool.db"
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2 // 4096 * 4096
+    content[middle : middle + 4096] = b"\xa5" * 4096
+    path.write_bytes(content)
+
+    service = start("serve", "-c", str(config))
+    client = connect(config)
+
+    def count(name: str) -> float:
+        text = client.http.get("/metrics").text
+        return float(next(line.split()[-1] for line in text.splitlines() if line.startswith(name)))
+
+    wait_until(lambda: count("bearing_twin_spool_samples ") == 0, 60, "an empty spool")
+    lost = count('bearing_twin_samples_skipped_total{reason="damaged"}')
+    assert 0 < lost < 200
+    assert count('bearing_twin_damaged_file_rows_lost{file="spool"}') == lost
+    ready = client.get("/readyz")
+    (files,) = (check for check in ready["checks"] if check["name"] == "files")
+    assert (ready["status"], files["status"]) == ("degraded", "degraded")
+    assert f"{lost:.0f} lost; kept as spool-damaged-1.db" in files["detail"]
+    assert service.terminate() == 0
+    with Store.open("", settings.data_dir) as store:
+        stored = store.read_samples("motor-1", ["load_n"], 0, 2**62, 10**5)
+    assert len({one.time_us for one in stored} & {one.time_us for one in samples}) == 5000 - lost
+    (warning,) = (line for line in service.log.read_text().splitlines() if "not_configured" in line)
+    assert json.loads(warning)["samples"] == {"motor-0": 7}

@@ -93,8 +93,11 @@ def test_who_loses_the_database_to_another_is_told(postgresql: PostgreSQL, tmp_p
         assert "another service is running on it" in lock.lost
 
 
-def test_an_sqlite_file_is_locked_by_its_directory(tmp_path: Path) -> None:
-    assert lock_database("", tmp_path, lambda: None) is None
+def test_an_sqlite_file_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    with lock_database("", tmp_path, lambda: None) as lock:
+        assert lock.lost == ""
+        with pytest.raises(DatabaseInUseError):
+            lock_database("", tmp_path, lambda: None)
 
 
 def test_without_a_server_the_error_is_one_line_without_the_password(tmp_path: Path) -> None:
