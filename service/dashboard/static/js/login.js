@@ -5,7 +5,13 @@ import { logo } from './icons.js';
 
 const PREFIX_LENGTH = 'bt_00000000'.length;
 
-const logIn = (key) => call('/session', { method: 'POST', body: { key } });
+// The cookie is hidden from scripts; without this mark there is no session to be asked for.
+const MARK = 'session';
+
+async function logIn(key) {
+  await call('/session', { method: 'POST', body: { key } });
+  localStorage.setItem(MARK, 'open');
+}
 
 /** Who is logged in: { role, … }, or null. */
 export async function currentSession() {
@@ -17,7 +23,10 @@ export async function currentSession() {
   }
 }
 
-export const logOut = () => call('/session', { method: 'DELETE' });
+export async function logOut() {
+  await call('/session', { method: 'DELETE' });
+  localStorage.removeItem(MARK);
+}
 
 let linkedKey = null; // kept while the service does not answer
 
@@ -37,8 +46,9 @@ function takeKey() {
 export async function logInFromAddress() {
   linkedKey ??= takeKey();
   const key = linkedKey;
-  if (!key || await currentSession()) return '';
-  if (document.documentElement.dataset.opened !== 'by-hand') return key;
+  // The form is shown only where there is no session.
+  if (!key || document.documentElement.dataset.opened !== 'by-hand') return key;
+  if (localStorage.getItem(MARK) && await currentSession()) return '';
   try {
     await logIn(key);
   } catch (error) {
