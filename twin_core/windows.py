@@ -4,7 +4,7 @@ All times are seconds on one axis that the caller chooses; a row's operating poi
 time to the next row's time, its temperatures are instantaneous at its time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -322,11 +322,17 @@ def is_at_rest(minutes: MinuteData) -> bool:
 
     It did when the shaft did not turn and every known sensor was within 1.5 K of ambient.
     """
-    if minutes.size == 0 or not minutes.good[0] or abs(minutes.speed_rpm[0]) >= STANDING_RPM:
+    if minutes.size == 0 or not minutes.good[0]:
         return False
-    first = np.array([values[0] for values in minutes.temperatures_c.values()])
-    first = first[np.isfinite(first)]
-    return bool(first.size) and bool(np.all(np.abs(first - minutes.ambient_c[0]) <= _AT_REST_K))
+    first = [float(values[0]) for values in minutes.temperatures_c.values()]
+    return stands_at_ambient(float(minutes.speed_rpm[0]), float(minutes.ambient_c[0]), first)
+
+
+def stands_at_ambient(speed_rpm: float, ambient_c: float, temperatures_c: Iterable[float]) -> bool:
+    """Tell whether a machine stands, every known sensor (not NaN) within 1.5 K of ambient."""
+    known = [value for value in temperatures_c if np.isfinite(value)]
+    cold = all(abs(value - ambient_c) <= _AT_REST_K for value in known)
+    return abs(speed_rpm) < STANDING_RPM and bool(known) and cold
 
 
 def variety_score(window: Window) -> float:
@@ -399,6 +405,7 @@ __all__ = [
     "Window",
     "find_windows",
     "is_at_rest",
+    "stands_at_ambient",
     "varied",
     "variety_score",
     "window_of",

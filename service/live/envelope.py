@@ -28,6 +28,7 @@ _SPEED_STEP_RPM, _LOAD_STEP_N = 50.0, 50.0
 _SAME_STATE_K = 1.0
 _SAME_AMBIENT_K = 0.5
 _SAME_REVOLUTIONS = 0.1
+_SAME_FOLLOWED = 0.1
 LEAST_WALL_S = 10.0
 LONGEST_S = 1800.0
 QUANTILE_NAMES = ("q025", "q50", "q975")
@@ -127,6 +128,7 @@ class EnvelopeKeeper:
             abs(now.time_us - kept.now.time_us) < LONGEST_S * 1e6
             and float(np.max(np.abs(after.state_c - before.state_c))) <= _SAME_STATE_K
             and abs(after.ambient_c - before.ambient_c) <= _SAME_AMBIENT_K
+            and abs(after.followed - before.followed) <= _SAME_FOLLOWED
             and abs(after.revolutions - before.revolutions)
             <= _SAME_REVOLUTIONS * max(before.revolutions, 1e5)
         )
@@ -151,6 +153,7 @@ class EnvelopeKeeper:
             limits,
             disturbance_w=now.present.disturbance_w,
             operating_point=now.present.operating_point,
+            followed=now.present.followed,
         )
         labels = [] if now.active.posterior.identified else [NOT_IDENTIFIED]
         return envelope_json(found) | {

@@ -10,18 +10,21 @@ from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
 from service.live.ahead import OperatingPoint
+from twin_core.forecasting.members import FOLLOWED_S
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.observer import Innovation, Observer, initial_state, not_colder_than
+from twin_core.operating_points import usual_levels
+from twin_core.windows import stands_at_ambient
 
-_STANDING_RPM = 5.0
-_AT_REST_K = 1.5
 # A gap without any knowledge of the operating point longer than this starts the estimate anew,
 # and so does a clock that was set back by more than it ever jitters.
 _LONGEST_GAP_S = 1800.0
 _CLOCK_JITTER_S = 60.0
 # So long a heavy machine stays colder than an ambient that has become warmer.
 _REMEMBERS_COLD_S = 6 * 3600.0
+# A longer step is a stop of the service: nobody saw what the machine did.
+_LONGEST_SEEN_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,9 @@ class LiveEstimate:
         self.point: OperatingPoint | None = None
         #: What the sensors said against what was expected, at the last step.
         self.innovations: Mapping[str, Innovation] = {}
+        #: For how long it has followed temperatures, in s; of a machine that began at rest, whose
+        #: state was known then, long enough from the beginning.
+        self.followed_s = 0.0
         self._observer: Observer | None = None
         self._revolutions = 0.0
         self._ambient_measured = False
@@ -145,6 +151,7 @@ class LiveEstimate:
         )
         if temperatures:
             self.innovations = self._observer.update(temperatures)
+            self.followed_s += min(duration_s, _LONGEST_SEEN_S)
         self.time_us, self.point = now_us, point
         self._note_surroundings(duration_s, point, temperatures)
 
@@ -185,10 +192,8 @@ class LiveEstimate:
         return OperatingPoint(abs(speed_rpm), max(load_n, 0.0), ambient_c, inputs)
 
     def _start(self, now_us: int, point: OperatingPoint, temperatures: Mapping[str, float]) -> None:
-        at_rest = (
-            self._ambient_measured
-            and point.speed_rpm < _STANDING_RPM
-            and all(abs(value - point.ambient_c) < _AT_REST_K for value in temperatures.values())
+        at_rest = self._ambient_measured and stands_at_ambient(
+            point.speed_rpm, point.ambient_c, temperatures.values()
         )
         model, values = self.active.model, self.active.values
         mean, covariance = initial_state(
@@ -199,8 +204,11 @@ class LiveEstimate:
             point.speed_rpm,
             point.load_n,
             at_rest,
-            inputs=point.inputs,
+            # What the machine was trained at says more of its past than the present moment does.
+            usual_levels(self.active.posterior.trained.points),
+            point.inputs,
         )
+        self.followed_s = FOLLOWED_S if at_rest else 0.0
         self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
 
@@ -232,6 +240,7 @@ class LiveEstimate:
             "ambient_c": self.point.ambient_c,
             "inputs": list(self.point.inputs),
             "ambient_measured": self._ambient_measured,
+            "followed_s": self.followed_s,
         }
 
     def restore(self, kept: Mapping[str, Any]) -> None:
@@ -253,7 +262,11 @@ class LiveEstimate:
                 raise ValueError(f"kept estimate: {len(inputs)} inputs of another network")
             point = OperatingPoint(kept["speed_rpm"], kept["load_n"], kept["ambient_c"], inputs)
             time_us, ambient_measured = int(kept["time_us"]), bool(kept["ambient_measured"])
+            # Version 0.1.0 did not keep it: counted from now on.
+            followed_s = float(kept.get("followed_s", 0.0))
+            if not 0.0 <= followed_s < math.inf:
+                raise ValueError(f"kept estimate: followed_s is {followed_s}, expected 0 or more")
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"kept estimate: {error!r}") from error
         self._observer, self.point, self.time_us = observer, point, time_us
-        self._ambient_measured = ambient_measured
+        self._ambient_measured, self.followed_s = ambient_measured, followed_s

@@ -20,6 +20,7 @@ from service.live.readings import Readings
 from service.live.rules import allowed_age_s
 from service.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
+from twin_core.forecasting.members import course_known
 
 FORECAST_ROW_S = 60.0
 HORIZON_S = 4 * 3600.0
@@ -205,6 +206,7 @@ class Forecasting:
             observer.heat_disturbance_w,
             observer.operating_point,
             observer.inputs or self._inputs,
+            course_known(self._estimate.followed_s),
         )
 
 
@@ -225,11 +227,12 @@ def _what_if(
 
 
 def _forecast(*arguments: Any) -> Forecast:
-    *state, disturbance_w, operating_point, inputs = arguments
+    *state, disturbance_w, operating_point, inputs, followed = arguments
     return forecast(
         *state,
         disturbance_w=disturbance_w,
         operating_point=operating_point,
+        followed=followed,
         inputs=inputs,
         members=MEMBERS,
         seed=0,

@@ -12,6 +12,7 @@ from service.live.estimate import LiveEstimate
 from service.settings import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError
 from twin_core.forecasting.design import Level, Present
+from twin_core.forecasting.members import course_known
 
 
 class Planning:
@@ -77,6 +78,7 @@ class Planning:
             point.ambient_c,
             observer.heat_disturbance_w.copy(),
             observer.operating_point,
+            course_known(self._estimate.followed_s),
         )
         return Now(
             self._estimate.active, present, time_us, point.speed_rpm, point.load_n, point.inputs

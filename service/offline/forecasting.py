@@ -1,6 +1,6 @@
 """A forecast from a model file: follow the history, then run the ensemble over the profile."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from service.offline.rows import (
 )
 from service.offline.tables import FloatArray, PlannedRows, Recording
 from twin_core.forecasting import forecast
-from twin_core.forecasting.ensemble import FOLLOWED_S, course_known
+from twin_core.forecasting.members import course_known
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import usual_levels
@@ -33,8 +33,6 @@ _LONGEST_GAP_S = 1800.0
 _MOST_ROWS = 1500
 # Rows of a history that are followed one by one; each takes the observer a tenth of a millisecond.
 _MOST_FOLLOWED = 5000
-# A beginning whose 95 % band is wider than this to each side is spoken of.
-_DOUBTFUL_K = 5.0
 _COLD_OFFSET_K, _COLD_SCATTER_K = 0.3, 0.1
 
 
@@ -261,7 +259,6 @@ def forecast_profile(
         followed=course_known(present.followed_s),
         members=MEMBERS,
     )
-    state = _initial_state(result.names, result.quantiles[:, 0])
     quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))
     for level, table in enumerate(result.quantiles):
         for name, values in enumerate(table.T):
@@ -271,9 +268,9 @@ def forecast_profile(
         result.names,
         result.sensors,
         quantiles,
-        result.labels + _doubtful_state(identified.model, state, present.followed_s),
+        result.labels,
         result.runaway_probability,
-        state,
+        _initial_state(result.names, result.quantiles[:, 0]),
     )
 
 
@@ -286,19 +283,6 @@ def _initial_state(names: Sequence[str], quantiles_c: FloatArray) -> dict[str, d
         }
         for column, name in enumerate(names)
     }
-
-
-def _doubtful_state(
-    model: ThermalModel, state: Mapping[str, Mapping[str, float]], followed_s: float
-) -> tuple[str, ...]:
-    """What must be said of a beginning that a short history leaves open: the widest of all."""
-    if followed_s >= FOLLOWED_S:
-        return ()
-    name = max(state, key=lambda one: state[one]["half_width_k"])
-    half_k = state[name]["half_width_k"]
-    if half_k <= _DOUBTFUL_K * max(model.errors.scale, 1.0):
-        return ()
-    return (f"initial state of {name} known to ±{half_k:.0f} K only",)
 
 
 def _profile(identified: IdentifiedModel, present: Present, rows: PlannedRows) -> OperatingProfile:

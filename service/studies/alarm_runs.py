@@ -30,6 +30,7 @@ from service.studies.drift_runs import BEARING, RINGS, VERSION_MIN, minute_rows,
 from service.wiring import ChannelFacts
 from twin_core.bearings import bearing
 from twin_core.forecasting import Forecast, forecast
+from twin_core.forecasting.members import course_known
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior, identify
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile
@@ -276,6 +277,7 @@ def _held(estimate: LiveEstimate) -> Forecast:
         profile,
         disturbance_w=observer.heat_disturbance_w,
         operating_point=observer.operating_point,
+        followed=course_known(estimate.followed_s),
         members=_MEMBERS,
         seed=0,
     )

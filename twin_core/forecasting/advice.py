@@ -206,6 +206,7 @@ def advise(
         held_profile((target,), present.ambient_c, model.compiled.inputs),
         disturbance_w=present.disturbance_w,
         operating_point=present.operating_point,
+        followed=present.followed,
         inputs=model.compiled.inputs,
         members=members,
         seed=seed,

@@ -59,6 +59,9 @@ class Present:
     operating_point
         Speed in rpm, load in N and ambient in degC up to now, or None for a machine that has not
         been followed.
+    followed
+        How much of its present course has been observed, 0 to 1; see
+        `twin_core.forecasting.members.course_known`.
     """
 
     state_c: FloatArray
@@ -67,6 +70,7 @@ class Present:
     ambient_c: float
     disturbance_w: FloatArray | None = None
     operating_point: tuple[float, float, float] | None = None
+    followed: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.heat_laws import law_verdicts
-from twin_core.forecasting.labels import forecast_labels
+from twin_core.forecasting.labels import doubtful_start, forecast_labels
 from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
 from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
@@ -43,8 +43,6 @@ of its housing tightens the bearing. A deviation by this part of a sensor's rise
 the first start out of standstill on; by that of all sensors' mean rise where it is more, for heat
 that goes another way comes from the hottest part."""
 START_S = 600.0
-FOLLOWED_S = 3600.0
-"""A course that has been followed for this time counts as known."""
 SENSOR_OFFSET_K = 0.10
 SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
@@ -192,7 +190,8 @@ def forecast(
     followed
         How much of the present course has been observed, 0 to 1: by this part of them members get
         the heats that keep them on it. From a few readings nobody knows where a machine is going;
-        see `course_known`.
+        see `twin_core.forecasting.members.course_known`. Below 1 a label says how well the state
+        is known where that is badly.
     inputs
         (k,) the network's inputs up to now, beside `operating_point`.
     members
@@ -275,9 +274,11 @@ def forecast(
     runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
+    names = (*sensors, *(model.node_names[k] for k in others))
+    doubts = () if followed >= 1.0 else doubtful_start(names, quantiles[:, 0], model.errors.scale)
     return Forecast(
         time_s=profile.time_s,
-        names=(*sensors, *(model.node_names[k] for k in others)),
+        names=names,
         quantiles=quantiles,
         members_c=readings,
         sensors=sensors,
@@ -290,17 +291,9 @@ def forecast(
             law_verdicts(model, posterior, profile),
             model.runaway,
             model.input_names,
-        ),
+        )
+        + doubts,
     )
-
-
-def course_known(followed_s: float) -> float:
-    """How much of a machine's course is known, 0 to 1, once it has been followed for a time in s.
-
-    A machine is on its own course, as little as its model knows of it, once the observer has seen
-    the slower parts answer.
-    """
-    return min(max(followed_s, 0.0) / FOLLOWED_S, 1.0)
 
 
 def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:

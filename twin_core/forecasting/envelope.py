@@ -118,6 +118,7 @@ def envelope(
     *,
     disturbance_w: ArrayLike | None = None,
     operating_point: tuple[float, float, float] | None = None,
+    followed: float = 1.0,
     horizon_s: float = HORIZON_S,
     members: int = MEMBERS,
     seed: int = 0,
@@ -145,6 +146,8 @@ def envelope(
     operating_point
         Speed, load and ambient up to now, if the observer has followed a run; see
         `twin_core.forecasting.forecast`.
+    followed
+        How much of that course is known, 0 to 1; see there.
     horizon_s
         How long each point is held for the times to the limits. Steady temperatures are those of
         grease run in until then.
@@ -204,7 +207,9 @@ def envelope(
     if operating_point is not None:
         best = parameters.values_from_z(posterior.z)
         mean_c = np.asarray(state_c, np.float64)
-        heat_w += imbalance_w(model, best, mean_c, values, start, operating_point, turned)
+        heat_w += followed * imbalance_w(
+            model, best, mean_c, values, start, operating_point, turned
+        )
     steady, crossing = _hold(
         model,
         values,

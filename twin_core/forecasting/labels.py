@@ -26,6 +26,8 @@ TAUGHT: dict[Law, Verdict | None] = {"load": "informed", "speed": "informed"}
 BEARING_LIMITS = RunawayLimits()
 _BEYOND = 1.1
 _RUNAWAY_PROBABILITY = 0.005
+# A beginning whose 95 % band is wider than this to each side is spoken of.
+_DOUBTFUL_K = 5.0
 
 
 def forecast_labels(
@@ -103,6 +105,34 @@ def _taught(distinct: int, said: Verdict | None, varying: bool) -> bool:
     if said is None or (varying and said == "informed"):
         return True
     return distinct >= 2 and said != "prior only"
+
+
+def doubtful_start(
+    names: Sequence[str], quantiles_c: ArrayLike, scale: float = 1.0
+) -> tuple[str, ...]:
+    """Label of a beginning that is not well known: the widest 95 % band of all.
+
+    Parameters
+    ----------
+    names
+        Sensors and nodes.
+    quantiles_c
+        (5, names) of their temperatures in degC at the beginning, the outer ones at 2.5 and 97.5 %.
+    scale
+        How many times the errors of a bearing's model are those of this one.
+
+    Returns
+    -------
+    tuple of str
+        ``"initial state of NAME known to ±x K only"``; empty where every band is at most 5 K wide
+        to each side.
+    """
+    bands_c = np.asarray(quantiles_c, np.float64)
+    half_k = (bands_c[-1] - bands_c[0]) / 2.0
+    widest = int(np.argmax(half_k))
+    if half_k[widest] <= _DOUBTFUL_K * max(scale, 1.0):
+        return ()
+    return (f"initial state of {names[widest]} known to ±{half_k[widest]:.0f} K only",)
 
 
 def runaway_not_excluded(

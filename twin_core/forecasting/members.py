@@ -11,6 +11,9 @@ from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simu
 
 FloatArray = NDArray[np.float64]
 
+FOLLOWED_S = 3600.0
+"""A course that has been followed for this time counts as known."""
+
 
 def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
     """In which rows (n,) the machine stands."""
@@ -75,6 +78,15 @@ def member_paths(
 
 def _rows(profile: OperatingProfile, first: int, last: int) -> OperatingProfile:
     return profile.rows(slice(first, last + 1))
+
+
+def course_known(followed_s: float) -> float:
+    """How much of a machine's course is known, 0 to 1, once it has been followed for a time in s.
+
+    A machine is on its own course, as little as its model knows of it, once the observer has seen
+    the slower parts answer.
+    """
+    return min(max(followed_s, 0.0) / FOLLOWED_S, 1.0)
 
 
 def imbalance_w(

@@ -12,6 +12,7 @@ from twin_core.forecasting.labels import (
     NOT_IDENTIFIED,
     RUNAWAY,
     SPEED_LAW,
+    doubtful_start,
     forecast_labels,
 )
 from twin_core.identification.identifiability import Verdict
@@ -114,6 +115,14 @@ def test_before_any_identification() -> None:
 def test_load_on_a_standing_machine_teaches_and_threatens_nothing() -> None:
     posterior = trained_at((1500, 2650), (4200, 2650))
     assert forecast_labels(posterior, ahead(0.0, 9000.0), 50.0, 0.0) == ()
+
+
+def test_a_doubtful_start_is_named_by_its_widest_band() -> None:
+    names = ("t_inner_ring_c", "t_cage_c", "t_shaft_c")
+    bands_c = np.array([[49.0, 40.0, 44.0], [50.0, 50.0, 50.0], [51.0, 64.0, 56.0]])
+    assert doubtful_start(names, bands_c) == ("initial state of t_cage_c known to ±12 K only",)
+    assert doubtful_start(names[:1], bands_c[:, :1]) == ()
+    assert doubtful_start(names, bands_c, scale=3.0) == ()
 
 
 def test_the_limits_of_a_runaway_are_the_networks() -> None:
