@@ -13,21 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.forecasting.naive import naive_rms
-from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.data import IdentificationData
 from twin_core.identification.identify import IdentificationResult, identify
 from twin_core.identification.posterior import Posterior
-from twin_core.identification.problem import (
-    IdentificationProblem,
-    first_measurements,
-    profile_of,
+from twin_core.identification.prediction_tests import (
+    SHORTEST_TEST_S,
+    PredictionTest,
+    predict_rows,
+    prediction_tests,
 )
+from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer, initial_state
-from twin_core.operating_points import OperatingPoint, alike_points, demand, new_points
-from twin_core.scores import rms
-from twin_core.simulation import SimulationError, simulate
-from twin_core.windows import MinuteData, window_of
+from twin_core.operating_points import alike_points, new_points
 
 FloatArray = NDArray[np.float64]
 
@@ -38,8 +36,6 @@ _TIE_FACTOR, _TIE_K = 1.25, 0.25
 # An active model that has learned from the test data itself need not be beaten on them; what it
 # takes then is to have predicted most of what happened.
 _SEEN_GOOD_K, _SEEN_SHARE = 1.5, 0.4
-_SHORTEST_TEST_S = 1200.0
-_FEWEST_ROWS = 20
 _STRUCTURE = 0.7
 
 
@@ -98,38 +94,6 @@ class GateReport:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictionTest:
-    """A part of the data to predict, and what may be learned from for it.
-
-    Attributes
-    ----------
-    name
-        ``"extrapolation"`` or ``"latest"``.
-    training
-        The data without that part and without anything as demanding as it.
-    window
-        The window that holds it.
-    first, last
-        First and last of its rows among the window's good rows.
-    point
-        Its operating point.
-    """
-
-    name: str
-    training: IdentificationData
-    window: IdentificationWindow
-    first: int
-    last: int
-    point: OperatingPoint
-
-    @property
-    def rows(self) -> MinuteData:
-        """The rows to predict; the first is where the prediction starts."""
-        good = self.window.minutes.take(self.window.minutes.good)
-        return good.take(slice(self.first, self.last + 1))
-
-
 def judge(
     model: ThermalModel,
     data: IdentificationData,
@@ -181,146 +145,6 @@ def judge(
     )
 
 
-def prediction_tests(data: IdentificationData) -> list[PredictionTest]:
-    """Choose what to predict: the most demanding operating point and the latest one.
-
-    With a single lasting operating point the last third of its rows is the only test; where the
-    duty varies, the last third of the last window. Otherwise there is none.
-    """
-    lasting = [
-        (number, point)
-        for number, window in enumerate(data.windows)
-        for point in window_of(window.minutes).operating_points
-        if point.duration_s >= _SHORTEST_TEST_S
-    ]
-    if not lasting:
-        return _of_varying_duty(data)
-    hard_number, hardest = max(lasting, key=lambda found: demand(found[1]))
-    tests = [
-        _test(
-            "extrapolation", data, hard_number, hardest, lambda point: not _as_hard(point, hardest)
-        )
-    ]
-    number, latest = lasting[-1]
-    if tests[0] is None or (number, latest.start_s) != (hard_number, hardest.start_s):
-        tests.append(_test("latest", data, number, latest, lambda _: True))
-    found = [test for test in tests if test is not None]
-    if found:
-        return found
-    start_s = latest.start_s + 2.0 / 3.0 * latest.duration_s
-    third = OperatingPoint(latest.speed_rpm, latest.load_n, latest.end_s - start_s, start_s)
-    test = _test("latest", data, number, third, lambda _: True)
-    return [test] if test is not None else []
-
-
-def _of_varying_duty(data: IdentificationData) -> list[PredictionTest]:
-    for number, window in reversed(list(enumerate(data.windows))):
-        found = window_of(window.minutes)
-        if not found.duty:
-            continue
-        start_s = found.start_s + 2.0 / 3.0 * found.duration_s
-        rows = window.minutes.take(window.minutes.good & (window.minutes.time_s >= start_s))
-        third = OperatingPoint(
-            float(np.mean(np.abs(rows.speed_rpm))),
-            float(np.mean(rows.load_n)),
-            found.end_s - start_s,
-            start_s,
-        )
-        test = _test("latest", data, number, third, lambda _: True)
-        return [] if test is None else [test]
-    return []
-
-
-def _as_hard(point: OperatingPoint, hardest: OperatingPoint) -> bool:
-    return demand(point) > 0.95 * demand(hardest)
-
-
-def _test(
-    name: str,
-    data: IdentificationData,
-    number: int,
-    point: OperatingPoint,
-    usable: Callable[[OperatingPoint], bool],
-) -> PredictionTest | None:
-    """Set up one test; None when too little is left to learn from."""
-    windows: list[IdentificationWindow] = []
-    for index, window in enumerate(data.windows):
-        end_s = np.inf
-        if index == number:
-            end_s = point.start_s
-        elif index > number and name == "latest":
-            continue
-        for other in window_of(window.minutes).operating_points:
-            if not usable(other):
-                end_s = min(end_s, other.start_s)
-        rows = window.minutes.take(window.minutes.time_s < end_s)
-        if int(rows.good.sum()) >= _FEWEST_ROWS:
-            windows.append(IdentificationWindow(rows, window.at_rest, window.revolutions))
-    if not windows:
-        return None
-    window = data.windows[number]
-    time_s = window.minutes.time_s[window.minutes.good]
-    # The prediction starts with the row at which the machine is still at the point before.
-    first = max(int(np.searchsorted(time_s, point.start_s)) - 1, 0)
-    last = int(np.searchsorted(time_s, point.end_s, side="left")) - 1
-    if last - first < 3:
-        return None
-    return PredictionTest(name, IdentificationData(tuple(windows)), window, first, last, point)
-
-
-def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> dict[str, float]:
-    """Rms error in K per sensor of a prediction over a test's rows, started like a live forecast.
-
-    The observer follows the window's measurements up to the first row; from there on the model
-    runs alone. Infinite where it runs away.
-    """
-    values = model.parameters.values_from_z(z)
-    window = test.window
-    rows = window.minutes.take(window.minutes.good)
-    profile = profile_of(window.minutes)
-    try:
-        mean, covariance = initial_state(
-            model,
-            values,
-            dict(first_measurements(window.minutes)),
-            float(profile.ambient_c[0]),
-            float(profile.speed_rpm[0]),
-            float(profile.load_n[0]),
-            window.at_rest,
-            inputs=profile.inputs[0],
-        )
-        observer = Observer(model, values, mean, covariance, window.revolutions)
-        for row in range(test.first):
-            observer.predict(
-                float(profile.time_s[row + 1] - profile.time_s[row]),
-                float(profile.speed_rpm[row]),
-                float(profile.load_n[row]),
-                float(profile.ambient_c[row]),
-                profile.inputs[row],
-            )
-            observer.update(_known(rows, row + 1))
-        chosen = slice(test.first, test.last + 1)
-        ahead = simulate(
-            model,
-            values,
-            profile.rows(chosen),
-            observer.temperatures_c,
-            observer.revolutions,
-        )
-    except SimulationError:
-        return dict.fromkeys(rows.sensors, float("inf"))
-    errors = {
-        name: rms(ahead.temperatures_c @ model.sensor_row(name), values_c[chosen])
-        for name, values_c in rows.temperatures_c.items()
-    }
-    return {name: error for name, error in errors.items() if not np.isnan(error)}
-
-
-def _known(rows: MinuteData, row: int) -> dict[str, float]:
-    readings = {name: float(values[row]) for name, values in rows.temperatures_c.items()}
-    return {name: value for name, value in readings.items() if np.isfinite(value)}
-
-
 def _nested(
     model: ThermalModel,
     test: PredictionTest,
@@ -360,7 +184,7 @@ def _prediction(
     full = _total(predict_rows(model, candidate.z, test).values())
     known = active.trained.points
     seen = any(alike_points(test.point, point) for point in known)
-    varied = bool(new_points(known, candidate.trained.points, _SHORTEST_TEST_S))
+    varied = bool(new_points(known, candidate.trained.points, SHORTEST_TEST_S))
     if seen:
         passed = full <= theirs + _TIE_K and own <= max(_SEEN_GOOD_K, _SEEN_SHARE * change_k)
     else:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
-from twin_core.identification.gates import judge, predict_rows, prediction_tests
+from twin_core.identification.gates import judge
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import TrainedRange, prior_posterior
+from twin_core.identification.prediction_tests import predict_rows, prediction_tests
 from twin_core.identification.refinement import IdentificationCancelled
 
 
