@@ -144,3 +144,12 @@ def test_how_old_a_value_may_be_is_what_the_service_says(parts: Page) -> None:
     """A gateway that posts once a minute is no lost machine."""
     assert shown(parts, verdict([], "safe", "safe"), age_s=59)["chips"] == [["push", True, 0]]
     assert shown(parts, verdict([], "safe", "safe"), age_s=121)["chips"] == [["push", False, 5]]
+
+
+def test_a_card_over_its_limit_keeps_its_colour_though_the_word_is_unknown(parts: Page) -> None:
+    given = verdict(["load_n"], "unknown", "unknown")
+    over = {"channel": "t_inner_ring_c", "level": "alarm", "value_c": 95}
+    given["now"] |= {"limit": over, "reasons": ["Inner ring 97.0 °C, over alarm 95 °C"]}
+    card = shown(parts, given)["card"]
+    assert (card["word"], card["look"], card["group"]) == ("Unknown", "p1 solid", "over")
+    assert card["lost"] is True

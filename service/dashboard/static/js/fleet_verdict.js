@@ -24,7 +24,9 @@ export function cardVerdict(now, standing) {
   const { now: answer, next_step: next, time_to_limit: toLimit } = now.verdict;
   const lost = now.live && now.lostChannels.length > 0;
   if (!now.live) return unknownCard(now);
-  if (answer.word === 'not safe' || standing) return overCard(now, answer, standing, lost);
+  // Over a limit keeps its colour, also where the word is unknown because an input is missing.
+  const over = answer.word === 'not safe' || (answer.word === 'unknown' && answer.limit);
+  if (over || standing) return overCard(now, answer, standing, lost);
   if (answer.word === 'unknown') return unknownCard(now);
   if (answer.word === 'recovering') {
     return { rank: 3.5, group: 'over', look: '', symbol: ['none'], word: 'Recovering',
