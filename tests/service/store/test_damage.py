@@ -129,8 +129,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 outbox.record(entry(k))
             while outbox._new:
                 time.sleep(0.01)
-            outbox._closing = True
-            outbox.close(0.1)
+            with outbox._condition:
+                outbox._closing = True
+                outbox._condition.notify_all()
+            for thread in outbox._threads:  # none writes any more when the store is free again
+                thread.join(60)
+            outbox.close()
         assert outbox._kept == LINES
         assert path.exists()
     ProcessClock.resume(120.0, folder)
