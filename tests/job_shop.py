@@ -70,7 +70,11 @@ class Shop:
     seconds: list[float] = field(default_factory=list)
     managers: list[IdentificationJobs] = field(default_factory=list)
 
-    async def open(self, executor: Executor | None = None) -> IdentificationJobs:
+    async def open(
+        self,
+        executor: Executor | None = None,
+        make_executor: Callable[[], Executor] | None = None,
+    ) -> IdentificationJobs:
         """Start a manager, as a start of the service would."""
         jobs = IdentificationJobs(
             self.store,
@@ -79,7 +83,7 @@ class Shop:
             self.bus,
             self.assets,
             self.histories,
-            lambda: executor or ThreadPoolExecutor(1),
+            make_executor or (lambda: executor or ThreadPoolExecutor(1)),
             self.folder,
             self.seconds.append,
         )

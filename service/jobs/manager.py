@@ -7,7 +7,6 @@ goes on from there.
 """
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
@@ -29,6 +28,12 @@ from service.clock import rfc3339
 from service.jobs.activation import Activations
 from service.jobs.documents import LastWords, job_json
 from service.jobs.drift import earlier_versions, tell, with_drift
+from service.jobs.executor import (
+    STALLED_AFTER_WALL_S,
+    WorkerStalledError,
+    end_executor,
+    watched,
+)
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
@@ -40,10 +45,11 @@ from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavai
 from service.store.jobs import UNFINISHED
 from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
 
-PROGRESS_EVERY_WALL_S = 0.4
 STORE_RETRY_WALL_S = 2.0
 STOP_WALL_S = 1.0
 MOST_ATTEMPTS = 3
+#: A job is given up when its worker hangs in this attempt or in a later one.
+MOST_STALLED_ATTEMPTS = 2
 AUTOMATIC = "automatic"
 
 _log = structlog.get_logger(__name__)
@@ -61,9 +67,17 @@ class IdentificationJobs:
     histories : mapping of str to AssetHistory
         Where the data of each asset come from.
     make_executor : callable
-        Makes the background executor; called again after a worker died.
+        Makes the background executor; called again after a worker died or was ended.
     folder : pathlib.Path
         Where the workers' folders are made.
+    observe_seconds : callable
+        Takes the wall seconds of a job that has ended.
+
+    Attributes
+    ----------
+    stalled_after_wall_s : float
+        A worker without a sign of life for so many wall seconds is ended; its job goes on once
+        from the checkpoint, then it fails. Until then the jobs of other assets wait.
     """
 
     def __init__(
@@ -88,6 +102,7 @@ class IdentificationJobs:
         self._executor: Executor | None = None
         self._folder = folder
         self._observe_seconds = observe_seconds
+        self.stalled_after_wall_s = STALLED_AFTER_WALL_S
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
         self._activations = Activations(store, clock, assets)
@@ -279,9 +294,14 @@ class IdentificationJobs:
             await self._attempt(job, folder)
         except BrokenProcessPool:
             _log.error("job_worker_died", job=job_id)
-            self._shut_down_executor()
-            self._executor = self._make_executor()
+            self._replace_worker()
             return False
+        except WorkerStalledError as error:
+            _log.error("job_worker_stalled", job=job_id, reason=str(error))
+            self._replace_worker()
+            if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
+                return False
+            await self._end(job_id, "failed", str(error))
         except StoreUnavailableError as error:
             _log.warning("job_waits_for_the_store", job=job_id, error=str(error))
             await asyncio.sleep(STORE_RETRY_WALL_S)
@@ -332,11 +352,12 @@ class IdentificationJobs:
         if self._executor is None:
             raise RuntimeError("the job manager has not started")
         future = asyncio.wrap_future(self._executor.submit(run_identification, order))
-        while True:
-            done, _ = await asyncio.wait([future], timeout=PROGRESS_EVERY_WALL_S)
-            if done:
-                return future.result()
-            await self._pass_progress_on(job.id, folder)
+        return await watched(
+            future,
+            folder.life,
+            lambda: self.stalled_after_wall_s,
+            lambda: self._pass_progress_on(job.id, folder),
+        )
 
     async def _pass_progress_on(self, job_id: str, folder: JobFolder) -> None:
         progress = await anyio.to_thread.run_sync(folder.read_progress)
@@ -433,13 +454,10 @@ class IdentificationJobs:
     def _publish(self, job: Job) -> None:
         self._bus.publish("job", job.asset, job_json(job, self._told.get(job.id)))
 
+    def _replace_worker(self) -> None:
+        self._shut_down_executor()
+        self._executor = self._make_executor()
+
     def _shut_down_executor(self) -> None:
-        if self._executor is None:
-            return
-        # A worker in the middle of a computation cannot be asked politely in time: end it. The
-        # public API to do so (terminate_workers) exists from Python 3.14 only.
-        processes = list((getattr(self._executor, "_processes", None) or {}).values())
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            with contextlib.suppress(ProcessLookupError):
-                process.terminate()
+        if self._executor is not None:
+            end_executor(self._executor)

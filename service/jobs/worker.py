@@ -103,7 +103,7 @@ def run_identification(order: JobOrder) -> JobResult:
             order.data,
             fit,
             active=Posterior.from_dict(order.active),
-            cancelled=lambda: order.folder.cancelled,
+            cancelled=lambda: _is_stopped(order.folder),
         )
     except IdentificationCancelled:
         return JobResult(cancelled=True)
@@ -149,10 +149,16 @@ def _fit(
         budget=order.budget,
         seed=order.seed,
         progress=_Teller(order.folder, active_fitness, (resume or {}).get("history", ())),
-        cancelled=lambda: order.folder.cancelled,
+        cancelled=lambda: _is_stopped(order.folder),
         save=_Saver(order.folder),
         resume=resume,
     )
+
+
+def _is_stopped(folder: JobFolder) -> bool:
+    """Tell whether the job is to stop. It is asked after every step: that is the sign of life."""
+    folder.show_life()
+    return folder.cancelled
 
 
 class _Saver:

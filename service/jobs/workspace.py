@@ -17,6 +17,7 @@ MOST_POINTS = 300
 _PROGRESS = "progress.json"
 _CHECKPOINT = "checkpoint.json"
 _CANCEL = "cancel"
+_LIFE = "life"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class JobFolder:
     def make(self) -> None:
         """Begin an attempt: of an earlier one only the checkpoint stays."""
         self.path.mkdir(parents=True, exist_ok=True)
-        for name in (_PROGRESS, _CANCEL):
+        for name in (_PROGRESS, _CANCEL, _LIFE):
             (self.path / name).unlink(missing_ok=True)
 
     def remove(self) -> None:
@@ -110,6 +111,17 @@ class JobFolder:
         temporary = self.path / f"{name}.new"
         temporary.write_text(json.dumps(document, allow_nan=False))
         temporary.replace(self.path / name)
+
+    def show_life(self) -> None:
+        """Leave a sign that the worker goes on computing."""
+        (self.path / _LIFE).touch()
+
+    def life(self) -> int | None:
+        """Return what changes with every sign of life; None before the first."""
+        try:
+            return (self.path / _LIFE).stat().st_mtime_ns
+        except FileNotFoundError:
+            return None
 
     def cancel(self) -> None:
         """Ask the worker to stop."""
