@@ -46,7 +46,7 @@ class Turns:
     """
 
     def __init__(self) -> None:
-        self.long_reads = Shares("long reads", at_once=4, at_once_each=2)
+        self.long_reads = Shares("long reads", at_once=4, at_once_each=2, waiting_each=6)
         self.pushes = Shares("pushes", at_once=40, at_once_each=16)
         self.judging = Shares("pushes", at_once=3, at_once_each=2, waiting_each=16)
         self.what_ifs = Shares("what-if forecasts", at_once=1, at_once_each=1, waiting_each=4)

@@ -19,7 +19,7 @@ from service.api.cursors import decode_cursor, encode_cursor, next_link
 from service.api.deps import Context, json_response
 from service.api.problems import parameter_problem
 from service.api.times import Instant
-from service.api.turns import HeldResponse, Turns, caller_of, turns_of
+from service.api.turns import HeldResponse, Turns, caller_of, turns_of, while_there
 from service.security.roles import VIEWER
 from service.spreadsheets import cell
 from service.store import AlarmTransition, JournalFilter, Store
@@ -99,7 +99,7 @@ async def get_journal(
     await to_thread.run_sync(context.outbox.flush, _FLUSH_S)
     turns, caller = turns_of(request), caller_of(request)
     if format == "csv" and limit is None:
-        await turns.long_reads.enter(caller)
+        await while_there(request, turns.long_reads.enter(caller))
         pages = _pages(turns, caller, context.store, wanted, before)
         leave = partial(turns.long_reads.leave, caller)
         return HeldResponse(pages, leave, media_type=CSV, headers=_FILE)

@@ -135,7 +135,7 @@ async def get_measurements(
         return StreamingResponse(
             pieces_in_turn(page), **_options(request, asset, format, following)
         )
-    await turns.long_reads.enter(caller)
+    await while_there(request, turns.long_reads.enter(caller))
     leave = partial(turns.long_reads.leave, caller)
     try:
         following = None

@@ -82,11 +82,11 @@ export async function callOptional(path, options) {
 }
 
 /** All pages of a listing with `items` and `next`; `look` is called with every page. */
-export async function callPages(path, query, look = () => {}) {
+export async function callPages(path, query, look = () => {}, signal = undefined) {
   const items = [];
   let cursor = null;
   do {
-    const page = await call(path, { query: cursor ? { ...query, cursor } : query });
+    const page = await call(path, { query: cursor ? { ...query, cursor } : query, signal });
     look(page);
     for (const item of page.items) items.push(item);
     cursor = page.next;

@@ -54,6 +54,7 @@ export class HistoryView {
   destroy() {
     clearInterval(this.timer);
     this.ending();
+    this.asking?.abort();
     this.charts.forEach(({ chart }) => chart.destroy());
     this.ended = true;
   }
@@ -192,16 +193,21 @@ export class HistoryView {
       return;
     }
     const query = this.query(span);
-    this.loading = query;
+    // An earlier question is of no use any more, and keeps the service from this one.
+    this.asking?.abort();
+    const asking = new AbortController();
+    this.asking = asking;
     try {
       let resolution = '';
       const items = await callPages(assetPath(this.page.live.assetId, '/measurements'),
-        { ...query, limit: PAGE }, (answer) => { resolution = answer.resolution; });
-      if (this.loading !== query || this.ended) return;
+        { ...query, limit: PAGE }, (answer) => { resolution = answer.resolution; },
+        asking.signal);
+      if (this.ended) return;
       this.queryShown = query;
       const bridgeMs = BRIDGE_WALL_MS * this.page.clock.rate;
       this.show(span, byChannel(items, resolution, bridgeMs), resolution, items.length);
     } catch (error) {
+      if (asking.signal.aborted) return;
       if (!(error.status >= 0)) throw error;
       setText(this.status, `Not read: ${error.message}.`);
     }
