@@ -198,7 +198,8 @@ def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
                 "known": known,
             }
     return {
-        "time": rfc3339(time_us),
+        # As the samples of the same estimate, which are stored.
+        "time": rfc3339_exact(time_us),
         "model_version": active.version,
         "revolutions": round(estimate.revolutions),
         "nodes": nodes,
