@@ -11,8 +11,10 @@ import http.client
 import json
 import os
 import resource
+import secrets
 import select
 import socket
+import struct
 import sys
 import threading
 import time
@@ -23,6 +25,8 @@ from datetime import UTC, datetime
 ASSET, PUSHED_ASSET = "bench-1", "gateway-1"
 PUSHED = tuple(f"t_node_{number}_c" for number in range(1, 14))
 SAMPLES = 20_000
+#: The environment variable with the port of OPC UA.
+OPCUA_PORT = "OPCUA_PORT"
 #: Every attacker but the owner of the service comes from another address.
 SOURCE = "127.0.0.9"
 
@@ -63,7 +67,9 @@ class Attack:
         connection = http.client.HTTPConnection(
             self.host, self.port, timeout=left_s, source_address=(SOURCE, 0)
         )
-        given = {"X-API-Key": self.key, "Content-Type": "application/json"} | headers
+        given = {"Content-Type": "application/json"} | headers
+        if self.key:
+            given["X-API-Key"] = self.key
         status = 0
         try:
             connection.request(method, f"/api/v1{path}", body, given)
@@ -316,6 +322,35 @@ def streams(attack: Attack) -> None:
     attack.side_by_side(200, once)
 
 
+def cookies(attack: Attack) -> None:
+    """Forty callers without a key who make up the cookie of a session each time."""
+
+    def once(number: int) -> None:
+        cookie = f"bearing_twin_{attack.port}={secrets.token_urlsafe(32)}"
+        attack.ask("GET", f"/assets/{ASSET}/snapshot", Cookie=cookie)
+
+    attack.key = ""
+    attack.side_by_side(40, once)
+
+
+def opcua_frame(attack: Attack) -> None:
+    """OPC UA messages that announce 4 GB, without a key."""
+    port = int(os.environ[OPCUA_PORT])
+
+    def once(number: int) -> None:
+        left_s = max(attack.until_s - time.monotonic(), 0.1)
+        with socket.create_connection((attack.host, port), left_s, (SOURCE, 0)) as connection:
+            connection.sendall(struct.pack("<3scI", b"MSG", b"F", 0xFFFF_FFFF))
+            sent = 0
+            try:
+                while not attack.over:
+                    sent += connection.send(_chunk)
+            finally:
+                attack.note("sent more than 16 MiB" if sent > 1 << 24 else "closed")
+
+    attack.side_by_side(4, once)
+
+
 ATTACKS: dict[str, Callable[[Attack], None]] = {
     one.__name__: one
     for one in (
@@ -327,6 +362,8 @@ ATTACKS: dict[str, Callable[[Attack], None]] = {
         rejected_pushes,
         large_reads,
         downloads,
+        cookies,
+        opcua_frame,
         what_ifs,
         assets,
         streams,

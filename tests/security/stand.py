@@ -16,7 +16,7 @@ import httpx2
 from faults.hall import Peer
 from faults.peers import State
 from processes import Command, Station, free_port, wait_until
-from security.attackers import ASSET, PUSHED, PUSHED_ASSET
+from security.attackers import ASSET, OPCUA_PORT, PUSHED, PUSHED_ASSET
 
 from adapters.samples import Sample
 from service.security.keys import create_key
@@ -32,6 +32,10 @@ _CONFIGURATION = """\
 [service]
 port = {port}
 data_dir = "data"
+
+[opcua]
+enabled = true
+endpoint = "opc.tcp://127.0.0.1:{opcua_port}/"
 
 [[sources]]
 name = "plc"
@@ -99,12 +103,13 @@ class Stand(Station):
     """The service, its device, and whoever disturbs."""
 
     def __init__(self, folder: Path) -> None:
-        modbus_port, port = free_port(), free_port()
+        modbus_port, port, self.opcua_port = free_port(), free_port(), free_port()
         configuration = folder / "stand.toml"
         configuration.write_text(
             _CONFIGURATION.format(
                 port=port,
                 modbus_port=modbus_port,
+                opcua_port=self.opcua_port,
                 asset=ASSET,
                 pushed_asset=PUSHED_ASSET,
                 pushed="\n".join(f'{name} = {{ source = "push" }}' for name in PUSHED),
@@ -201,7 +206,10 @@ class Stand(Station):
         script = str(Path(__file__).with_name("attackers.py"))
         where = ("127.0.0.1", str(self.port), self.keys[role], str(seconds))
         attacker = subprocess.Popen(
-            [sys.executable, script, name, *where], stdout=subprocess.PIPE, text=True
+            [sys.executable, script, name, *where],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {OPCUA_PORT: str(self.opcua_port)},
         )
         try:
             yield attacker

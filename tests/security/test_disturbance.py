@@ -52,6 +52,8 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[Course, Course]:
         ("downloads", "viewer"),
         ("what_ifs", "operator"),
         ("assets", "viewer"),
+        ("cookies", "viewer"),
+        ("opcua_frame", "viewer"),
     ],
 )
 def test_no_caller_makes_a_poll_late(stand: Stand, name: str, role: Role) -> None:
