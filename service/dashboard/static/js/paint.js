@@ -101,10 +101,12 @@ export function paintAhead(plot, nowS) {
 export function paintNow(plot, nowS) {
   const { ctx: context, bbox } = plot;
   const ratio = pixelRatio();
-  const x = plot.valToPos(nowS, 'x', true);
+  // On whole pixels, so that it is as sharp and as thick wherever it stands.
+  const width = Math.max(1, Math.round(stroke(2) * ratio));
+  const x = Math.round(plot.valToPos(nowS, 'x', true)) + (width % 2) / 2;
   context.setLineDash([]);
   context.strokeStyle = token('--ink');
-  context.lineWidth = stroke(2) * ratio;
+  context.lineWidth = width;
   context.beginPath();
   context.moveTo(x, bbox.top);
   context.lineTo(x, bbox.top + bbox.height);
