@@ -21,7 +21,7 @@ export class FleetView {
     this.cards = feeds.map((feed) => new AssetCard(feed, page.clock, dense));
     this.chosen = null; // the group of verdicts that alone is shown, null for all
     this.counts = GROUPS.map(([group, text, symbol]) => this.createChip(group, text, symbol));
-    this.hall = this.createHall(feeds);
+    this.groupFilter = this.createGroupFilter(feeds);
     this.recent = h('b', {}, '–');
     this.flood = h('span', { class: 'chip badc', hidden: true }, 'alarm flood');
     this.nothing = h('p', { class: 'mut pad', role: 'status', hidden: true },
@@ -33,7 +33,7 @@ export class FleetView {
     put(box, h('h1', { class: 'vh' }, 'Fleet'),
       h('div', { class: 'fsum' },
         h('div', { class: 'fchips', role: 'group', 'aria-label': 'Show only' },
-          this.counts.map((one) => one.element)), this.hall, h('span', { class: 'sp' }),
+          this.counts.map((one) => one.element)), this.groupFilter, h('span', { class: 'sp' }),
         h('span', { class: 's mut' }, 'Alarms in the last 10 min: ', this.recent,
           ` (flood above ${FLOOD}) `, this.flood)), this.nothing, this.grid);
     this.update();
@@ -57,7 +57,7 @@ export class FleetView {
   }
 
   /** The choice among the groups of the configuration; null where there are none. */
-  createHall(feeds) {
+  createGroupFilter(feeds) {
     const groups = [...new Set(feeds.map(({ store }) => store.get('asset')?.group).filter(Boolean))];
     if (!groups.length) return null;
     return h('select', { 'aria-label': 'Group', onchange: () => this.update() },
@@ -90,9 +90,9 @@ export class FleetView {
   update() {
     const verdicts = new Map(this.cards.map((card) => [card, card.update()]));
     const rank = (card) => verdicts.get(card).rank;
-    const hall = this.hall?.value;
-    const ofHall = this.cards.filter(({ feed }) => !hall || feed.store.get('asset')?.group === hall);
-    const order = ofHall.filter((card) => !this.chosen || this.isIn(verdicts.get(card), this.chosen))
+    const wanted = this.groupFilter?.value;
+    const inGroup = this.cards.filter(({ feed }) => !wanted || feed.store.get('asset')?.group === wanted);
+    const order = inGroup.filter((card) => !this.chosen || this.isIn(verdicts.get(card), this.chosen))
       .sort((a, b) => rank(a) - rank(b) || a.feed.assetId.localeCompare(b.feed.assetId));
     const { children } = this.grid;
     if (order.length !== children.length || order.some((card, i) => children[i] !== card.element)) {
@@ -102,7 +102,7 @@ export class FleetView {
     }
     this.nothing.hidden = order.length > 0;
     GROUPS.forEach(([group], i) => {
-      const count = ofHall.filter((card) => this.isIn(verdicts.get(card), group)).length;
+      const count = inGroup.filter((card) => this.isIn(verdicts.get(card), group)).length;
       setText(this.counts[i].figure, String(count));
       this.counts[i].element.classList.toggle('mut', count === 0);
       this.counts[i].element.setAttribute('aria-pressed', String(group === this.chosen));
