@@ -67,10 +67,16 @@ class _Caller(asyncio.Protocol):
             return
         head = bytes(self._received[:end]).lower()
         place = head.find(b"content-length:")
-        length = 0 if place < 0 else int(head[place + 15 :].split(b"\r\n", 1)[0])
-        if len(self._received) < end + 4 + length:
-            return
-        del self._received[: end + 4 + length]
+        if b"transfer-encoding: chunked" in head:
+            # One question at a time: what has come is one answer, whole with its last chunk.
+            if not self._received.endswith(b"\r\n0\r\n\r\n"):
+                return
+            self._received.clear()
+        else:
+            length = 0 if place < 0 else int(head[place + 15 :].split(b"\r\n", 1)[0])
+            if len(self._received) < end + 4 + length:
+                return
+            del self._received[: end + 4 + length]
         passed_s = time.perf_counter() - self._sent
         status = int(head[9:12])
         self.statuses[status] = self.statuses.get(status, 0) + 1

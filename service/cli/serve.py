@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -30,13 +31,11 @@ def serve(config: ConfigFile = None) -> None:
 
     settings, warnings = load_site(config)
     configure_logging()
-    for warning in warnings:
-        _log.warning("configuration", detail=warning)
-    asyncio.run(_serve(settings))
+    asyncio.run(_serve(settings, warnings))
     leave_threads_behind()
 
 
-async def _serve(settings: Settings) -> None:
+async def _serve(settings: Settings, warnings: Sequence[str]) -> None:
     stop = stop_on_signals()
     # Imported here: the compiled twin takes a second to load, which no other command should pay.
     from service import start
@@ -44,5 +43,12 @@ async def _serve(settings: Settings) -> None:
     # What has been loaded stays: a garbage collection need not look through it while samples,
     # of which every one is an object, come and go.
     gc.freeze()
-    await start.serve(settings, announce=lambda address: typer.echo(address), stop=stop)
+
+    def announce(address: str) -> None:
+        typer.echo(address)
+        # Not before: a start that is refused ends with its own line alone.
+        for warning in warnings:
+            _log.warning("configuration", detail=warning)
+
+    await start.serve(settings, announce=announce, stop=stop)
     await leave_tasks_behind()

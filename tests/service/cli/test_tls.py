@@ -30,6 +30,7 @@ def certified(tmp_path: Path, authority: trustme.CA) -> ssl.SSLContext:
     """Put certificate and key where the configuration looks; give what a client trusts."""
     certificate = authority.issue_cert("127.0.0.1")
     certificate.private_key_pem.write_to_path(tmp_path / "server.key")
+    (tmp_path / "server.key").chmod(0o600)  # else the service warns
     for number, part in enumerate(certificate.cert_chain_pems):
         part.write_to_path(tmp_path / "server.pem", append=number > 0)
     trusting = ssl.create_default_context()
