@@ -152,7 +152,7 @@ class AlarmWatch:
         )
 
     def grease_renewed(self) -> None:
-        """Let the model alone begin anew from the estimate, whose grease is fresh."""
+        """Let the model alone start again from the estimate, with fresh grease."""
         self._reference.stop()
 
     def to_dict(self) -> dict[str, Any]:
