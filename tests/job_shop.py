@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from service.alarms import AlarmBook
-from service.api.context import IdentificationRequest
+from service.bus.stream import Bus
+from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.worker import JobOrder, JobResult
 from service.live.asset import AssetRuntime
-from service.live.bus import Bus
 from service.store import Job, Outbox, Store
 from service.store.opening import FILE_NAME
 

@@ -14,9 +14,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from processes import free_port
 
 from adapters.samples import Quality
-from service.opcua.server import TagServer, serve_tags
+from service.plant.opcua.server import TagServer, serve_tags
 from service.security import AuditTrail, Authenticator
-from service.settings import OpcUaSection
+from service.site.settings import OpcUaSection
 from service.store import Outbox, Store
 
 Answer = TypeVar("Answer")

@@ -15,9 +15,9 @@ from typing import Any, TypeVar
 import httpx2
 
 from service.clock import ProcessClock
-from service.demo.configuration import ASSET, write_configuration
+from service.lab.demo.configuration import ASSET, write_configuration
 from service.security.keys import create_key
-from service.settings import load_settings
+from service.site.settings import load_settings
 from service.store import Store
 
 START_S = 90.0

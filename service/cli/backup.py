@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from service.cli.serve import ConfigFile
-from service.settings import load_settings
+from service.site.settings import load_settings
 
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
 

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from service.benchmarks.common import Measurement
-from service.benchmarks.registry import BENCHMARKS, chosen, run
 from service.cli.consoles import make_console
 from service.cli.progress import progress_bar
+from service.lab.benchmarks.common import Measurement
+from service.lab.benchmarks.registry import BENCHMARKS, chosen, run
 from service.offline.interruption import exit_on_signals
 
 

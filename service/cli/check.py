@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.channels import unit_of
 from service.cli.serve import ConfigFile
+from service.site.channels import unit_of
 
 if TYPE_CHECKING:
-    from service.checking import Examination
-    from service.probing import Probe
+    from service.app.checking import Examination
+    from service.app.probing import Probe
 
 
 def check(
@@ -28,9 +28,9 @@ def check(
     good value; else 2. A serial port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
-    from service.checking import environment_errors, examine, ports_in_use
+    from service.app.checking import environment_errors, examine, ports_in_use
+    from service.app.probing import probe
     from service.logs import configure_logging
-    from service.probing import probe
 
     configure_logging("critical")
     found = examine(config)

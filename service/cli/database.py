@@ -8,8 +8,8 @@ import typer
 
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock, from_rfc3339, rfc3339
-from service.configuration import SettingsError
-from service.settings import load_settings
+from service.site.configuration import SettingsError
+from service.site.settings import load_settings
 
 db = typer.Typer(help="The store: schema and retention.", no_args_is_help=True)
 

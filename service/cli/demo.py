@@ -54,8 +54,8 @@ def demo(
     import httpx2
 
     from service.cli.consoles import make_console
-    from service.demo.processes import DemoError
-    from service.web_side import bind
+    from service.lab.demo.processes import DemoError
+    from service.web.side import bind
 
     # Now, not after the minute that the preparation may take.
     with contextlib.closing(bind("127.0.0.1", port)):
@@ -94,8 +94,8 @@ async def _demo(
 ) -> dict[str, Any]:
     from rich.text import Text
 
-    from service.demo.run import Watch, run
-    from service.demo.table import print_account
+    from service.lab.demo.run import Watch, run
+    from service.lab.demo.table import print_account
 
     # The terminal that goes away hangs up: the processes of the demo must not stay behind.
     stop = stop_on_signals(signal.SIGHUP)

@@ -7,8 +7,8 @@ import typer
 
 from service.cli.keys import command_line_actor
 from service.cli.serve import ConfigFile
-from service.configuration import SettingsError
-from service.settings import load_settings
+from service.site.configuration import SettingsError
+from service.site.settings import load_settings
 
 
 def grease_renewed(

@@ -15,10 +15,10 @@ from rich.table import Table
 
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
-from service.machines.bearings import BearingSection, named_bearing
-from service.machines.networks import NetworkSection
 from service.offline.interruption import exit_on_signals
-from service.settings import ModelName, load_settings
+from service.site.machines.bearings import BearingSection, named_bearing
+from service.site.machines.networks import NetworkSection
+from service.site.settings import ModelName, load_settings
 from twin_core.bearings import UnknownBearingError
 
 if TYPE_CHECKING:
@@ -98,13 +98,13 @@ def identify(
     chosen_machine = _with_model(model, *_machine(bearing, config, asset))
     with exit_on_signals():
         # Imported here: the compiled twin takes a second to load, which --help should not pay.
-        from service.machines.machine import Machine
         from service.offline.identification import (
             FailedFitError,
             check_options,
             identify_recording,
         )
         from service.offline.tables import check_writable, read_recording
+        from service.site.machines.machine import Machine
 
         procedure = check_options(method, budget, seed, loss)
         check_writable(out)

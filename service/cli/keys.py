@@ -11,7 +11,7 @@ import typer
 
 from service.cli.serve import ConfigFile
 from service.clock import rfc3339
-from service.settings import load_settings
+from service.site.settings import load_settings
 
 # What only some commands need is imported where it is needed: the help must not wait for it.
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from service.cli.serve import serve
 from service.cli.study import study
 from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
-from service.errors import ServiceError, TemporaryError
+from service.domain.errors import ServiceError, TemporaryError
 
 _OURS = ("service", "adapters", "twin_core")
 

@@ -11,7 +11,7 @@ import typer
 
 from service.cli.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.logs import configure_logging
-from service.settings import Settings
+from service.site.settings import Settings
 
 ConfigFile = Annotated[
     Path | None,
@@ -27,7 +27,7 @@ def serve(config: ConfigFile = None) -> None:
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
     """
     # Imported here: drivers and store take a second to load, which --help should not pay.
-    from service.checking import load_site
+    from service.app.checking import load_site
 
     settings, warnings = load_site(config)
     configure_logging()
@@ -38,7 +38,7 @@ def serve(config: ConfigFile = None) -> None:
 async def _serve(settings: Settings, warnings: Sequence[str]) -> None:
     stop = stop_on_signals()
     # Imported here: the compiled twin takes a second to load, which no other command should pay.
-    from service import start
+    from service.app import start
 
     # What has been loaded stays: a garbage collection need not look through it while samples,
     # of which every one is an object, come and go.

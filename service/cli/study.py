@@ -9,9 +9,9 @@ from rich.table import Table
 
 from service.cli.consoles import make_console
 from service.cli.progress import progress_bar
+from service.lab.studies.common import Options, Report, prepare
+from service.lab.studies.registry import ALL, STUDIES, chosen
 from service.offline.interruption import exit_on_signals
-from service.studies.common import Options, Report, prepare
-from service.studies.registry import ALL, STUDIES, chosen
 
 # Columns of a table that no terminal limits.
 _FILE_WIDTH = 140

@@ -11,8 +11,8 @@ import typer
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
 from service.clock import from_rfc3339, rfc3339
-from service.configuration import SettingsError
-from service.settings import Settings, load_settings
+from service.site.configuration import SettingsError
+from service.site.settings import Settings, load_settings
 
 _SHOWN_REJECTED = 20
 #: Wall seconds between two lines of progress where there is no terminal.

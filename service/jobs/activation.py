@@ -7,7 +7,7 @@ from typing import Any
 import anyio.to_thread
 
 from adapters.drivers import Clock
-from service.api.context import ActivationRefusedError
+from service.domain.errors import ActivationRefusedError
 from service.jobs.models import active_model, model_json, why_not_of_this_asset
 from service.live.asset import AssetRuntime
 from service.store import Store
@@ -34,7 +34,7 @@ class Activations:
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
     ) -> Mapping[str, Any]:
-        """Make a version the active one; see `service.api.context.JobManager`."""
+        """Make a version the active one; see `service.domain.interfaces.JobManager`."""
         asset = self._assets[asset_id]
         async with self._switching:
             model = await anyio.to_thread.run_sync(self._store.model_version, asset_id, version)

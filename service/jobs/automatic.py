@@ -6,11 +6,8 @@ from collections.abc import Mapping
 import structlog
 
 from adapters.drivers import Clock
-from service.api.context import (
-    IdentificationRequest,
-    JobConflictError,
-    RequestRefusedError,
-)
+from service.domain.errors import JobConflictError, RequestRefusedError
+from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
 from service.jobs.manager import AUTOMATIC, IdentificationJobs
 from twin_core.windows import Window

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from adapters.drivers import Clock
 from service.clock import rfc3339
-from service.machines.machine import Machine
 from service.offline.rows import row_step_s
-from service.settings import AssetSection
+from service.site.machines.machine import Machine
+from service.site.settings import AssetSection
 from service.store import MinuteTable, Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.time_constants import fastest_time_s

@@ -18,13 +18,10 @@ import anyio.to_thread
 import structlog
 
 from adapters.drivers import Clock
-from service.api.context import (
-    IdentificationRequest,
-    JobConflictError,
-    KeyUsedBeforeError,
-    RequestRefusedError,
-)
+from service.bus.stream import Bus
 from service.clock import rfc3339
+from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
+from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
 from service.jobs.documents import LastWords, job_json
 from service.jobs.drift import earlier_versions, tell, with_drift
@@ -39,7 +36,6 @@ from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
-from service.live.bus import Bus
 from service.security.keys import wall_us
 from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavailableError
 from service.store.jobs import UNFINISHED
@@ -155,7 +151,7 @@ class IdentificationJobs:
         idempotency_key: str | None,
         who: str,
     ) -> tuple[Mapping[str, Any], bool]:
-        """Queue a job; see `service.api.context.JobManager`."""
+        """Queue a job; see `service.domain.interfaces.JobManager`."""
         windows = await self._windows(asset_id, request)
         document = {
             "windows": [{"start": rfc3339(start), "end": rfc3339(end)} for start, end in windows],

@@ -5,8 +5,8 @@ from typing import Any
 from service.clock import rfc3339
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
-from service.machines.machine import Machine
-from service.settings import AssetSection
+from service.site.machines.machine import Machine
+from service.site.settings import AssetSection
 from service.store.records import Job, ModelVersion
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior

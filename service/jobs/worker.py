@@ -10,7 +10,7 @@ import numpy as np
 
 from service.jobs.drift import EarlierVersion, drift_document
 from service.jobs.workspace import Convergence, JobFolder, Progress
-from service.machines.machine import Machine
+from service.site.machines.machine import Machine
 from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.gates import judge

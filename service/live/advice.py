@@ -5,7 +5,7 @@ from typing import Any
 
 from service.clock import rfc3339
 from service.live.envelope import Now
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 from twin_core.forecasting.advice import Advice, advise
 from twin_core.forecasting.design import Level
 from twin_core.forecasting.stepping import (

@@ -12,11 +12,11 @@ import structlog
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook, alarm_summary
-from service.api.context import NotReadyError, ProfileStep
-from service.channels import unit_of
+from service.bus.stream import Bus
 from service.clock import rfc3339
+from service.domain.errors import NotReadyError
+from service.domain.requests import ProfileStep
 from service.live import presentation
-from service.live.bus import Bus
 from service.live.envelope import with_measured
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
@@ -27,9 +27,10 @@ from service.live.readings import Readings
 from service.live.rules import allowed_age_s
 from service.live.verdict import AMBIENT
 from service.live.watch import AlarmWatch
-from service.machines.operating_ranges import operating_ranges, refused_beyond
-from service.settings import AssetSection
-from service.wiring import ChannelFacts
+from service.site.channels import unit_of
+from service.site.machines.operating_ranges import operating_ranges, refused_beyond
+from service.site.settings import AssetSection
+from service.site.wiring import ChannelFacts
 from twin_core.forecasting.design import Level
 
 STEP_S = 5.0

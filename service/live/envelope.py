@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from service.clock import rfc3339
 from service.live.estimate import ActiveModel
 from service.live.rules import label
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 from twin_core.forecasting.design import Present
 from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED

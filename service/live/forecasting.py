@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile
-from service.api.context import NotReadyError, ProfileStep
 from service.clock import rfc3339
+from service.domain.errors import NotReadyError
+from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
 from service.live.estimate import LiveEstimate
@@ -18,7 +19,7 @@ from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
-from service.settings import AssetSection, Limits
+from service.site.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.forecasting.members import course_known
 
@@ -135,7 +136,7 @@ class Forecasting:
         step_s: float | None,
         nodes: Collection[str] | None,
     ) -> Mapping[str, Any]:
-        """Forecast a profile from the present state; see `service.api.context.AssetTwin`."""
+        """Forecast a profile from the present state; see `service.domain.interfaces.AssetTwin`."""
         point = self._estimate.point
         if point is None or not self._estimate.started:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")

@@ -13,7 +13,7 @@ from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
 from service.live.readings import Readings
 from service.live.verdict import AMBIENT, CODES, Evidence, judge, missing_operation
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 
 #: A verdict looks ahead with no older forecast; process s, and at least so many wall s.
 FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0

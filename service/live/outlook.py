@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.live.ahead import Step
 from service.live.presentation import LimitCrossing
-from service.settings import Limits
+from service.site.settings import Limits
 from twin_core.forecasting import Forecast
 
 # Steps of one and the same operating point count as one.

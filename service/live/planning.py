@@ -4,12 +4,12 @@ import asyncio
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from service.api.context import NotIdentifiedError, NotReadyError
+from service.domain.errors import NotIdentifiedError, NotReadyError
 from service.live.advice import give_advice
 from service.live.ahead import Step
 from service.live.envelope import EnvelopeKeeper, Now
 from service.live.estimate import LiveEstimate
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError
 from twin_core.forecasting.design import Level, Present
 from twin_core.forecasting.members import course_known

@@ -12,7 +12,7 @@ from service.alarms import alarm_summary
 from service.clock import rfc3339, rfc3339_exact
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
-from service.settings import Limits
+from service.site.settings import Limits
 from service.store import Alarm
 from twin_core.forecasting import Forecast
 

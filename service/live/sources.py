@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from adapters.samples import Quality
 from service.live.readings import Readings
-from service.wiring import ChannelFacts
+from service.site.wiring import ChannelFacts
 
 
 class Sources:

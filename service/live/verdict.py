@@ -15,7 +15,7 @@ from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.rules import label
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 
 Word = Literal["safe", "not safe", "recovering", "unknown"]
 CODES: Mapping[Word, int] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}

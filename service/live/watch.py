@@ -13,8 +13,8 @@ from service.live.reference import Reference
 from service.live.residuals import Residuals, residual_threshold
 from service.live.rules import Scene
 from service.live.sources import Sources
-from service.settings import AssetSection
-from service.wiring import ChannelFacts
+from service.site.settings import AssetSection
+from service.site.wiring import ChannelFacts
 from twin_core.observer import Innovation
 
 # A machine stands when it has stood for so long.

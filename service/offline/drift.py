@@ -9,8 +9,8 @@ import numpy as np
 
 from service.clock import rfc3339
 from service.jobs.drift import EarlierVersion, drift_document
-from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, ModelFileError
+from service.site.machines.machine import Machine
 from twin_core.windows import Window
 
 # Rows of a model file's own summary are this much further apart than usual where data are missing.

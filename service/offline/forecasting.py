@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel
 from service.offline.rows import (
     MOST_ROWS,
@@ -17,6 +16,7 @@ from service.offline.rows import (
     step_of,
 )
 from service.offline.tables import FloatArray, PlannedRows, Recording
+from service.site.machines.machine import Machine
 from twin_core.forecasting import forecast
 from twin_core.forecasting.members import course_known
 from twin_core.models import ThermalModel

@@ -6,13 +6,13 @@ from typing import Any, get_args
 
 import numpy as np
 
-from service.machines.machine import Machine
+from service.lab.studies import methods
+from service.lab.studies.common import StudyError, require
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, minute_rows, revolutions_at, step_of
 from service.offline.tables import Recording
-from service.studies import methods
-from service.studies.common import StudyError, require
+from service.site.machines.machine import Machine
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
     IdentificationData,

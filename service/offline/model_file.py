@@ -8,12 +8,12 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ValidationError
 
-from service.configuration import describe
 from service.files import replacing
-from service.machines.bearings import named_bearing
-from service.machines.machine import Machine
 from service.offline.rows import revolutions_at
 from service.offline.tables import FloatArray, Recording
+from service.site.configuration import describe
+from service.site.machines.bearings import named_bearing
+from service.site.machines.machine import Machine
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.windows import MinuteData

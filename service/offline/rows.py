@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from service.machines.machine import Machine
 from service.offline.tables import FloatArray, Recording
+from service.site.machines.machine import Machine
 from twin_core.models import ThermalModel
 from twin_core.time_constants import fastest_time_s
 from twin_core.windows import MinuteData

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from service.clock import from_rfc3339
 from service.files import replacing
-from service.machines.networks import NetworkSection
+from service.site.machines.networks import NetworkSection
 from service.spreadsheets import text_cell
 
 FloatArray = NDArray[np.float64]

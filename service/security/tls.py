@@ -6,7 +6,7 @@ from pathlib import Path
 
 import structlog
 
-from service.configuration import SettingsError
+from service.site.configuration import SettingsError
 
 _log = structlog.get_logger(__name__)
 

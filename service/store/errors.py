@@ -3,7 +3,7 @@
 import errno
 import sqlite3
 
-from service.errors import ServiceError, TemporaryError
+from service.domain.errors import ServiceError, TemporaryError
 
 #: The state of a disk or of the machine; what is wrong with a path or with rights does not pass.
 _PASSING_ERRNOS = frozenset(

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from adapters.tables import load_pyarrow
-from service.channels import unit_of
 from service.clock import rfc3339
 from service.files import replacing
+from service.site.channels import unit_of
 from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
 from service.transfer.errors import TransferError

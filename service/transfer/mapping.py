@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from adapters.tables import RowError
 from service.clock import from_rfc3339
-from service.configuration import describe
+from service.site.configuration import describe
 from service.transfer.errors import TransferError
 
 REQUIRED = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")

@@ -17,7 +17,7 @@ from playwright.sync_api import (
     sync_playwright,
 )
 
-from service.dashboard import static_directory
+from service.web.pages import static_directory
 from tests.browser.plant import Plant
 
 WAIT_MS = 60_000  # on a busy machine a service takes its time

@@ -13,7 +13,7 @@ import httpx2
 from service.clock import ProcessClock, rfc3339
 from service.jobs.models import first_model
 from service.security.keys import create_key
-from service.settings import load_settings
+from service.site.settings import load_settings
 from service.store import Store
 from tests.processes import Command, free_port, wait_until
 from twin_core.identification.posterior import Posterior

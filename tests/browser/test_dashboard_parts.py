@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route
 
-from service.dashboard import static_directory
+from service.web.pages import static_directory
 
 pytestmark = pytest.mark.browser
 

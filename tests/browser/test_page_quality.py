@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from service.dashboard import static_directory
+from service.web.pages import static_directory
 from tests.browser.plant import BEARING, GEARBOX, Plant
 from tests.processes import wait_until
 

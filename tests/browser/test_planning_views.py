@@ -23,7 +23,7 @@ from playwright.sync_api import (
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
 from adapters.virtual_bench.scenarios import Step
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from tests.processes import Site, wait_until
 
 pytestmark = [pytest.mark.browser, pytest.mark.wires, pytest.mark.timeout(300)]

@@ -16,7 +16,7 @@ import httpx2
 from faults.peers import State
 from processes import Command, Station, free_port, wait_until
 
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 
 MODBUS, CAN, PUSHED = "load_n", "speed_rpm", "t_node_1_c"
 WAYS = {"Modbus": MODBUS, "CAN": CAN, "push": PUSHED}

@@ -7,7 +7,7 @@ from faults.hall import CAN, Hall
 from faults.peers import NORMAL, SPIKE_K, SPIKES, STUCK
 from processes import wait_until
 
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from service.store.records import StoredSample
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]

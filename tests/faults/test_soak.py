@@ -16,7 +16,7 @@ from faults.hall import PUSHED, STARTED_S, Count, Outcome, Peer, Pusher, lock_st
 from processes import Site, free_port, wait_until
 
 from service.clock import ProcessClock
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from service.store.opening import FILE_NAME
 from service.store.records import StoredSample
 

@@ -19,11 +19,11 @@ from faults.test_store_away import small_disk
 from postgresql import running_postgresql
 from processes import wait_until
 
+from service.app.start import LEAVE_S
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
-from service.start import LEAVE_S
 from service.store import lock_data_directory
 from service.store.opening import FILE_NAME
-from service.web_side import bind
+from service.web.side import bind
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
 PATIENCE_S = 120.0

@@ -17,9 +17,9 @@ from faults.hall import STARTED_S, Count, Hall, Outcome, lock_store
 from postgresql import running_postgresql
 from processes import wait_until
 
+from service.app.start import serve
 from service.clock import ProcessClock
-from service.settings import load_settings
-from service.start import serve
+from service.site.settings import load_settings
 from service.store.opening import FILE_NAME
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]

@@ -11,7 +11,7 @@ from faults.hall import BASE, CAN, MODBUS, Count, Hall, Outcome
 from faults.peers import EXCEPTION, FLOOD, GARBAGE, LATE, NORMAL, POISON, WRONG
 from processes import wait_until
 
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from service.live.asset import STEP_S
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]

@@ -20,7 +20,7 @@ import websockets
 from processes import Command, free_port, wait_until
 
 from service.clock import ProcessClock, rfc3339
-from service.settings import load_settings
+from service.site.settings import load_settings
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 

@@ -17,8 +17,8 @@ import pytest
 from processes import Site, wait_until
 
 from service.clock import ProcessClock, from_rfc3339
-from service.demo.configuration import ASSET
-from service.settings import load_settings
+from service.lab.demo.configuration import ASSET
+from service.site.settings import load_settings
 from service.store import Store
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]

@@ -12,7 +12,7 @@ from faults.hall import lock_store
 from postgresql import running_postgresql
 from processes import Command, Station, free_port, wait_until
 
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from service.store.opening import FILE_NAME
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]

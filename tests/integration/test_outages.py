@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from processes import Site, wait_until
 
-from service.demo.configuration import ASSET
+from service.lab.demo.configuration import ASSET
 from service.store.records import StoredSample
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]

@@ -16,8 +16,8 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service import web_server
-from service.web_server import Doorway, WebServer
+from service.web import server as web_server
+from service.web.server import Doorway, WebServer
 
 PATIENCE_S = 30
 MOST = 16

@@ -16,9 +16,9 @@ from adapters.virtual_bench.modbus_server import (
     TRANSMITTER_UNIT,
 )
 from adapters.virtual_bench.sensors import PT100_CHANNELS
-from service.settings import SENSOR_CHANNELS, Settings, load_settings
-from service.start import LEAVE_S
-from service.wiring import SourceWiring, wire
+from service.app.start import LEAVE_S
+from service.site.settings import SENSOR_CHANNELS, Settings, load_settings
+from service.site.wiring import SourceWiring, wire
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 EXAMPLE = DEPLOY / "bearing-twin.example.toml"
@@ -97,7 +97,7 @@ def test_the_unit_watches_over_the_service_and_bounds_it() -> None:
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read(DEPLOY / "systemd" / "bearing-twin.service")
     service = unit["Service"]
-    # `service.supervision` speaks to it.
+    # `service.app.supervision` speaks to it.
     assert (service["Type"], service["WatchdogSec"]) == ("notify", "30")
     # What passes by itself is tried again, without limit; what a person must mend is not.
     assert service["Restart"] == "on-failure"

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from service.alarm_settings import AlarmsSection, LevelRule, Levels, PlainRule
 from service.alarms import AlarmCondition, AlarmKind
 from service.live.readings import Readings
 from service.live.sources import Sources
-from service.settings import Limits
-from service.wiring import ChannelFacts
+from service.site.alarm_settings import AlarmsSection, LevelRule, Levels, PlainRule
+from service.site.settings import Limits
+from service.site.wiring import ChannelFacts
 
 LEVELS = ("warning", "alarm")
 _LABELS = {

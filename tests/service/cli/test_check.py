@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.channels import CHANNEL_NEEDS
-from service.checking import examine
+from service.app.checking import examine
+from service.site.channels import CHANNEL_NEEDS
 
 from .conftest import ASSET
 

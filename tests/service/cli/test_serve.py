@@ -18,7 +18,7 @@ from adapters.samples import Sample
 from service.clock import ProcessClock, rfc3339
 from service.ingest import Spool
 from service.security.keys import create_key
-from service.settings import load_settings
+from service.site.settings import load_settings
 from service.store import Store
 
 from .conftest import ASSET

@@ -14,7 +14,7 @@ import websockets
 from processes import Command
 
 from service.security.keys import create_key
-from service.settings import load_settings
+from service.site.settings import load_settings
 from service.store import Store
 
 TLS = '[tls]\ncertificate = "server.pem"\nkey = "server.key"\n'

@@ -8,10 +8,10 @@ import pytest
 from prometheus_client import CollectorRegistry
 
 from adapters.samples import Quality, Sample, is_good
-from service.configuration import SettingsError
 from service.ingest.quality import CheckLimits, QualityChecks
-from service.settings import Settings
-from service.wiring import wire
+from service.site.configuration import SettingsError
+from service.site.settings import Settings
+from service.site.wiring import wire
 
 RING = CheckLimits(-40.0, 200.0, max_jump=5.0, max_rate_per_s=2.0, flat_line_s=60.0)
 S = 1_000_000

@@ -12,12 +12,12 @@ from job_shop import ASSET, Shop
 
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook
+from service.bus.stream import Bus
 from service.jobs.history import AssetHistory
 from service.jobs.models import active_model, first_model
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
-from service.live.bus import Bus
-from service.settings import AssetSection
+from service.site.settings import AssetSection
 from service.store import Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior

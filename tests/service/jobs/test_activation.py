@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from job_shop import ASSET, Shop
 
-from service.api.context import ActivationRefusedError
+from service.domain.errors import ActivationRefusedError
 from service.jobs.models import first_model
 from service.store import JournalFilter
 

@@ -4,7 +4,7 @@ import asyncio
 
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, until
 
-from service.api.context import IdentificationRequest
+from service.domain.requests import IdentificationRequest
 
 
 async def test_a_cancelled_worker_stops_early(shop: Shop) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from adapters.samples import Quality, Sample
 from service.jobs.history import AssetHistory
-from service.machines.networks import read_network
+from service.site.machines.networks import read_network
 from service.store import Store
 from twin_core.windows import MinuteData
 

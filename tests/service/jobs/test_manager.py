@@ -9,14 +9,9 @@ from typing import Any
 import pytest
 from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, away
 
-from service.api.context import (
-    IdentificationRequest,
-    JobConflictError,
-    KeyUsedBeforeError,
-    RequestRefusedError,
-    TimeWindow,
-)
 from service.clock import rfc3339
+from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
+from service.domain.requests import IdentificationRequest, TimeWindow
 
 MINUTE_US = 60_000_000
 

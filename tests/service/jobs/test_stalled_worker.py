@@ -7,7 +7,7 @@ from multiprocessing.process import BaseProcess
 from job_shop import ASSET, QUICK, Shop, until
 
 from adapters.samples import Sample
-from service.api.context import IdentificationRequest
+from service.domain.requests import IdentificationRequest
 from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
 from service.jobs.manager import IdentificationJobs
 from service.jobs.workspace import JobFolder

@@ -16,8 +16,8 @@ import pytest
 from service.jobs.history import AssetHistory
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder
-from service.machines.bearings import named_bearing
-from service.machines.machine import Machine
+from service.site.machines.bearings import named_bearing
+from service.site.machines.machine import Machine
 from service.store import Store
 from twin_core.bearings import bearing
 from twin_core.identification.identify import identify

@@ -11,13 +11,13 @@ import pytest
 
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
 from service.alarms import AlarmBook, alarm_document
+from service.bus.stream import Bus, Subscription
 from service.clock import ProcessClock
 from service.live.asset import AssetRuntime
-from service.live.bus import Bus, Subscription
 from service.live.estimate import ActiveModel
-from service.settings import AssetSection
+from service.site.settings import AssetSection
+from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
-from service.wiring import ChannelFacts
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from adapters.samples import Quality, Sample
-from service.api.context import NODES, NotReadyError, ProfileStep
+from service.domain.errors import NotReadyError
+from service.domain.requests import NODES, ProfileStep
 
 WARM = {
     "speed_rpm": 2400.0,

@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
+from service.bus.stream import Bus, Subscription, SubscriptionClosedError
 from service.clock import ProcessClock
-from service.live.bus import Bus, Subscription, SubscriptionClosedError
 
 
 def make_bus(**limits: int) -> Bus:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.api.context import NotIdentifiedError, NotReadyError
-from service.api.planning import AdviceDocument, EnvelopeDocument
+from service.domain.errors import NotIdentifiedError, NotReadyError
 from service.live.envelope import grid, with_measured
 from service.live.estimate import ActiveModel
+from service.web.api.planning import AdviceDocument, EnvelopeDocument
 from twin_core.identification.posterior import TrainedRange
 from twin_core.operating_points import OperatingPoint
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from adapters.samples import Quality
-from service.channels import unit_of
 from service.live import presentation
 from service.live.ahead import Step, operating_profile
 from service.live.estimate import LiveEstimate
 from service.live.presentation import LimitCrossing
-from service.settings import Limits
+from service.site.channels import unit_of
+from service.site.settings import Limits
 from twin_core.forecasting import Forecast, forecast
 
 BEGAN = "2026-11-21T08:00:00.000Z"

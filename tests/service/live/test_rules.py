@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from adapters.samples import Quality, Sample, meaning
-from service.alarm_settings import AlarmsSection
 from service.alarms import AlarmBook, AlarmCondition
 from service.alarms.cusum import Cusum
 from service.live import rules
@@ -17,9 +16,10 @@ from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.residuals import ResidualChart
 from service.live.sources import Sources
-from service.settings import Limits
+from service.site.alarm_settings import AlarmsSection
+from service.site.settings import Limits
+from service.site.wiring import ChannelFacts
 from service.store import Alarm, Outbox, Store
-from service.wiring import ChannelFacts
 
 NOW_US = 1_763_700_000_000_000
 RING = "t_inner_ring_c"

@@ -15,16 +15,17 @@ from prometheus_client import CollectorRegistry
 from structlog.testing import capture_logs
 
 from adapters.samples import Quality, Sample
-from service.api import create_app
-from service.api.context import JobManager, ServiceContext
+from service.domain.interfaces import JobManager
 from service.ingest import Ingest, Spool
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_over
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.verdict import Evidence, judge, required_channels
-from service.machines.networks import read_network
 from service.security import create_key
-from service.settings import AssetSection, Limits, Settings
+from service.site.machines.networks import read_network
+from service.site.settings import AssetSection, Limits, Settings
+from service.web.api import create_app
+from service.web.api.context import ServiceContext
 
 WARM = {
     "speed_rpm": 1500.0,

@@ -19,9 +19,9 @@ from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.planning import Planning
 from service.live.readings import Readings
-from service.machines.machine import Machine
-from service.machines.networks import read_network
-from service.settings import AssetSection
+from service.site.machines.machine import Machine
+from service.site.machines.networks import read_network
+from service.site.settings import AssetSection
 from twin_core.forecasting.members import FOLLOWED_S, course_known
 from twin_core.identification import identify
 from twin_core.identification.data import IdentificationData, IdentificationWindow

@@ -14,9 +14,9 @@ from service.alarms import AlarmBook, AlarmCondition
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
-from service.settings import AssetSection
+from service.site.settings import AssetSection
+from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
-from service.wiring import ChannelFacts
 
 STEP_S, LONG_STEP_S = 5.0, 30.0
 WARM = {

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.machines.machine import Machine
-from service.machines.networks import read_network
+from service.site.machines.machine import Machine
+from service.site.machines.networks import read_network
 from twin_core.simulation import OperatingProfile, simulate
 
 from .files import write

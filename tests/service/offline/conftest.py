@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from adapters.virtual_bench import BenchParameters, Scenario, measure, scenario_profile, simulate
 from service.cli.main import app
-from service.machines.bearings import named_bearing
-from service.machines.machine import Machine
 from service.offline.model_file import IdentifiedModel, RunIn
+from service.site.machines.bearings import named_bearing
+from service.site.machines.machine import Machine
 from twin_core.identification import prior_posterior
 
 from .files import HEADER, STEPS, Run, write

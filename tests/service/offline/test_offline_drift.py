@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from service.clock import rfc3339
-from service.studies import turbines
-from service.studies.field_data import CASES, LOW_KW, spans
+from service.lab.studies import turbines
+from service.lab.studies.field_data import CASES, LOW_KW, spans
 
 from .block import CONFIGURATION, NETWORK, recorded
 

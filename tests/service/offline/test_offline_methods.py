@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from service.cli.identify import MODELS
-from service.machines.bearings import named_bearing
-from service.machines.machine import Machine
 from service.offline.identification import (
     METHOD_NAMES,
     OTHER_SEARCHES,
@@ -19,6 +17,8 @@ from service.offline.identification import (
     identify_recording,
 )
 from service.offline.tables import read_recording
+from service.site.machines.bearings import named_bearing
+from service.site.machines.machine import Machine
 from twin_core.identification.identify import Method
 from twin_core.models import ModelName
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.machines.machine import Machine
-from service.machines.networks import read_network
 from service.offline.rows import minute_rows, row_step_s, step_of
 from service.offline.tables import TableError, read_profile, read_recording
+from service.site.machines.machine import Machine
+from service.site.machines.networks import read_network
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.machines.machine import Machine
-from service.machines.networks import read_network
+from service.site.machines.machine import Machine
+from service.site.machines.networks import read_network
 from twin_core.simulation import OperatingProfile, simulate
 
 from .files import HEADER, LOW_S, Run, read, write

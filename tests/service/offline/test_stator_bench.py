@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.machines.machine import Machine
-from service.machines.networks import NetworkSection, read_network
 from service.offline.forecasting import follow, forecast_profile
 from service.offline.identification import identify_recording
 from service.offline.model_file import IdentifiedModel
 from service.offline.tables import PlannedRows, Recording, read_recording
+from service.site.machines.machine import Machine
+from service.site.machines.networks import NetworkSection, read_network
 from twin_core.simulation import OperatingProfile, simulate
 
 NETWORK = Path(__file__).parents[3] / "deploy" / "networks" / "stator.toml"

@@ -4,8 +4,8 @@ import pytest
 import trustme
 from cryptography.hazmat.primitives import serialization as pem
 
-from service.configuration import SettingsError
 from service.security.tls import tls_context
+from service.site.configuration import SettingsError
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""Puts cell, web side and plant side together, starts and watches them."""

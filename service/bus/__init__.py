@@ -1,0 +1,1 @@
+"""What the processes of a service tell each other."""

@@ -1,0 +1,1 @@
+"""The cell: acquisition, live twins, limits and alarms."""

@@ -1,0 +1,375 @@
+"""The service of an open store: live twins, jobs, alarms and what the web side shows."""
+
+import asyncio
+import contextlib
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from typing import Any
+
+import anyio.to_thread
+import structlog
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+
+from adapters.samples import Batch, PlannedProfile, Sample
+from service.alarms import AlarmBook, AlarmCondition, alarm_document
+from service.bus.stream import Bus
+from service.cell.acquisition import Acquisition
+from service.cell.retention import Upkeep
+from service.clock import ClockWatch, ProcessClock
+from service.ingest.metrics import watch_damage, watch_forecasts, watch_late
+from service.jobs.automatic import identify_by_itself
+from service.jobs.executor import make_executor
+from service.jobs.history import AssetHistory
+from service.jobs.manager import IdentificationJobs
+from service.jobs.models import active_model, first_model, why_not_of_this_asset
+from service.kernels import compile_kernels
+from service.live.asset import AssetRuntime
+from service.live.what_if_worker import WhatIfWorker
+from service.plant.publishers import Outlet
+from service.site.settings import AssetSection, Settings
+from service.site.wiring import Wiring
+from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
+from service.tasks import background
+from service.web.api import create_app
+from service.web.api.context import ServiceContext
+from service.web.side import WebSide
+
+#: Samples of a channel are counted up to this number where it is only a hint.
+_COUNTED_MAX = 100_000
+HEALTH_EVERY_WALL_S = 1.0
+STORE_RETRY_WALL_S = 2.0
+WARM_UP_AFTER_S = 5.0
+
+_log = structlog.get_logger(__name__)
+
+
+class Service:
+    """A running service: store, live twins, jobs, alarms and the web application.
+
+    It is made in a thread, since it reads from the store.
+
+    Parameters
+    ----------
+    settings : Settings
+        The checked configuration.
+    wiring : Wiring
+        The configuration's sources and channels, from `service.site.wiring.wire`.
+    store : Store
+        Open store.
+    outbox : Outbox
+        Where changes of alarms wait for the store.
+    clock : ProcessClock
+        Process time.
+    acquisition : Acquisition
+        What brings the samples.
+
+    Raises
+    ------
+    StoreUnavailableError
+        If the store does not answer now.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        wiring: Wiring,
+        store: Store,
+        outbox: Outbox,
+        clock: ProcessClock,
+        acquisition: Acquisition,
+    ) -> None:
+        self.settings = settings
+        self.store = store
+        self.clock = clock
+        self.acquisition = acquisition
+        self.registry = CollectorRegistry()
+        self.registry.register(acquisition.registry)
+        self.bus = Bus(clock)
+        self.outbox = outbox
+        Gauge(
+            "bearing_twin_outbox_changes",
+            "Alarm changes and audit lines that wait for the store, in memory or on the disk.",
+            registry=self.registry,
+        ).set_function(lambda: self.outbox.waiting)
+        watch_damage(
+            {"spool": lambda: acquisition.spool.mended, "outbox": lambda: self.outbox.mended},
+            lambda: self.outbox.lost,
+            self.registry,
+        )
+        self.alarms = AlarmBook(self.outbox, clock, self._alarm_changed)
+        self._clock_steps = Counter(
+            "bearing_twin_clock_steps",
+            "Times that the process clock was set.",
+            registry=self.registry,
+        )
+        watch_late(
+            lambda: {asset.id: asset.readings.late for asset in self.assets.values()}, self.registry
+        )
+        watch_forecasts(
+            lambda: {asset.id: asset.forecast_age_s() for asset in self.assets.values()},
+            self.registry,
+        )
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
+        self._what_ifs = WhatIfWorker(make_executor)
+        self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
+        self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
+        self._kept_states = {asset: store.load_asset_state(asset) for asset in self.assets}
+        left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
+        self._report_unconfigured(left)
+        for alarm in left:
+            self.alarms.withdraw(alarm.asset, ())
+        job_seconds = Histogram(
+            "bearing_twin_job_seconds",
+            "Wall seconds of an identification job.",
+            registry=self.registry,
+            buckets=(1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600),
+        )
+        self.jobs = IdentificationJobs(
+            store,
+            self.outbox,
+            clock,
+            self.bus,
+            self.assets,
+            self.histories,
+            make_executor,
+            settings.data_dir / "jobs",
+            job_seconds.observe,
+        )
+        self.upkeep = Upkeep(store, clock, Retention(**settings.retention.model_dump()))
+        self.app = create_app(
+            ServiceContext(
+                settings=settings,
+                clock=clock,
+                store=store,
+                outbox=self.outbox,
+                bus=self.bus,
+                ingest=acquisition.ingest,
+                alarms=self.alarms,
+                assets=self.assets,
+                jobs=self.jobs,
+                registry=self.registry,
+                sources=acquisition.health,
+                problems=self._problems,
+            )
+        )
+
+    def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
+        active = self.store.active_model(asset.id)
+        if active is None:
+            active = self._default_version(asset, "before the first identification")
+        elif foreign := why_not_of_this_asset(asset, active):
+            _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
+            active = self._default_version(asset, f"version {active.version}: {foreign}")
+
+        async def save_state(document: Mapping[str, Any]) -> None:
+            await anyio.to_thread.run_sync(
+                self.store.save_asset_state, asset.id, dict(document), abandon_on_cancel=True
+            )
+
+        return AssetRuntime(
+            asset,
+            wiring.channels[asset.id],
+            active_model(asset, active),
+            clock=self.clock,
+            bus=self.bus,
+            alarms=self.alarms,
+            executor=self._executor,
+            what_if_executor=self._what_ifs,
+            store_samples=self._store_derived,
+            save_state=save_state,
+            windows=self.histories[asset.id].windows_json,
+            doubt=partial(self._doubt, asset.id),
+        )
+
+    def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:
+        now_us = self.clock.now_us()
+        version = self.store.add_model_version(
+            asset.id, "candidate", "", first_model(asset), now_us
+        )
+        return self.store.activate(
+            asset.id, version, "service", f"default parameters; {why}", now_us
+        )
+
+    # ------------------------------------------------------------------ what flows
+    def _take(self, batch: Batch) -> None:
+        # Each asset gets its own: most have nothing to do with a batch.
+        samples: defaultdict[str, list[Sample]] = defaultdict(list)
+        plans: defaultdict[str, list[PlannedProfile]] = defaultdict(list)
+        for sample in batch.samples:
+            samples[sample.asset].append(sample)
+        for plan in batch.plans:
+            plans[plan.asset].append(plan)
+        for asset_id in samples.keys() | plans.keys():
+            asset = self.assets.get(asset_id)
+            if asset is not None:
+                asset.take(samples.get(asset_id, ()), plans.get(asset_id, ()))
+
+    def _store_derived(self, samples: Any) -> None:
+        self.acquisition.ingest.submit(samples)
+
+    def _alarm_changed(self, alarm: Alarm) -> None:
+        if alarm.asset in self.assets:
+            self.assets[alarm.asset].alarms_changed()
+        self.bus.publish("alarm", alarm.asset, alarm_document(alarm))
+
+    def _doubt(self, asset: str, channel: str) -> str:
+        """Why a channel's latest sample is not good, as a check found or its source says."""
+        found = self.acquisition.checks.reason(asset, channel)
+        if found:
+            return found
+        facts = self.assets[asset].facts.get(channel)
+        return "" if facts is None else self.acquisition.problem(facts.source, asset, channel)
+
+    def _report_unconfigured(self, alarms: Sequence[Alarm]) -> None:
+        """Warn once of what the store holds and the configuration names no more."""
+        samples: dict[str, int] = {}
+        for (asset, channel), count in self.store.sample_counts(_COUNTED_MAX).items():
+            if asset not in self.assets or channel not in self.assets[asset].channels:
+                name = f"{asset}/{channel}" if asset in self.assets else asset
+                samples[name] = samples.get(name, 0) + count
+        if samples or alarms:
+            _log.warning(
+                "not_configured",
+                samples=samples,
+                alarms_withdrawn=len(alarms),
+                hint="'bearing-twin export --asset NAME' writes what is stored of it",
+            )
+
+    def _problems(self) -> dict[str, str | None]:
+        """What is wrong with history and with the files, by check; None where all is well."""
+        spool, ingest = self.acquisition.spool, self.acquisition.ingest
+        mended = (
+            f"{name} was damaged: {one.salvaged} rows salvaged, {one.lost} lost; kept as "
+            f"{one.kept_as.name}"
+            for name, one in (("spool", spool.mended), ("outbox", self.outbox.mended))
+            if one is not None
+        )
+        files = [*([self.upkeep.damage] if self.upkeep.damage else []), *mended]
+        return {
+            "history": ingest.too_old_problem or self.upkeep.problem,
+            "files": "; ".join(files) or None,
+        }
+
+    def _report_too_old(self) -> None:
+        """Raise an alarm for the assets whose samples are not stored because they are too old."""
+        for asset in self.assets:
+            problem = self.acquisition.ingest.too_old(asset)
+            if problem is not None:
+                self.alarms.evaluate(
+                    AlarmCondition(
+                        asset=asset,
+                        kind="history not kept",
+                        channel="",
+                        level="",
+                        active=bool(problem),
+                        value=None,
+                        message=problem or "Samples are stored again",
+                        priority=2,
+                    )
+                )
+
+    async def _tell_health(self) -> None:
+        watch = ClockWatch(self.clock)
+        while True:
+            await asyncio.sleep(HEALTH_EVERY_WALL_S)
+            step_s = watch.step_s()
+            if step_s:
+                self._clock_steps.inc()
+                _log.warning("clock_set", by_s=round(step_s, 3))
+            self._report_too_old()
+            now_us = self.clock.now_us()
+            sources = [
+                {
+                    "name": health.name,
+                    "driver": health.driver,
+                    "up": health.up,
+                    "detail": health.detail,
+                    "age_s": (now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
+                }
+                for health in self.acquisition.health()
+            ]
+            degraded = not all(source["up"] for source in sources)
+            self.bus.publish(
+                "health",
+                None,
+                {"sources": sources, "degraded": degraded, "clock_rate": self.clock.rate},
+            )
+
+    # ------------------------------------------------------------------ life
+    async def run(
+        self,
+        web: WebSide,
+        stop: asyncio.Event,
+        outlets: Sequence[Outlet] = (),
+        ready: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Work until ``stop`` is set, then stop cleanly; acquisition ends after that.
+
+        Parameters
+        ----------
+        web : WebSide
+            Shows the web application from now on.
+        stop : asyncio.Event
+            Set it to end the service.
+        outlets : sequence of Outlet
+            What else is to be done beside it.
+        ready : callable
+            Called when all of it runs.
+        """
+        try:
+            async with contextlib.AsyncExitStack() as stack:
+                await stack.enter_async_context(background(self._twins(), "twins", stop))
+                self.acquisition.hand_to(self._take)
+                stack.push_async_callback(self.jobs.stop)
+                for name, task in (
+                    ("jobs", self._take_up_jobs()),
+                    ("what-if worker", self._warm_up()),
+                    ("health", self._tell_health()),
+                    ("upkeep", self.upkeep.run()),
+                    ("check of the store", self.upkeep.check()),
+                    *((name, work()) for name, work in outlets),
+                ):
+                    await stack.enter_async_context(background(task, name, stop))
+                await stack.enter_async_context(self.app.router.lifespan_context(self.app))
+                stack.push_async_callback(self._leave, web)
+                web.show(self.app)
+                ready()
+                await stop.wait()
+        finally:
+            for executor in (self._executor, self._what_ifs):
+                executor.shutdown(wait=False, cancel_futures=True)
+
+    async def _warm_up(self) -> None:
+        """Have the worker of what-ifs ready before the first question, but not while we start."""
+        await asyncio.sleep(WARM_UP_AFTER_S)
+        with contextlib.suppress(BrokenProcessPool):
+            await asyncio.wrap_future(self._what_ifs.submit(compile_kernels))
+        await asyncio.Event().wait()
+
+    async def _twins(self) -> None:
+        # Side by side: their last saving takes its time when the store does not answer.
+        async with asyncio.TaskGroup() as twins:
+            for asset in self.assets.values():
+                twins.create_task(
+                    asset.run(self._kept_states[asset.id]), name=f"twin of {asset.id}"
+                )
+            await asyncio.Event().wait()
+
+    async def _take_up_jobs(self) -> None:
+        """Go on with what an earlier run left unfinished, then identify by itself."""
+        while True:
+            try:
+                await self.jobs.start()
+            except StoreUnavailableError as error:
+                _log.warning("jobs_wait_for_the_store", error=str(error))
+                await asyncio.sleep(STORE_RETRY_WALL_S)
+            else:
+                break
+        await identify_by_itself(self.jobs, self.histories, self.clock)
+
+    async def _leave(self, web: WebSide) -> None:
+        self.bus.close("the service stops")
+        await web.stop()

@@ -1,0 +1,1 @@
+"""What all parts of the service mean alike: errors, requests, interfaces."""

@@ -1,0 +1,72 @@
+"""Errors that several parts of the service raise and understand."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+class ServiceError(Exception):
+    """A disk, a server or an address cannot be used; the text is one line for the user.
+
+    A person must mend it (exit status 2), unless it is a `TemporaryError`.
+    """
+
+
+class TemporaryError(ServiceError):
+    """Trouble that passes by itself: a port still in use, a store that is not there yet.
+
+    The service waits for its end; a command that cannot wait ends with status 75.
+
+    Attributes
+    ----------
+    passes : bool
+        False where only a running service may hope for its end, and a start may not.
+    """
+
+    passes = True
+
+
+class JobConflictError(Exception):
+    """A job runs for this asset already.
+
+    Parameters
+    ----------
+    job : mapping
+        The running job as the API shows it.
+    """
+
+    def __init__(self, job: Mapping[str, Any]) -> None:
+        super().__init__(f"identification {job['id']} is {job['status']}")
+        self.job = job
+
+
+class KeyUsedBeforeError(Exception):
+    """An idempotency key came again with another request; the text says what was expected."""
+
+
+class ActivationRefusedError(Exception):
+    """A model version may not be activated; the text says why."""
+
+
+class RequestRefusedError(ValueError):
+    """A request that is well-formed but cannot be served as it is.
+
+    Parameters
+    ----------
+    pointer : str
+        JSON pointer into the body, for example ``/windows/0``.
+    detail : str
+        What is wrong and what was expected.
+    """
+
+    def __init__(self, pointer: str, detail: str) -> None:
+        super().__init__(f"{pointer}: {detail}")
+        self.pointer = pointer
+        self.detail = detail
+
+
+class NotReadyError(RuntimeError):
+    """The twin cannot answer yet; the text says what it waits for."""
+
+
+class NotIdentifiedError(RuntimeError):
+    """There is no identified model yet; the text says what to do."""

@@ -1,0 +1,318 @@
+"""Clients of the service in a process of their own: ``python -m service.lab.benchmarks.clients``.
+
+They speak just enough HTTP and WebSocket, so that they cost far less than what they measure. The
+process reads one JSON document of arguments and prints one of results.
+"""
+
+import asyncio
+import contextlib
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+_MASK = bytes(4)
+_OPEN_AT_ONCE = 50
+_PATIENCE_S = 30.0
+
+
+def quantile(values: Sequence[float], probability: float) -> float:
+    """The smallest of the values that so many of them do not exceed; NaN of none."""
+    if not values:
+        return math.nan
+    return sorted(values)[max(math.ceil(probability * len(values)) - 1, 0)]
+
+
+# ---------------------------------------------------------------------------- HTTP
+class _Caller(asyncio.Protocol):
+    """One kept connection: sends a request, waits for its answer, sends the next."""
+
+    def __init__(self, request: bytes, interval_s: float, phase_s: float) -> None:
+        self.latencies_s: list[float] = []
+        self.statuses: dict[int, int] = {}
+        self.ended = asyncio.get_running_loop().create_future()
+        self._request = request
+        self._interval_s = interval_s
+        self._phase_s = phase_s
+        self._received = bytearray()
+        self._sent = 0.0
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101
+        self._transport = transport
+        asyncio.get_running_loop().call_later(self._phase_s, self._send)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if not self.ended.done():
+            self.ended.set_result(None)
+
+    def stop(self) -> None:
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _send(self) -> None:
+        if self._transport is not None and not self._transport.is_closing():
+            self._sent = time.perf_counter()
+            self._transport.write(self._request)
+
+    def data_received(self, data: bytes) -> None:
+        self._received += data
+        end = self._received.find(b"\r\n\r\n")
+        if end < 0:
+            return
+        head = bytes(self._received[:end]).lower()
+        place = head.find(b"content-length:")
+        if b"transfer-encoding: chunked" in head:
+            # One question at a time: what has come is one answer, whole with its last chunk.
+            if not self._received.endswith(b"\r\n0\r\n\r\n"):
+                return
+            self._received.clear()
+        else:
+            length = 0 if place < 0 else int(head[place + 15 :].split(b"\r\n", 1)[0])
+            if len(self._received) < end + 4 + length:
+                return
+            del self._received[: end + 4 + length]
+        passed_s = time.perf_counter() - self._sent
+        status = int(head[9:12])
+        self.statuses[status] = self.statuses.get(status, 0) + 1
+        self.latencies_s.append(passed_s)
+        if self._interval_s:
+            wait_s = max(self._interval_s - passed_s, 0.0)
+            asyncio.get_running_loop().call_later(wait_s, self._send)
+        else:
+            self._send()
+
+
+async def _call(given: Mapping[str, Any]) -> dict[str, Any]:
+    body = given.get("body", "").encode()
+    lines = [f"{given.get('method', 'GET')} {given['path']} HTTP/1.1", "Host: 127.0.0.1"]
+    lines += [f"{name}: {value}" for name, value in given.get("headers", {}).items()]
+    if body:
+        lines += ["Content-Type: application/json", f"Content-Length: {len(body)}"]
+    request = "\r\n".join([*lines, "", ""]).encode() + body
+    loop = asyncio.get_running_loop()
+    interval_s, count = given.get("interval_s", 0.0), given["connections"]
+    callers = [
+        (
+            await loop.create_connection(
+                lambda number=number: _Caller(request, interval_s, interval_s * number / count),  # type: ignore[misc]
+                "127.0.0.1",
+                given["port"],
+            )
+        )[1]
+        for number in range(count)
+    ]
+    began = time.perf_counter()
+    await asyncio.wait([caller.ended for caller in callers], timeout=given["seconds"])
+    passed_s = time.perf_counter() - began
+    lost = sum(caller.ended.done() for caller in callers)
+    for caller in callers:
+        caller.stop()
+    latencies_s = [one for caller in callers for one in caller.latencies_s]
+    statuses: dict[str, int] = {}
+    for caller in callers:
+        for status, number in caller.statuses.items():
+            statuses[str(status)] = statuses.get(str(status), 0) + number
+    return {
+        "requests": len(latencies_s),
+        "per_s": len(latencies_s) / passed_s,
+        "p50_s": quantile(latencies_s, 0.5),
+        "p95_s": quantile(latencies_s, 0.95),
+        "p99_s": quantile(latencies_s, 0.99),
+        "max_s": max(latencies_s, default=math.nan),
+        "statuses": statuses,
+        "lost": lost,
+    }
+
+
+# ---------------------------------------------------------------------------- WebSocket
+class _Listener(asyncio.Protocol):
+    """One client of the stream; a stalled one never reads."""
+
+    def __init__(self, request: bytes, stalled: bool) -> None:
+        self.open = asyncio.get_running_loop().create_future()
+        self.delays_s: list[float] = []
+        self.types: dict[str, int] = {}
+        self.counting = False
+        self.gone = False
+        self._request = request
+        self._stalled = stalled
+        self._received = bytearray()
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101
+        self._transport = transport
+        transport.write(self._request)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.gone = True
+        if not self.open.done():
+            self.open.set_result(None)
+
+    def stop(self) -> None:
+        if self._transport is not None:
+            self._transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        now_s = time.time()
+        self._received += data
+        if not self.open.done():
+            end = self._received.find(b"\r\n\r\n")
+            if end < 0:
+                return
+            if not self._received.startswith(b"HTTP/1.1 101"):
+                raise RuntimeError(bytes(self._received[:end]).decode())
+            del self._received[: end + 4]
+            self.open.set_result(None)
+            if self._stalled and self._transport is not None:
+                self._transport.pause_reading()
+                return
+        for opcode, payload in self._frames():
+            if opcode == 0x9 and self._transport is not None:
+                self._transport.write(bytes([0x8A, 0x80 | len(payload)]) + _MASK + payload)
+            elif opcode == 0x1 and self.counting:
+                self._count(payload, now_s)
+
+    def _frames(self) -> Iterator[tuple[int, bytes]]:
+        received = self._received
+        while len(received) >= 2:
+            length, start = received[1] & 0x7F, 2
+            if length >= 126:
+                start = 4 if length == 126 else 10
+                length = int.from_bytes(received[2:start], "big")
+                if len(received) < start:
+                    return
+            if len(received) < start + length:
+                return
+            yield received[0] & 0x0F, bytes(received[start : start + length])
+            del received[: start + length]
+
+    def _count(self, payload: bytes, now_s: float) -> None:
+        head = payload[:300].decode(errors="ignore")
+        kind = head.split('"type":"', 1)[1].split('"', 1)[0]
+        self.types[kind] = self.types.get(kind, 0) + 1
+        if kind != "hello":
+            sent_at = head.split('"sent_at":"', 1)[1].split('"', 1)[0]
+            self.delays_s.append(now_s - datetime.fromisoformat(sent_at).timestamp())
+
+
+async def _listen(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Open the stream for many clients, listen for a while, tell how late messages came."""
+    request = "\r\n".join(
+        [
+            f"GET {given['path']} HTTP/1.1",
+            "Host: 127.0.0.1",
+            "Upgrade: websocket",
+            "Connection: Upgrade",
+            "Sec-WebSocket-Version: 13",
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+            f"X-API-Key: {given['key']}",
+            "",
+            "",
+        ]
+    ).encode()
+    loop = asyncio.get_running_loop()
+    listeners: list[_Listener] = []
+    total = given["clients"] + given["stalled"]
+    while len(listeners) < total:
+        batch = [
+            (
+                await loop.create_connection(
+                    lambda stalled=number >= given["clients"]: _Listener(request, stalled),  # type: ignore[misc]
+                    "127.0.0.1",
+                    given["port"],
+                )
+            )[1]
+            for number in range(len(listeners), min(len(listeners) + _OPEN_AT_ONCE, total))
+        ]
+        async with asyncio.timeout(_PATIENCE_S):
+            await asyncio.gather(*(one.open for one in batch))
+        listeners += batch
+    awake = listeners[: given["clients"]]
+    await asyncio.sleep(given["settle_s"])
+    for one in awake:
+        one.counting = True
+    await asyncio.sleep(given["seconds"])
+    delays_s = [delay for one in awake for delay in one.delays_s]
+    types: dict[str, int] = {}
+    for one in awake:
+        for kind, number in one.types.items():
+            types[kind] = types.get(kind, 0) + number
+    lost = sum(one.gone for one in awake)
+    for one in listeners:
+        one.stop()
+    return {
+        "messages": len(delays_s),
+        "types": types,
+        "p50_s": quantile(delays_s, 0.5),
+        "p95_s": quantile(delays_s, 0.95),
+        "p99_s": quantile(delays_s, 0.99),
+        "max_s": max(delays_s, default=math.nan),
+        "lost": lost,
+        "fewest_per_client": min((len(one.delays_s) for one in awake), default=0),
+    }
+
+
+# ---------------------------------------------------------------------------- the other side
+def run(what: str, **given: Any) -> dict[str, Any]:
+    """Run clients in a process of their own until they have their results.
+
+    Parameters
+    ----------
+    what
+        ``call`` (HTTP) or ``listen`` (WebSocket).
+    **given
+        Their arguments.
+    """
+    result: dict[str, Any] = {}
+    with started(what, **given) as process:
+        out, _ = process.communicate()
+        if process.returncode:
+            raise RuntimeError(f"the benchmark's clients ended with status {process.returncode}")
+        result = json.loads(out)
+    return result
+
+
+@contextlib.contextmanager
+def started(what: str, **given: Any) -> Iterator["subprocess.Popen[str]"]:
+    """Start such a process; it is cleared away at the end of the context."""
+    command = [sys.executable, "-m", "service.lab.benchmarks.clients", what, json.dumps(given)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def _serve_empty() -> None:
+    """Serve one route that does nothing, as the service serves its own."""
+    import uvicorn
+    from fastapi import FastAPI
+
+    from service.web.side import bind
+
+    app = FastAPI()
+
+    @app.get("/")
+    async def empty() -> dict[str, str]:
+        return {}
+
+    listener = bind("127.0.0.1", 0)
+    sys.stdout.write(f"{listener.getsockname()[1]}\n")
+    sys.stdout.flush()
+    uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False)).run([listener])
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "empty":
+        _serve_empty()
+    else:
+        work = _call if sys.argv[1] == "call" else _listen
+        sys.stdout.write(json.dumps(asyncio.run(work(json.loads(sys.argv[2])))))

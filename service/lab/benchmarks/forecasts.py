@@ -1,0 +1,57 @@
+"""A forecast ensemble: 200 members, 4 h at 60 s, all nodes, quantiles."""
+
+import numpy as np
+
+from service.lab.benchmarks.common import Measurement, Progress, shortest_s
+from service.lab.benchmarks.identification import SAMPLES, bench_run
+from service.lab.studies.bench_runs import follow, identify_twin
+from twin_core.forecasting import forecast
+from twin_core.simulation import OperatingProfile, simulate
+
+MEMBERS = 200
+MINUTES = 240
+
+
+def forecast_ensemble(tell: Progress) -> Measurement:
+    """A step to 5600 rpm and 4000 N, beside as many single simulations one after the other."""
+    tell(0.0, "a virtual bench runs")
+    run = bench_run()
+    tell(0.2, "identification")
+    twin = identify_twin(run, SAMPLES)
+    observer = follow(twin, run, SAMPLES - 1)
+    count = MINUTES + 1
+    ahead = OperatingProfile(
+        60.0 * np.arange(count, dtype=np.float64),
+        np.full(count, 5600.0),
+        np.full(count, 4000.0),
+        np.full(count, 22.0),
+    )
+    tell(0.5, "forecasts")
+    value = shortest_s(
+        lambda: forecast(
+            twin.model,
+            twin.posterior,
+            observer.temperatures_c,
+            observer.covariance,
+            observer.revolutions,
+            ahead,
+            disturbance_w=observer.heat_disturbance_w,
+            operating_point=observer.operating_point,
+            members=MEMBERS,
+        ),
+        at_least_s=2.0,
+    )
+    tell(0.8, "single simulations")
+    samples = twin.model.parameters.values_from_z(twin.posterior.samples[:MEMBERS])
+
+    def one_after_the_other() -> None:
+        for values in samples:
+            simulate(twin.model, values, ahead, observer.temperatures_c, observer.revolutions)
+
+    return Measurement(
+        value,
+        "s",
+        shortest_s(one_after_the_other),
+        f"{len(samples)} single simulations, one after the other, without intervals",
+        {"members": MEMBERS, "rows": count},
+    )

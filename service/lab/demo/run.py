@@ -1,0 +1,231 @@
+"""One run of the demo: virtual bench and service as processes, its stages reported and scored."""
+
+import asyncio
+import contextlib
+import json
+import tempfile
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx2
+from pymodbus.client import AsyncModbusTcpClient
+
+from adapters.virtual_bench import find_scenario
+from service.lab.demo.configuration import write_configuration
+from service.lab.demo.processes import DemoError, Process, running
+from service.lab.demo.story import Story
+from service.security.keys import create_key
+from service.site.settings import load_settings
+from service.store import Store
+
+SCENARIO = "demo"
+START_COIL = 0
+HOLD_COIL = 1
+
+Result = TypeVar("Result")
+
+
+class _Interrupted(Exception):  # noqa: N818 - not an error: it was asked for
+    """The demo is to stop, or its time is over."""
+
+
+class Watch:
+    """Lets work go on until the demo is to stop, its time is over or one of its processes ends.
+
+    Parameters
+    ----------
+    stop : asyncio.Event
+        Set when the demo is to stop.
+    duration_s : float or None
+        Wall seconds from now on that the demo may take.
+    """
+
+    def __init__(self, stop: asyncio.Event, duration_s: float | None) -> None:
+        self._stop = stop
+        self._deadline = (
+            None if duration_s is None else asyncio.get_running_loop().time() + duration_s
+        )
+        self._processes: list[Process] = []
+
+    def add(self, process: Process) -> None:
+        """Watch over one more process."""
+        self._processes.append(process)
+
+    def remove(self, process: Process) -> None:
+        """Let a process end without ending the demo."""
+        self._processes.remove(process)
+
+    async def until_done(self, work: Awaitable[Result]) -> Result:
+        """Return what the work gives.
+
+        Raises
+        ------
+        _Interrupted
+            If the demo is to stop first; the work is cancelled then.
+        DemoError
+            If a process ended by itself meanwhile; names it.
+        """
+        task = asyncio.ensure_future(work)
+        others: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
+        others += [asyncio.create_task(process.wait()) for process in self._processes]
+        now = asyncio.get_running_loop().time()
+        left_s = None if self._deadline is None else max(self._deadline - now, 0.0)
+        try:
+            await asyncio.wait([task, *others], timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for one in (task, *others):
+                one.cancel()
+            # The task that is done keeps its result; the others are given the time to clean up.
+            await asyncio.gather(task, *others, return_exceptions=True)
+        for process in self._processes:
+            if process.ended and not self._stop.is_set():
+                raise process.error()
+        if task.cancelled():
+            raise _Interrupted
+        return task.result()
+
+
+async def run(
+    *,
+    rate: float,
+    port: int,
+    seed: int,
+    watch: Watch,
+    wait: bool,
+    stay: bool,
+    tell: Callable[[str], None],
+    at_the_end: Callable[[dict[str, Any]], None],
+) -> dict[str, Any]:
+    """Run the demo and return its document.
+
+    Parameters
+    ----------
+    rate : float
+        Process seconds per wall second.
+    port : int
+        Port of the page; 0 takes a free one.
+    seed : int
+        Of the virtual bench.
+    watch : Watch
+        Says when to stop.
+    wait : bool
+        Whether the bench waits before a high-risk stage until the identification has ended.
+    stay : bool
+        Whether service and page stay up after the last stage until the demo is to stop.
+    tell : callable
+        Takes one line for the person who watches.
+    at_the_end : callable
+        Gets the document while service and page are still up.
+
+    Raises
+    ------
+    DemoError
+        If a part of it did not start or ended early.
+    """
+    story: Story | None = None
+    async with contextlib.AsyncExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bearing-twin-demo-")))
+        try:
+            await watch.until_done(_prepare(folder, tell))
+            bench_process, bench = await watch.until_done(
+                _start_bench(stack, folder, rate, seed, watch)
+            )
+            address, key = await watch.until_done(
+                _start_service(stack, folder, bench, rate, port, watch)
+            )
+            tell(f"Open {address}#key={key}")
+            client = await stack.enter_async_context(
+                httpx2.AsyncClient(base_url=address, headers={"X-API-Key": key}, timeout=30)
+            )
+            hold = partial(set_coil, bench, HOLD_COIL) if wait else None
+            story = Story(client, find_scenario(SCENARIO), tell, hold)
+            await watch.until_done(story.ready())
+            tell("The twin follows the machine at standstill; the bench starts its profile.")
+            await watch.until_done(set_coil(bench, START_COIL, True))
+            try:
+                await watch.until_done(story.follow())
+            except DemoError as error:
+                if not (stay and bench_process.ended):
+                    raise
+                watch.remove(bench_process)
+                tell(f"{error}. The service goes on without its data.")
+        except _Interrupted:
+            pass
+        if story is None:
+            return NOTHING_YET
+        document = await story.account()
+        at_the_end(document)
+        if stay:
+            tell("The page stays up; Ctrl-C ends the demo.")
+            with contextlib.suppress(_Interrupted):
+                await watch.until_done(asyncio.Event().wait())
+        return document
+
+
+NOTHING_YET: dict[str, Any] = {
+    "model_versions": [],
+    "stages": [],
+    "samples": {"modbus": 0, "can": 0},
+    "complete": False,
+}
+
+
+async def _prepare(folder: Path, tell: Callable[[str], None]) -> None:
+    """Compile the kernels once, before process time starts to run fast."""
+    tell("Preparing: the numerical kernels are compiled on the first run (about a minute).")
+    async with running("preparation", ("warm-up",), folder / "warm-up.log"):
+        pass
+
+
+async def _start_bench(
+    stack: contextlib.AsyncExitStack, folder: Path, rate: float, seed: int, watch: Watch
+) -> tuple[Process, dict[str, Any]]:
+    """Start the virtual bench; its process and where it listens."""
+    arguments = (
+        "virtual-bench", "--scenario", SCENARIO, "--rate", f"{rate:g}", "--seed", str(seed),
+        "--modbus-port", "0", "--can-port", "0", "--truth", str(folder / "truth.csv"),
+        "--wait-for-start", "--json",
+    )  # fmt: skip
+    process = await stack.enter_async_context(
+        running("virtual bench", arguments, folder / "bench.log")
+    )
+    watch.add(process)
+    return process, json.loads(process.first_line)
+
+
+async def _start_service(
+    stack: contextlib.AsyncExitStack,
+    folder: Path,
+    bench: dict[str, Any],
+    rate: float,
+    port: int,
+    watch: Watch,
+) -> tuple[str, str]:
+    """Start the service; its address and an API key."""
+    configuration = write_configuration(folder, bench, rate, port)
+    settings = load_settings(configuration)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        key = create_key(store, "admin").text
+    process = await stack.enter_async_context(
+        running("service", ("serve", "-c", str(configuration)), folder / "service.log")
+    )
+    watch.add(process)
+    return process.first_line, key
+
+
+async def set_coil(bench: Mapping[str, Any], coil: int, value: bool) -> None:
+    """Set a coil of the bench controller, as a SCADA system would.
+
+    Raises
+    ------
+    DemoError
+        If the controller refuses it.
+    """
+    async with AsyncModbusTcpClient(
+        bench["modbus"]["host"], port=bench["modbus"]["port"], timeout=3
+    ) as modbus:
+        answer = await modbus.write_coil(coil, value, device_id=2)
+        if answer.isError():
+            raise DemoError(f"the bench refused coil {coil} = {value}: {answer}")

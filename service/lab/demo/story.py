@@ -1,0 +1,360 @@
+"""Follows the demo over REST like any other client, tells what happens and keeps what is scored."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import Any
+
+import httpx2
+import numpy as np
+
+from adapters.virtual_bench import Scenario
+from service.alarms import SET_ASIDE_STATES
+from service.clock import from_rfc3339, rfc3339
+from service.lab.demo.configuration import ASSET
+from service.lab.demo.processes import DemoError
+from service.lab.demo.score import (
+    SENSORS,
+    KeptForecast,
+    Measured,
+    Stage,
+    made_before,
+    stage_json,
+)
+
+LOOK_EVERY_WALL_S = 0.4
+READY_WALL_S = 60.0
+#: The longest wait before a high-risk stage: a service that never identifies must not end the demo.
+HOLD_WALL_S = 600.0
+MODBUS_CHANNELS = (
+    "t_inner_ring_c",
+    "t_outer_ring_c",
+    "ambient_c",
+    "phase",
+    "speed_setpoint_rpm",
+    "load_setpoint_n",
+)
+CAN_CHANNELS = ("speed_rpm", "load_n")
+MINUTE_US = 60_000_000
+
+
+class Story:
+    """One run of the demo, seen through the service's REST interface.
+
+    Parameters
+    ----------
+    client : httpx2.AsyncClient
+        With the service's address and an API key.
+    scenario : Scenario
+        What the bench runs.
+    tell : callable
+        Takes one line for the person who watches.
+    hold : callable, optional
+        Sets whether the bench waits before a high-risk stage; without it the bench never waits.
+    """
+
+    def __init__(
+        self,
+        client: httpx2.AsyncClient,
+        scenario: Scenario,
+        tell: Callable[[str], None],
+        hold: Callable[[bool], Awaitable[None]] | None = None,
+    ) -> None:
+        self._client = client
+        self._scenario = scenario
+        self._tell = tell
+        self._hold = hold
+        self._held: bool | None = None
+        self._waits_since_wall_s: float | None = None
+        self._forecasts: list[KeptForecast] = []
+        self._stages: list[Stage] = []
+        self._told_models: set[int] = set()
+        self._told_jobs: set[str] = set()
+        self._told_alarms: set[str] = set()
+        self.complete = False
+
+    async def ready(self) -> None:
+        """Wait until the service follows the machine.
+
+        Raises
+        ------
+        DemoError
+            If it does not within a minute.
+        """
+        deadline = time.monotonic() + READY_WALL_S
+        while time.monotonic() < deadline:
+            asset = await self._get(f"/api/v1/assets/{ASSET}")
+            if asset["health"]["twin_running"]:
+                return
+            await asyncio.sleep(0.1)
+        raise DemoError(f"the twin did not start within {READY_WALL_S:g} s")
+
+    async def follow(self) -> None:
+        """Watch until the scenario is over."""
+        last_phase = len(self._scenario.steps)
+        while True:
+            phase = await self._look()
+            if phase is not None and phase > last_phase:
+                self.complete = True
+                return
+            await asyncio.sleep(LOOK_EVERY_WALL_S)
+
+    async def _look(self) -> int | None:
+        tags = (await self._get(f"/api/v1/assets/{ASSET}/snapshot"))["tags"]
+        await self._keep_forecast()
+        await self._tell_models_and_jobs()
+        await self._tell_alarms()
+        await self._hold_bench(tags)
+        if tags["phase"]["value"] is None:
+            return None
+        phase = int(tags["phase"]["value"])
+        if phase != self._phase():
+            await self._enter(phase, tags)
+        return phase
+
+    async def _hold_bench(self, tags: Mapping[str, Any]) -> None:
+        """Let no high-risk stage begin before the twin has learned from the stages before it."""
+        if self._hold is None:
+            return
+        wanted = await self._identification_is_due()
+        if not wanted or not self._waits(tags):
+            self._waits_since_wall_s = None
+        elif self._waits_since_wall_s is None:
+            self._waits_since_wall_s = time.monotonic()
+            self._tell("The bench waits with the next stage until the identification has ended.")
+        elif time.monotonic() - self._waits_since_wall_s > HOLD_WALL_S:
+            wanted = False
+        if wanted != self._held:
+            await self._hold(wanted)
+            self._held = wanted
+
+    async def _identification_is_due(self) -> bool:
+        """Whether a job runs, none has ended yet, or the forecast is of an older version."""
+        jobs = (await self._get(f"/api/v1/assets/{ASSET}/identifications"))["items"]
+        if not jobs or any(job["status"] in ("queued", "running") for job in jobs):
+            return True
+        models = (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]
+        active = [model["version"] for model in models if model["status"] == "active"]
+        return not self._forecasts or self._forecasts[-1].model_version not in active
+
+    def _waits(self, tags: Mapping[str, Any]) -> bool:
+        """Whether a high-risk stage is next and its time has come."""
+        phase = self._phase()
+        following = self._scenario.steps[phase : phase + 1]
+        if not phase or not following or following[0].risk == "low" or not tags["phase"]["time"]:
+            return False
+        lasted_s = (from_rfc3339(tags["phase"]["time"]) - self._stages[-1].start_us) / 1e6
+        return lasted_s > self._scenario.steps[phase - 1].duration_s
+
+    def _phase(self) -> int:
+        return len(self._stages)
+
+    async def _enter(self, phase: int, tags: Mapping[str, Any]) -> None:
+        """Note the stages between the last look and this one with the times they began."""
+        for number in range(self._phase() + 1, phase + 1):
+            start_us = await self._phase_start_us(number, tags["phase"]["time"])
+            if self._stages:
+                last = self._stages[-1]
+                self._stages[-1] = Stage(
+                    last.name, last.risk, last.speed_rpm, last.load_n, last.start_us, start_us
+                )
+            if number > len(self._scenario.steps):
+                self._tell("The profile is over; the machine is at standstill.")
+                self._stages.append(Stage("standstill", "low", 0.0, 0.0, start_us, None))
+                return
+            step = self._scenario.steps[number - 1]
+            self._stages.append(
+                Stage(step.name, step.risk, step.speed_rpm, step.load_n, start_us, None)
+            )
+            forecast = tags["t_inner_ring_c.forecast_max"]["value"]
+            ahead = f"; forecast peak of the inner ring {forecast:.1f} °C" if forecast else ""
+            self._tell(
+                f"Stage {number} of {len(self._scenario.steps)}: {step.name}, "
+                f"{step.speed_rpm:g} rpm, {step.load_n:g} N, {step.duration_s / 60:g} min, "
+                f"{step.risk} risk{ahead}"
+            )
+
+    async def _phase_start_us(self, phase: int, seen_at: str) -> int:
+        """Time of the first sample that carries the phase."""
+        begin_us = self._stages[-1].start_us if self._stages else 0
+        cursor: str | None = None
+        while True:
+            page = await self._get(
+                f"/api/v1/assets/{ASSET}/measurements",
+                channel="phase",
+                start=rfc3339(begin_us),
+                end=rfc3339(from_rfc3339(seen_at) + 1000),
+                resolution="raw",
+                **({"cursor": cursor} if cursor else {}),
+            )
+            for item in page["items"]:
+                if item["value"] is not None and item["value"] >= phase:
+                    return from_rfc3339(item["time"])
+            cursor = page["next"]
+            if cursor is None:
+                return from_rfc3339(seen_at)
+
+    async def _keep_forecast(self) -> None:
+        answer = await self._client.get(f"/api/v1/assets/{ASSET}/forecast")
+        if answer.status_code != httpx2.codes.OK:
+            return
+        forecast = KeptForecast.from_json(answer.json())
+        if not self._forecasts or forecast.made_at_us > self._forecasts[-1].made_at_us:
+            self._forecasts.append(forecast)
+
+    async def _tell_models_and_jobs(self) -> None:
+        for job in (await self._get(f"/api/v1/assets/{ASSET}/identifications"))["items"]:
+            if job["id"] not in self._told_jobs:
+                self._told_jobs.add(job["id"])
+                self._tell("Re-identification started by itself from low-risk windows.")
+        for model in (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]:
+            if model["version"] in self._told_models or model["status"] == "candidate":
+                continue
+            self._told_models.add(model["version"])
+            if model["windows"]:
+                self._tell(
+                    f"Model version {model['version']}: {model['status']}, {model['reason']}"
+                )
+
+    async def _tell_alarms(self) -> None:
+        for alarm in (await self._get("/api/v1/alarms"))["items"]:
+            if alarm["id"] in self._told_alarms or alarm["state"] in SET_ASIDE_STATES:
+                continue
+            self._told_alarms.add(alarm["id"])
+            foresight = ""
+            if alarm["predicted"]:
+                lead_min = (alarm["lead_time_s"] or 0) / 60
+                foresight = f", predicted in {lead_min:.0f} min, P {alarm['probability']:.0%}"
+            self._tell(f"Alarm: {alarm['message']} ({alarm['kind']}{foresight})")
+
+    # ------------------------------------------------------------------ the account at the end
+    async def account(self) -> dict[str, Any]:
+        """The demo's JSON document."""
+        stages = [stage for stage in self._stages if stage.risk == "high"]
+        journal = await self._alarm_journal()
+        limits = (await self._get(f"/api/v1/assets/{ASSET}"))["limits"]
+        before = [made_before(self._forecasts, stage) for stage in stages]
+        return {
+            "model_versions": await self._model_versions(),
+            "stages": [
+                stage_json(
+                    stage,
+                    forecast,
+                    await self._measured(stage),
+                    _warning(stage, forecast, journal, limits),
+                )
+                for stage, forecast in zip(stages, before, strict=True)
+            ],
+            "samples": {
+                "modbus": await self._sample_count(MODBUS_CHANNELS),
+                "can": await self._sample_count(CAN_CHANNELS),
+            },
+            "complete": self.complete,
+        }
+
+    async def _model_versions(self) -> list[dict[str, Any]]:
+        models = (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]
+        return [
+            {
+                "version": model["version"],
+                "identified_at": model["created_at"],
+                "activated": model["status"] in ("active", "retired"),
+                "windows": [
+                    {name: window[name] for name in ("start", "end", "speed_rpm_max", "load_n_max")}
+                    for window in model["windows"]
+                ],
+            }
+            for model in sorted(models, key=lambda model: int(model["version"]))
+            if model["windows"]
+        ]
+
+    async def _measured(self, stage: Stage) -> dict[str, Measured]:
+        end_us = stage.end_us or (self._forecasts[-1].made_at_us if self._forecasts else 0)
+        measured = {}
+        for sensor in SENSORS:
+            items = await self._rollups(sensor, "1min", stage.start_us, end_us)
+            # Whole minutes only: the one in which the stage began belongs to two stages.
+            minutes = [
+                (from_rfc3339(item["time"]), item["mean"]) for item in items if item["count"]
+            ]
+            minutes = [
+                (start_us, mean)
+                for start_us, mean in minutes
+                if start_us >= stage.start_us and start_us + MINUTE_US <= end_us
+            ]
+            measured[sensor] = Measured(
+                np.array([start_us + MINUTE_US / 2 for start_us, _ in minutes], dtype=np.float64),
+                np.array([mean for _, mean in minutes], dtype=np.float64),
+            )
+        return measured
+
+    async def _sample_count(self, channels: Sequence[str]) -> int:
+        if not self._stages:
+            return 0
+        begin_us = self._stages[0].start_us - 6 * 3600 * 1_000_000
+        end_us = begin_us + 7 * 24 * 3600 * 1_000_000
+        counts = [await self._rollups(channel, "1h", begin_us, end_us) for channel in channels]
+        return sum(int(item["count"]) for items in counts for item in items)
+
+    async def _rollups(
+        self, channel: str, resolution: str, start_us: int, end_us: int
+    ) -> list[dict[str, Any]]:
+        items: list[dict[str, Any]] = []
+        cursor: str | None = None
+        while True:
+            page = await self._get(
+                f"/api/v1/assets/{ASSET}/measurements",
+                channel=channel,
+                start=rfc3339(start_us),
+                end=rfc3339(end_us),
+                resolution=resolution,
+                **({"cursor": cursor} if cursor else {}),
+            )
+            items += page["items"]
+            cursor = page["next"]
+            if cursor is None:
+                return items
+
+    async def _alarm_journal(self) -> list[dict[str, Any]]:
+        page = await self._get("/api/v1/alarms/journal", limit="1000")
+        return list(page["items"])
+
+    async def _get(self, path: str, **parameters: str) -> Any:
+        answer = await self._client.get(path, params=parameters)
+        if answer.status_code != httpx2.codes.OK:
+            raise DemoError(f"{path}: HTTP {answer.status_code} {answer.text[:200]}")
+        return answer.json()
+
+
+def _warning(
+    stage: Stage,
+    forecast: KeptForecast | None,
+    journal: Sequence[Mapping[str, Any]],
+    limits: Mapping[str, Mapping[str, float]],
+) -> dict[str, str | None]:
+    """When the limits of a stage were first announced, and when first reached by measurement.
+
+    A prediction belongs to a stage if it stood at the stage's start or was raised during it, and
+    if the forecast made before the stage has the limit inside its band within the stage: one alarm
+    may stand over several stages and mean only the last of them.
+    """
+    standing: dict[str, str] = {}
+    measured_at: str | None = None
+    end_us = stage.end_us or stage.start_us
+    for entry in sorted(journal, key=lambda entry: str(entry["time"])):
+        time_us = from_rfc3339(entry["time"])
+        raised = entry["to"] == "UNACK"
+        if time_us >= end_us:
+            break
+        if entry["kind"] == "forecast limit":
+            limit_c = limits[entry["channel"]][entry["limit_level"]]
+            if raised and forecast and forecast.may_pass(entry["channel"], limit_c, stage):
+                standing.setdefault(entry["alarm_id"], entry["time"])
+            elif entry["to"] in ("RTNUN", "NORM") and time_us < stage.start_us:
+                standing.pop(entry["alarm_id"], None)
+        if entry["kind"] == "measured limit" and raised and time_us >= stage.start_us:
+            measured_at = measured_at or entry["time"]
+    return {
+        "forecast_limit_at": min(standing.values(), default=None),
+        "measured_limit_at": measured_at,
+    }

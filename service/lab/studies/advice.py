@@ -1,0 +1,379 @@
+"""Study ``advice``: whether following the excitation advice narrows and betters the forecast.
+
+Two arrangements. ``known-speed``: a 6016 has run at 5800 rpm under 2650 N for six hours, as in the
+study ``variable-load``, and may be run up to 5900 rpm and 3400 N; 5500 N is to be forecast at that
+speed. ``unknown-speed``: a 6311 has run the demo's staircase up to 4200 rpm under 2650 N; 5500 N at
+6200 rpm is to be forecast. The twin identified from that is asked how to learn the point best. The
+bench then runs what was advised, or the step that was ranked last, or one that was refused because
+it changes speed and load at once, or nothing; the twin is identified again from all of it and
+forecasts the point.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from adapters.virtual_bench import BenchParameters
+from service.lab.studies.bench_runs import (
+    RINGS,
+    Stage,
+    follow,
+    forecast_from,
+    identify_twin,
+    run_bench,
+)
+from service.lab.studies.bench_scores import Score, score_rings
+from service.lab.studies.common import (
+    Options,
+    Plot,
+    Progress,
+    Report,
+    Table,
+    figure,
+    in_processes,
+)
+from twin_core.forecasting.advice import Advice, advise
+from twin_core.forecasting.design import Level, Present
+from twin_core.forecasting.labels import RUNAWAY
+from twin_core.windows import LowRiskRegion
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAME = "advice"
+BENCHES = 20
+WARNING_C = {"t_inner_ring_c": 90.0, "t_outer_ring_c": 80.0}
+ALARM_C = {"t_inner_ring_c": 105.0, "t_outer_ring_c": 95.0}
+ARMS = {
+    "none": "no step",
+    "advised": "ranked first",
+    "worst": "ranked last",
+    "refused": "speed and load at once",
+}
+
+
+class Arrangement(NamedTuple):
+    """What a bench has run, where it may run, and what is to be forecast.
+
+    Parameters
+    ----------
+    bearing
+        Mounted bearing.
+    light
+        What the twin is identified from first.
+    region
+        Where steps may be.
+    heavy
+        The target.
+    """
+
+    bearing: str
+    light: tuple[Stage, ...]
+    region: LowRiskRegion
+    heavy: Stage
+
+    @property
+    def light_minutes(self) -> int:
+        """Rows of the first identification."""
+        return sum(stage.minutes for stage in self.light)
+
+
+ARRANGEMENTS = {
+    "known-speed": Arrangement(
+        "6016",
+        (Stage(360, 5800.0, 2650.0),),
+        LowRiskRegion(speed_rpm_max=5900.0, load_n_max=3400.0),
+        Stage(180, 5800.0, 5500.0),
+    ),
+    "unknown-speed": Arrangement(
+        "6311",
+        tuple(
+            Stage(minutes, n, 2650.0) for minutes, n in ((55, 1500.0), (55, 2400.0), (70, 4200.0))
+        ),
+        LowRiskRegion(speed_rpm_max=4300.0, load_n_max=3400.0),
+        Stage(120, 6200.0, 5500.0),
+    ),
+}
+
+
+class Task(NamedTuple):
+    """One bench in one arrangement."""
+
+    arrangement: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """What one choice of step led to on one bench.
+
+    Parameters
+    ----------
+    levels
+        The step, empty for none.
+    predicted_k
+        Half-width at the end of the target that the advice expected, by sensor; of a refused
+        step none.
+    obtained_k
+        Half-width that the twin then had.
+    rings
+        Scores of the forecast.
+    warned
+        Whether it said "runaway not excluded".
+    refused_fit
+        Why the new fit must not forecast; empty if it may.
+    """
+
+    levels: tuple[Level, ...]
+    predicted_k: Mapping[str, float]
+    obtained_k: Mapping[str, float]
+    rings: Mapping[str, Score]
+    warned: bool
+    refused_fit: str
+
+
+@dataclass(frozen=True, slots=True)
+class BenchResult:
+    """One bench: the arms there were, and whether it truly ran away at the target or before."""
+
+    task: Task
+    arms: Mapping[str, Arm]
+    ran_away: bool
+
+    @property
+    def advisable(self) -> bool:
+        """Whether there was a step to advise."""
+        return "advised" in self.arms
+
+
+def run(progress: Progress, options: Options) -> Report:
+    """Run all arms on all benches in all arrangements."""
+    tasks = [Task(name, seed) for name in ARRANGEMENTS for seed in options.seeds(BENCHES)]
+    return report(in_processes(examine, tasks, progress))
+
+
+def examine(task: Task) -> BenchResult:
+    """Ask for advice on one bench and run all arms."""
+    arrangement = ARRANGEMENTS[task.arrangement]
+    bench = BenchParameters.random(task.seed, arrangement.bearing)
+    arms = {}
+    ran_away = False
+    for name, (levels, predicted) in chosen(asked(arrangement, bench, task.seed)).items():
+        stages = tuple(
+            Stage(round(level.duration_s / 60), level.speed_rpm, level.load_n) for level in levels
+        )
+        done = run_bench(bench, (*arrangement.light, *stages, arrangement.heavy), task.seed)
+        end = done.minutes.size
+        first = end - arrangement.heavy.minutes
+        twin = identify_twin(done, first)
+        made = forecast_from(twin, done, first - 1, done.measured(first - 1, end))
+        arms[name] = Arm(
+            levels,
+            predicted,
+            {ring: float(0.5 * np.ptp(made.quantile(ring)[[0, 4], -1])) for ring in RINGS},
+            score_rings(made, done, first - 1, first, end),
+            RUNAWAY in made.labels,
+            "" if twin.may_forecast else twin.result.reason,
+        )
+        ran_away = ran_away or done.ran_away(0, end)
+    return BenchResult(task, arms, ran_away)
+
+
+def asked(arrangement: Arrangement, bench: BenchParameters, seed: int) -> Advice:
+    """Identify from what has been run, and ask how to learn the target."""
+    done = run_bench(bench, arrangement.light, seed)
+    twin = identify_twin(done, arrangement.light_minutes)
+    observer = follow(twin, done, arrangement.light_minutes - 1)
+    present = Present(
+        observer.temperatures_c,
+        observer.covariance,
+        observer.revolutions,
+        float(done.minutes.ambient_c[-1]),
+        observer.heat_disturbance_w,
+        observer.operating_point,
+    )
+    heavy = arrangement.heavy
+    return advise(
+        twin.model,
+        twin.posterior,
+        present,
+        Level(heavy.speed_rpm, heavy.load_n, 60.0 * heavy.minutes),
+        arrangement.region,
+        WARNING_C,
+        alarm_limits=ALARM_C,
+    )
+
+
+def chosen(advice: Advice) -> dict[str, tuple[tuple[Level, ...], Mapping[str, float]]]:
+    """The step of every arm, and the half-widths that the advice expects after it.
+
+    Without a feasible step there is only the arm without any; where all speeds are known, nothing
+    changes speed and load at once.
+    """
+    arms: dict[str, tuple[tuple[Level, ...], Mapping[str, float]]] = {
+        "none": ((), {name: found.half_width_k for name, found in advice.now.items()})
+    }
+    if not advice.steps:
+        return arms
+    best, worst = advice.steps[0], advice.steps[-1]
+    arms["advised"] = (best.levels, best.half_width_k)
+    arms["worst"] = (worst.levels, worst.half_width_k)
+    both = [step.levels for step in advice.excluded if "at once" in step.reason]
+    if both:
+        # The one that looks most tempting: a single level, heavy, held long.
+        tempting = max(both, key=lambda step: (-len(step), step[0].load_n, step[0].duration_s))
+        arms["refused"] = (tempting, {})
+    return arms
+
+
+def report(found: Sequence[BenchResult]) -> Report:
+    """Put all benches together."""
+    arrangements: dict[str, Any] = {}
+    tables = []
+    for name, arrangement in ARRANGEMENTS.items():
+        benches = [one for one in found if one.task.arrangement == name]
+        normal = [one for one in benches if one.advisable and not one.ran_away]
+        arms = {arm: _figures([one.arms[arm] for one in normal if arm in one.arms]) for arm in ARMS}
+        arrangements[name] = {
+            "bearing": arrangement.bearing,
+            "target": {
+                "speed_rpm": arrangement.heavy.speed_rpm,
+                "load_n": arrangement.heavy.load_n,
+            },
+            "arms": arms,
+            "no_feasible_step": [one.task.seed for one in benches if not one.advisable],
+            "ran_away": {
+                one.task.seed: {arm: told.warned for arm, told in one.arms.items()}
+                for one in benches
+                if one.ran_away
+            },
+            "steps": {
+                one.task.seed: {
+                    arm: [[level.speed_rpm, level.load_n, level.duration_s] for level in run.levels]
+                    for arm, run in one.arms.items()
+                }
+                for one in benches
+            },
+        }
+        tables.append(_table(name, arms, len(normal), len(benches)))
+    document = {
+        "study": NAME,
+        "seeds": sorted({one.task.seed for one in found}),
+        "arrangements": arrangements,
+    }
+    plots = (Plot("advice-widths", partial(draw_widths, found)),)
+    return Report(NAME, document, tuple(tables), plots)
+
+
+def _figures(arms: Sequence[Arm]) -> dict[str, Any]:
+    used = [arm for arm in arms if not arm.refused_fit]
+
+    def mean(values: Sequence[float]) -> float | None:
+        return float(np.mean(values)) if values else None
+
+    return {
+        "benches": len(used),
+        "fits_refused": len(arms) - len(used),
+        "half_width_predicted_k": {
+            ring: mean([arm.predicted_k[ring] for arm in used if arm.predicted_k]) for ring in RINGS
+        },
+        "half_width_obtained_k": {
+            ring: mean([arm.obtained_k[ring] for arm in used]) for ring in RINGS
+        },
+        "steady_error_c": {
+            ring: mean([arm.rings[ring].steady_error_k for arm in used]) for ring in RINGS
+        },
+        "steady_bias_c": {
+            ring: mean([arm.rings[ring].steady_bias_k for arm in used]) for ring in RINGS
+        },
+        "coverage_95": {
+            ring: mean([arm.rings[ring].coverage_95 for arm in used]) for ring in RINGS
+        },
+        "worst_coverage_95": {
+            ring: min((arm.rings[ring].coverage_95 for arm in used), default=None) for ring in RINGS
+        },
+        "runaway_not_excluded": sum(arm.warned for arm in used),
+    }
+
+
+def _table(name: str, figures: Mapping[str, Any], used: int, benches: int) -> Table:
+    def both(by_ring: Mapping[str, float | None], factor: float = 1.0, digits: int = 1) -> str:
+        values = [by_ring[ring] for ring in RINGS]
+        return " / ".join(
+            "-" if value is None else f"{factor * value:.{digits}f}" for value in values
+        )
+
+    heavy = ARRANGEMENTS[name].heavy
+    rows = tuple(
+        (
+            text,
+            str(figures[arm]["benches"]),
+            both(figures[arm]["half_width_predicted_k"]),
+            both(figures[arm]["half_width_obtained_k"]),
+            both(figures[arm]["steady_error_c"], digits=2),
+            both(figures[arm]["coverage_95"], 100.0, 0),
+            both(figures[arm]["worst_coverage_95"], 100.0, 0),
+        )
+        for arm, text in ARMS.items()
+    )
+    return Table(
+        f"Excitation advice, {name}: forecasts at {heavy.speed_rpm:g} rpm, {heavy.load_n:g} N "
+        "(T_ir / T_or)",
+        (
+            "step before",
+            "benches",
+            "half-width predicted, K",
+            "obtained, K",
+            "steady error, K",
+            "coverage, %",
+            "worst bench, %",
+        ),
+        rows,
+        (
+            f"Means over {used} of {benches} random benches; the others ran away at the target, or "
+            "were too hot for any step. Half-widths are those of the 95 % band at the end of the "
+            "target. What a refused step would bring is not predicted.",
+        ),
+    )
+
+
+def draw_widths(found: Sequence[BenchResult]) -> "Figure":
+    """Half-widths of the inner ring: predicted over obtained, one point per bench and arm."""
+    from matplotlib.ticker import LogLocator
+
+    drawing = figure(10.0, 4.5)
+    ring = RINGS[0]
+    for axes, (name, arrangement) in zip(
+        drawing.subplots(1, len(ARRANGEMENTS)), ARRANGEMENTS.items(), strict=True
+    ):
+        ends = []
+        for arm, text in ARMS.items():
+            points = [
+                (one.arms[arm].predicted_k[ring], one.arms[arm].obtained_k[ring])
+                for one in found
+                if one.task.arrangement == name
+                and not one.ran_away
+                and arm in one.arms
+                and one.arms[arm].predicted_k
+            ]
+            if points:
+                axes.plot(*zip(*points, strict=True), "o", markersize=5, alpha=0.8, label=text)
+                ends += [value for point in points for value in point]
+        if ends:
+            axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color="0.5", linewidth=0.8)
+            axes.set(xscale="log", yscale="log")
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0)))
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter("")
+            axes.legend(fontsize="small")
+        axes.set(
+            xlabel="half-width expected by the advice, K",
+            ylabel="half-width after the step, K",
+            title=f"T_ir at {arrangement.heavy.speed_rpm:g} rpm, {arrangement.heavy.load_n:g} N",
+        )
+        axes.grid(alpha=0.3, which="both")
+    return drawing

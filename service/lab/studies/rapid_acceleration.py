@@ -1,0 +1,188 @@
+"""Study ``rapid-acceleration``: a fast run-up forecast beforehand (section 5.2.1, figure 12).
+
+The twin is identified from the staircase of the study ``sample-size``. The machine then stands for
+twelve hours; from there the twin forecasts a test that accelerates at 300 rpm/s to 5600 and 6200
+rpm, with stops between.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from adapters.virtual_bench import BenchParameters
+from service.lab.studies.bench_runs import (
+    RINGS,
+    Stage,
+    forecast_from,
+    identify_twin,
+    run_bench,
+)
+from service.lab.studies.bench_scores import (
+    RingScores,
+    beside,
+    figures,
+    methods_tables,
+    pair,
+    percent,
+    score_rings,
+)
+from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
+from service.lab.studies.drawing import RING_NAMES, Curves, curves, draw_agreement, draw_curves
+from service.lab.studies.forecasters import ForecastScore, mean_scores, score_document
+from service.lab.studies.sample_size import BEARING, LOAD_N, STAIRCASE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAME = "rapid-acceleration"
+BENCHES = 10
+STANDSTILL = Stage(720, 0.0, LOAD_N)
+ACCELERATIONS = (
+    Stage(60, 5600.0, LOAD_N),
+    Stage(20, 0.0, LOAD_N),
+    Stage(30, 5600.0, LOAD_N),
+    Stage(10, 0.0, LOAD_N),
+    Stage(45, 6200.0, LOAD_N),
+)
+RAMP_RPM_PER_S = 300.0
+# Figures 12b and 12c; which of the two thermometers is which the paper's text does not say.
+PAPER_R_SQUARED = (0.9821, 0.9939)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BenchResult:
+    """The forecast test on one bench.
+
+    Parameters
+    ----------
+    seed
+        Of the bench.
+    ran_away
+        Whether it did.
+    refused
+        Why the fit must not forecast; empty if it may.
+    rings, running, standing
+        Scores of the whole test, of its rows on the running machine, and of its stops.
+    planned
+        Of the whole test, where set-points and the ambient before the test were all that was known.
+    methods
+        The twin and the methods beside it.
+    shown
+        Curves of the test.
+    """
+
+    seed: int
+    ran_away: bool
+    refused: str
+    rings: RingScores
+    running: RingScores
+    standing: RingScores
+    planned: RingScores
+    methods: tuple[ForecastScore, ...]
+    shown: Curves
+
+
+def run(progress: Progress, options: Options) -> Report:
+    """Identify and forecast on all benches."""
+    return report(in_processes(examine, options.seeds(BENCHES), progress))
+
+
+def examine(seed: int) -> BenchResult:
+    """Identify from the staircase of one bench and forecast its test."""
+    bench = run_bench(
+        BenchParameters.random(seed, BEARING),
+        (*STAIRCASE, STANDSTILL, *ACCELERATIONS),
+        seed,
+        speed_ramp_rpm_per_s=RAMP_RPM_PER_S,
+    )
+    first, end = bench.first_row(len(STAIRCASE) + 1), bench.first_row(len(bench.stages))
+    begun = first - 1
+    twin = identify_twin(bench, bench.first_row(len(STAIRCASE)))
+    ahead = bench.measured(begun, end)
+    made = forecast_from(twin, bench, begun, ahead)
+    planned = forecast_from(twin, bench, begun, bench.planned(begun, end))
+    turning = bench.planned(first, end).speed_rpm > 0.0
+    return BenchResult(
+        seed,
+        bench.ran_away(0, end),
+        "" if twin.may_forecast else twin.result.reason,
+        score_rings(made, bench, begun, first, end),
+        score_rings(made, bench, begun, first, end, turning),
+        score_rings(made, bench, begun, first, end, ~turning),
+        score_rings(planned, bench, begun, first, end),
+        beside(twin, bench, made, ahead, begun, [(first, end)])[0],
+        curves(bench, made, begun).since(begun),
+    )
+
+
+def report(results: Sequence[BenchResult]) -> Report:
+    """Put all benches together into figures, tables and plots."""
+    used = [result for result in results if not (result.ran_away or result.refused)]
+    found = figures([result.rings for result in used])
+    parts = {
+        "running": figures([result.running for result in used]),
+        "standing": figures([result.standing for result in used]),
+        "ambient_and_points_as_planned": figures([result.planned for result in used]),
+    }
+    methods = mean_scores([result.methods for result in used])
+    document = {
+        "study": NAME,
+        "bearing": BEARING,
+        "seeds": [result.seed for result in results],
+        "ran_away": [result.seed for result in results if result.ran_away],
+        "refused": {result.seed: result.refused for result in results if result.refused},
+        **found,
+        **parts,
+        "methods": score_document(methods),
+        "paper": {"r_squared": list(PAPER_R_SQUARED), "coverage_95": "nearly all points"},
+    }
+    paper = "/".join(f"{value:.4f}" for value in PAPER_R_SQUARED)
+    columns = (found, *parts.values())
+
+    def row(title: str, paper: str, cell: Callable[[dict[str, Any]], str]) -> tuple[str, ...]:
+        return (title, paper, *(cell(one) for one in columns))
+
+    table = Table(
+        f"Rapid acceleration: forecast from a cold machine, T_ir/T_or, {len(used)} benches",
+        ("", "paper", "ours", "running", "in the stops", "plan only"),
+        (
+            row("R2", paper, lambda one: pair(one["r_squared"], 4)),
+            row("95 % band covers, %", "all", lambda one: percent(one["coverage_95_by_sensor"])),
+            row("worst bench, %", "–", lambda one: percent(one["worst_coverage_95"])),
+            row("largest error, K", "–", lambda one: pair(one["max_error_c"])),
+            row("worst bench, K", "–", lambda one: pair(one["worst_max_error_c"])),
+            row("rms error, K", "–", lambda one: pair(one["rms_error_by_sensor_k"])),
+            row("half-width, K", "wide", lambda one: pair(one["half_width_c"])),
+        ),
+        (
+            "Errors against the noise-free temperature; R2 and coverage of the measured data. "
+            "Whole test, its part on the running machine, its stops; plan only: set-points and the "
+            "ambient at the start. The paper does not say which R2 is whose, nor whether its test "
+            "has stops; its text says nearly all points, its conclusion all.",
+        ),
+    )
+    drawn = used[0] if used else results[0]
+    return Report(
+        NAME,
+        document,
+        (table, *methods_tables("Rapid acceleration, the twin beside others", {"test": methods})),
+        (Plot("fig12-rapid-acceleration", partial(_draw, drawn)),),
+    )
+
+
+def _draw(drawn: BenchResult) -> "Figure":
+    """Figure 12 of the paper: curves, and agreement of both thermometers."""
+    made = figure(15.0, 4.6)
+    left, *others = made.subplots(1, 3, width_ratios=(1.4, 1, 1))
+    draw_curves(left, drawn.shown, legend=True)
+    left.set_title(f"Bench {drawn.seed}: rapid acceleration")
+    for axes, ring in zip(others, RINGS, strict=True):
+        score = drawn.rings[ring]
+        draw_agreement(
+            axes,
+            drawn.shown.measured_c[ring][1:],
+            drawn.shown.quantiles_c[ring][:, 1:],
+            f"{RING_NAMES[ring]}: R2 {score.r_squared:.4f}, {score.coverage_95:.0%} inside",
+        )
+    return made

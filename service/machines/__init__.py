@@ -1,4 +1,0 @@
-"""What an asset's machine is: a bearing by name or dimensions, or a thermal network of one's own.
-
-Everything here is configuration; `service.machines.machine` builds the model from it.
-"""

@@ -1,0 +1,1 @@
+"""The plant side: what hands values on to other systems (OPC UA, MQTT)."""

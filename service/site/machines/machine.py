@@ -1,0 +1,99 @@
+"""The machine of an asset or of a model file, and the model that is built of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from service.site.machines.bearings import BearingSection
+from service.site.machines.networks import NetworkSection
+from twin_core.models import ThermalModel, build_model
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """A bearing in the network that comes with the product, or a network of the user's own.
+
+    Parameters
+    ----------
+    model_name
+        One of `service.site.settings.ModelName`; not used by a network of one's own.
+    bearing
+        None only with a network.
+    network
+        None for `BEARING_14`.
+
+    """
+
+    model_name: str
+    bearing: BearingSection | None
+    network: NetworkSection | None
+
+    @property
+    def name(self) -> str:
+        """The bearing's designation, or the name of the network."""
+        part = self.network or self.bearing
+        return "" if part is None else part.name
+
+    @property
+    def temperature_names(self) -> tuple[str, ...] | None:
+        """What may be measured on a network of one's own; None for the network of a bearing."""
+        return None if self.network is None else self.network.temperature_names
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Channels that a network of one's own asks for besides speed, load and ambient."""
+        return () if self.network is None else self.network.inputs
+
+    @property
+    def mean_square(self) -> tuple[str, ...]:
+        """Those of the inputs whose square is heat: currents."""
+        return () if self.network is None else self.network.mean_square_inputs
+
+    def build(self) -> ThermalModel:
+        """Build the model, compiled.
+
+        Raises
+        ------
+        ValueError
+            If there is neither a network nor a bearing.
+        """
+        if self.network is None:
+            if self.bearing is None:
+                raise ValueError("bearing: missing; expected a bearing or a network")
+            return build_model(self.model_name, bearing=self.bearing.bearing())
+        section = self.network
+        return ThermalModel(
+            section.name,
+            section.network(),
+            section.parameter_set(),
+            section.compiled(),
+            section.name,
+            errors=section.error_model(),
+            reference_point=(section.reference.speed_rpm, section.reference.load_n),
+            reference_inputs=tuple(section.reference.inputs.get(n, 0.0) for n in section.inputs),
+            runaway=section.runaway_limits(),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types, all that `from_dict` needs."""
+        return {
+            "model": self.model_name,
+            "bearing": self.bearing and self.bearing.model_dump(mode="json"),
+            "network": self.network and self.network.model_dump(mode="json"),
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Take back what `to_dict` gave.
+
+        Raises
+        ------
+        ValueError
+            If it is not such a document.
+        """
+        bearing, network = document["bearing"], document["network"]
+        return cls(
+            str(document["model"]),
+            None if bearing is None else BearingSection.model_validate(bearing),
+            None if network is None else NetworkSection.model_validate(network),
+        )

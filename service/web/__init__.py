@@ -1,0 +1,1 @@
+"""The web side: REST, stream and pages."""

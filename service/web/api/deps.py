@@ -1,0 +1,62 @@
+"""What the routes take from the context."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from fastapi import Depends, Path
+from pydantic_core import to_json
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+from service.domain.interfaces import AssetTwin
+from service.security import AuditTrail, Authenticator
+from service.web.api.context import ServiceContext
+from service.web.api.problems import parameter_problem
+
+
+async def get_context(connection: HTTPConnection) -> ServiceContext:
+    """Give the context that the application was made with."""
+    context: ServiceContext = connection.app.state.context
+    return context
+
+
+async def get_authenticator(connection: HTTPConnection) -> Authenticator:
+    """Give the keeper of keys and sessions."""
+    authenticator: Authenticator = connection.app.state.authenticator
+    return authenticator
+
+
+async def get_trail(connection: HTTPConnection) -> AuditTrail:
+    """Give the audit trail."""
+    trail: AuditTrail = connection.app.state.trail
+    return trail
+
+
+Context = Annotated[ServiceContext, Depends(get_context)]
+Keys = Annotated[Authenticator, Depends(get_authenticator)]
+Trail = Annotated[AuditTrail, Depends(get_trail)]
+
+
+async def get_asset(
+    context: Context,
+    asset_id: Annotated[
+        str, Path(description="The asset's id in the configuration.", examples=["bench-1"])
+    ],
+) -> AssetTwin:
+    """Give the asset that the path names."""
+    asset = context.assets.get(asset_id)
+    if asset is None:
+        known = ", ".join(context.assets) or "none"
+        raise parameter_problem("asset_id", f"no asset {asset_id!r}; there is: {known}", 404)
+    return asset
+
+
+Asset = Annotated[AssetTwin, Depends(get_asset)]
+
+
+def json_response(
+    data: Any, status: int = 200, headers: Mapping[str, str] | None = None
+) -> Response:
+    """Answer with plain JSON types; NaN and infinities become null."""
+    body = to_json(data, inf_nan_mode="null")
+    return Response(body, status, headers=headers, media_type="application/json")

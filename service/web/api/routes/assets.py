@@ -1,0 +1,104 @@
+"""Assets: what they are, how they are now, and what the twin says of them."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.domain.requests import GreaseRenewedRequest
+from service.security.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
+from service.web.api.access import Caller, secured
+from service.web.api.bodies import (
+    AssetDocument,
+    AssetList,
+    GreaseRenewed,
+    Snapshot,
+    State,
+    VerdictDocument,
+)
+from service.web.api.deps import Asset, Context, json_response
+from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
+from service.web.api.snapshots import Snapshots
+
+router = APIRouter(prefix="/assets", tags=["assets"])
+
+
+async def get_snapshots(request: Request) -> Snapshots:
+    """Give the snapshots as they go out."""
+    snapshots: Snapshots = request.app.state.snapshots
+    return snapshots
+
+
+@router.get(
+    "",
+    response_model=AssetList,
+    summary="All assets",
+    **secured(VIEWER_OR_GATEWAY, responses=CONDITIONAL),
+)
+async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Response:
+    """Give configuration, health and active model of every asset."""
+    items = [asset.summary() for asset in context.assets.values()]
+    return conditional_response({"items": items, "next": None}, if_none_match)
+
+
+@router.get(
+    "/{asset_id}",
+    response_model=AssetDocument,
+    summary="One asset",
+    **secured(VIEWER_OR_GATEWAY, 404, responses=CONDITIONAL),
+)
+async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
+    """Give configuration, health and active model."""
+    return conditional_response(asset.summary(), if_none_match)
+
+
+@router.get(
+    "/{asset_id}/snapshot",
+    response_model=Snapshot,
+    summary="All present values as flat tags",
+    **secured(VIEWER, 404, responses=CONDITIONAL),
+)
+async def get_snapshot(
+    asset: Asset,
+    snapshots: Annotated[Snapshots, Depends(get_snapshots)],
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Measured values, estimates, forecast maxima, times to limit and alarm counts, from memory."""
+    return snapshots.response(asset, if_none_match)
+
+
+@router.get(
+    "/{asset_id}/state",
+    response_model=State,
+    summary="The 13 node temperatures",
+    **secured(VIEWER, 404),
+)
+async def get_state(asset: Asset) -> Response:
+    """Mean and standard deviation of every node, null before the first data."""
+    return json_response(asset.state())
+
+
+@router.get(
+    "/{asset_id}/verdict",
+    response_model=VerdictDocument,
+    summary="Safe now, and in the next step?",
+    **secured(VIEWER, 404),
+)
+async def get_verdict(asset: Asset) -> Response:
+    """Give one word each, with reasons; without an input it is `unknown`, and named."""
+    return json_response(asset.verdict())
+
+
+@router.post(
+    "/{asset_id}/grease-renewed",
+    response_model=GreaseRenewed,
+    summary="Say that the grease was renewed",
+    **secured(ENGINEER, 404),
+)
+async def post_grease_renewed(
+    asset: Asset, who: Caller, request: GreaseRenewedRequest | None = None
+) -> Response:
+    """Count the revolutions, and with them the run-in state of the grease, from zero again."""
+    comment = (request.comment if request else None) or ""
+    return json_response(await asset.renew_grease(who.who, comment))

@@ -1,0 +1,52 @@
+"""The audit trail: who changed what, when and from where."""
+
+from anyio import to_thread
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.clock import rfc3339
+from service.security.roles import ADMIN
+from service.web.api.access import secured
+from service.web.api.bodies import AuditList
+from service.web.api.cursors import (
+    LIMIT,
+    Before,
+    Cursor,
+    Limit,
+    decode_cursor,
+    encode_cursor,
+    next_link,
+)
+from service.web.api.deps import Context, Trail, json_response
+
+router = APIRouter(prefix="/audit", tags=["access"])
+
+
+@router.get("", response_model=AuditList, summary="The audit trail", **secured(ADMIN))
+async def get_audit(
+    context: Context,
+    request: Request,
+    trail: Trail,
+    limit: Limit = LIMIT,
+    cursor: Cursor = None,
+) -> Response:
+    """Every change that somebody asked for, newest first; the trail only grows."""
+    before = None if cursor is None else decode_cursor(cursor, Before).before
+    await trail.flush()
+    page = await to_thread.run_sync(context.store.audit, limit, before)
+    following = None
+    if page.next_cursor is not None:
+        following = encode_cursor(Before(before=page.next_cursor))
+    items = [
+        {
+            "time": rfc3339(entry.time_us),
+            "who": entry.who,
+            "address": entry.address,
+            "action": entry.action,
+            "target": entry.target,
+            "detail": entry.detail,
+        }
+        for entry in page.items
+    ]
+    return json_response({"items": items, "next": following}, headers=next_link(request, following))

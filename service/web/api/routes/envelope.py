@@ -1,0 +1,28 @@
+"""The safe operating envelope."""
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.security.roles import VIEWER
+from service.web.api.access import secured
+from service.web.api.deps import Asset, json_response
+from service.web.api.planning import EnvelopeDocument
+from service.web.api.turns import caller_of, turns_of
+
+router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])
+
+
+@router.get(
+    "/envelope",
+    response_model=EnvelopeDocument,
+    summary="Safe operating envelope over speed and load",
+    **secured(VIEWER, 404),
+)
+async def get_envelope(asset: Asset, request: Request) -> Response:
+    """Steady temperatures and times to the limits, each point held from the present state.
+
+    Kept until the model version, the plan's range or the machine's state changes.
+    """
+    async with turns_of(request).studies.turn(caller_of(request)):
+        return json_response(await asset.envelope())

@@ -1,0 +1,189 @@
+"""Is it alive, is it ready, and the metrics."""
+
+import asyncio
+import ipaddress
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import structlog
+from anyio import to_thread
+from fastapi import APIRouter
+from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
+from starlette.requests import Request
+from starlette.responses import Response
+
+from adapters.samples import is_good
+from service.domain.interfaces import AssetTwin
+from service.security.roles import VIEWER
+from service.store import StoreUnavailableError
+from service.web.api.access import authenticate, problems, public, unauthorized
+from service.web.api.bodies import Alive, Ready
+from service.web.api.context import ServiceContext
+from service.web.api.deps import Context, Keys, json_response
+from service.web.api.problems import RETRY_AFTER_S, Problem
+
+router = APIRouter(tags=["health"])
+
+_DERIVED_SOURCE = "twin"
+#: Wall seconds in which the store must answer: whoever probes does not wait for long.
+_STORE_ANSWERS_S = 1.5
+_log = structlog.get_logger(__name__)
+
+
+class Check(NamedTuple):
+    """One thing that the service needs; the detail may name hosts and files."""
+
+    name: str
+    status: Literal["ok", "degraded", "failed"]
+    detail: str
+
+
+@router.get("/livez", response_model=Alive, summary="Does the process answer", **public())
+async def livez() -> Response:
+    """Say yes."""
+    return json_response({"status": "alive"})
+
+
+@router.get(
+    "/readyz",
+    response_model=Ready,
+    summary="Does the service do its work",
+    **public(responses={503: {"model": Ready, "description": "The store or a twin is down."}}),
+)
+async def readyz(context: Context, request: Request, keys: Keys) -> Response:
+    """List the checks; without a key they carry no details.
+
+    A broken sensor or source degrades the service, it does not fail it.
+    """
+    checks = [
+        await _store(context),
+        *_problems(context),
+        *_twins(context),
+        *_sources(context),
+    ]
+    statuses = {check.status for check in checks}
+    ready = "failed" not in statuses
+    overall = ("degraded" if "degraded" in statuses else "ready") if ready else "not ready"
+    detailed = await _may_see_details(request, keys)
+    body = {
+        "status": overall,
+        "checks": [
+            {
+                "name": check.name,
+                "status": check.status,
+                "detail": check.detail if detailed else None,
+            }
+            for check in checks
+        ],
+    }
+    retry = {} if ready else {"Retry-After": str(RETRY_AFTER_S)}
+    return json_response(body, 200 if ready else 503, retry)
+
+
+# Many probes only ask for the head.
+for _path, _probe in (("/livez", livez), ("/readyz", readyz)):
+    router.add_api_route(_path, _probe, methods=["HEAD"], include_in_schema=False)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    summary="Metrics for Prometheus",
+    responses={
+        200: {"content": {CONTENT_TYPE_LATEST: {"schema": {"type": "string"}}}},
+        **problems(401, 403, 429, 503),
+    },
+    openapi_extra={
+        "security": [{}, {"key": []}, {"basic": []}, {"session": []}],
+        "x-roles": sorted(VIEWER),
+    },
+)
+async def metrics(context: Context, request: Request, keys: Keys) -> Response:
+    """Give all metrics; on loopback, or where the configuration allows it, without a key."""
+    allowed = context.settings.security.allow_unauthenticated_metrics or _is_loopback(request)
+    if not allowed:
+        principal = await authenticate(request, keys)
+        if principal is None:
+            raise unauthorized(request)
+        if principal.role not in VIEWER:
+            raise Problem(403, f"a key of role {principal.role} may not read the metrics")
+    text = await to_thread.run_sync(generate_latest, context.registry)
+    return Response(text, media_type=CONTENT_TYPE_LATEST)
+
+
+async def _store(context: ServiceContext) -> Check:
+    ingest = context.ingest
+    problem = ingest.problem
+    if problem is None:  # else it was asked a moment ago
+        try:
+            async with asyncio.timeout(_STORE_ANSWERS_S):
+                await to_thread.run_sync(context.store.unfinished_jobs, abandon_on_cancel=True)
+        except TimeoutError:
+            problem = f"no answer within {_STORE_ANSWERS_S:g} s"
+        except StoreUnavailableError as error:
+            problem = str(error)
+    if problem is None:
+        return Check("store", "ok", "reads and writes")
+    if ingest.spool_problem is not None:
+        return Check("store", "failed", f"{problem}; spool: {ingest.spool_problem}")
+    return Check("store", "degraded", f"{problem}; {ingest.spooled} samples wait on the spool")
+
+
+def _problems(context: ServiceContext) -> Iterator[Check]:
+    for name, problem in context.problems().items():
+        yield Check(name, "degraded" if problem else "ok", problem or "as it should be")
+
+
+def _twins(context: ServiceContext) -> Iterator[Check]:
+    for asset in context.assets.values():
+        name = f"twin:{asset.id}"
+        if not asset.running:
+            yield Check(name, "failed", "the live twin is not running")
+            continue
+        bad = _channels_without_good_data(asset)
+        if bad:
+            yield Check(name, "degraded", f"no good data: {', '.join(bad)}")
+        else:
+            yield Check(name, "ok", "follows the machine")
+
+
+def _sources(context: ServiceContext) -> Iterator[Check]:
+    for health in context.sources():
+        yield Check(f"source:{health.name}", "ok" if health.up else "degraded", health.detail)
+
+
+def _channels_without_good_data(asset: AssetTwin) -> list[str]:
+    tags = asset.snapshot()["tags"]
+    return sorted(
+        channel
+        for channel, source in asset.channels.items()
+        if source != _DERIVED_SOURCE and channel in tags and not is_good(tags[channel]["quality"])
+    )
+
+
+async def _may_see_details(request: Request, keys: Keys) -> bool:
+    try:
+        principal = await authenticate(request, keys)
+    except Problem:
+        return False
+    return principal is not None and principal.role in VIEWER
+
+
+_OF_A_PROXY = (
+    "Forwarded",
+    "Via",
+    "X-Forwarded-For",
+    "X-Forwarded-Host",
+    "X-Forwarded-Proto",
+    "X-Real-IP",
+)
+
+
+def _is_loopback(request: Request) -> bool:
+    """Tell whether the caller sits on this machine, and not only a proxy on its behalf."""
+    if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
+        return False
+    try:
+        return ipaddress.ip_address(request.client.host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,121 @@
+"""The web server: it answers from the first moment on, also while the rest is not there yet."""
+
+import asyncio
+import errno
+import socket
+import ssl
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.domain.errors import TemporaryError
+from service.site.configuration import SettingsError
+from service.web.api.deps import json_response
+from service.web.api.problems import RETRY_AFTER_S, problem_response
+from service.web.server import WebServer, serve_web
+
+#: What may change without a change of the configuration: another program ends, a network comes up.
+_PASSING = (errno.EADDRINUSE, errno.EADDRNOTAVAIL, socket.EAI_AGAIN)
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Bind the address of the web side.
+
+    Raises
+    ------
+    TemporaryError
+        If the port is taken, or the machine does not have the address yet; names it.
+    SettingsError
+        If the address cannot be used at all; names it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # The protocol is named so that asyncio switches Nagle's algorithm off: without it every
+    # request on a kept connection waits some 40 ms.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        # From now on a client waits for the service to come up instead of being refused.
+        listener.listen(256)
+    except (OSError, OverflowError) as error:
+        listener.close()
+        kind = TemporaryError if getattr(error, "errno", None) in _PASSING else SettingsError
+        raise kind(
+            f"service.host = {host!r}, service.port = {port}: cannot listen there "
+            f"({getattr(error, 'strerror', None) or error}); expected a free port"
+        ) from error
+    return listener
+
+
+class WebSide:
+    """The web server of a service that may still wait for its store.
+
+    Attributes
+    ----------
+    waits_for : str
+        What the service waits for, for people; names no hosts.
+    """
+
+    def __init__(self) -> None:
+        self.waits_for = ""
+        self._app: ASGIApp = self._wait
+        self._server: WebServer | None = None
+        self._serving: asyncio.Task[None] | None = None
+
+    async def run(self, listener: socket.socket, tls: ssl.SSLContext | None) -> None:
+        """Answer until cancelled.
+
+        Parameters
+        ----------
+        listener : socket.socket
+            Bound socket.
+        tls : ssl.SSLContext, optional
+            With it the web side talks HTTPS.
+        """
+        self._server, doorway = serve_web(self, listener, tls)
+        self._serving = asyncio.create_task(self._server.serve(sockets=[doorway]))
+        try:
+            await asyncio.shield(self._serving)
+            if self._server.should_exit:  # all is well: the service stops, and this task soon
+                await asyncio.Event().wait()
+        finally:
+            await self.stop()
+
+    def show(self, app: ASGIApp) -> None:
+        """Answer with the whole application from now on."""
+        self._app = app
+
+    async def stop(self) -> None:
+        """Take no more requests, and wait for those under way, for at most two seconds."""
+        if self._server is not None and self._serving is not None:
+            self._server.should_exit = True
+            await asyncio.wait({self._serving})
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, with what there is by now."""
+        if scope["type"] == "lifespan":  # that of the application begins and ends with the service
+            while (await receive())["type"] != "lifespan.shutdown":
+                await send({"type": "lifespan.startup.complete"})
+            await send({"type": "lifespan.shutdown.complete"})
+            return
+        await self._app(scope, receive, send)
+
+    async def _wait(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer while there is no store: alive, not ready, and for all else try again."""
+        if scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1013, "reason": "the service starts"})
+            return
+        await self._waiting_answer(Request(scope))(scope, receive, send)
+
+    def _waiting_answer(self, request: Request) -> Response:
+        path, reason = request.url.path, f"waits for {self.waits_for}"
+        asks = request.method in ("GET", "HEAD")
+        if asks and path == "/livez":
+            return json_response({"status": "alive"})
+        retry = {"Retry-After": str(RETRY_AFTER_S)}
+        if asks and path == "/readyz":
+            checks = [{"name": "start", "status": "failed", "detail": reason}]
+            return json_response({"status": "not ready", "checks": checks}, 503, retry)
+        return problem_response(503, f"the service starts: {reason}", path, headers=retry)

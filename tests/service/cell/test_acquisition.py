@@ -1,0 +1,52 @@
+"""What the service asks of its sources does not grow with the square of their number."""
+
+import time
+from pathlib import Path
+
+from service.cell.acquisition import Acquisition
+from service.clock import ProcessClock
+from service.ingest import Spool
+from service.site.settings import load_settings
+from service.site.wiring import wire
+
+CHANNELS = (
+    *("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c"),
+    *(f"t_node_{number}_c" for number in range(1, 14)),
+)
+
+
+def site(folder: Path, count: int) -> str:
+    lines = []
+    for number in range(count):
+        lines += [
+            f'[[sources]]\nname = "plc-{number}"\ndriver = "modbus-tcp"\nhost = "127.0.0.1"\n'
+            "port = 9\n",
+            f'[[assets]]\nid = "a-{number}"\nbearing = "6311"\n'
+            "low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }\n[assets.channels]",
+            *(
+                f'{name} = {{ source = "plc-{number}", register = {register} }}'
+                for register, name in enumerate(CHANNELS)
+            ),
+            "",
+        ]
+    return "\n".join(lines)
+
+
+async def test_asking_for_all_channels_asks_each_source_once(tmp_path: Path) -> None:
+    spent_s = {}
+    for count in (5, 50):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        (folder / "site.toml").write_text(site(folder, count))
+        settings = load_settings(folder / "site.toml")
+        wiring = wire(settings)
+        spool = Spool.open(folder, 16)
+        acquisition = Acquisition(wiring, ProcessClock(), spool)
+        began_s = time.process_time()
+        for _ in range(20):
+            for asset, channels in wiring.channels.items():
+                for channel, facts in channels.items():
+                    acquisition.problem(facts.source, asset, channel)
+        spent_s[count] = (time.process_time() - began_s) / count
+        spool.close()
+    assert spent_s[50] < 4 * spent_s[5] + 1e-3, "per asset, whatever the number of assets"

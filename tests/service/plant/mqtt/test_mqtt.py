@@ -1,0 +1,249 @@
+"""The MQTT publisher with a real broker (mosquitto) in a process of its own."""
+
+import asyncio
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from aiomqtt import Client
+from processes import free_port, wait_until
+
+from service.bus.stream import Bus
+from service.clock import ProcessClock
+from service.plant import publishers as outlets
+from service.plant.mqtt import publisher
+from service.plant.mqtt.publisher import Publisher
+from service.site.configuration import SettingsError
+from service.site.settings import MqttSection, Settings
+
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+pytestmark = [
+    pytest.mark.wires,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
+PATIENCE_S = 30.0
+
+
+class Broker:
+    """mosquitto on a port of its own, with the users twin and ear."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self._passwords = folder / "passwords"
+        self._passwords.touch(mode=0o600)
+        self._process: subprocess.Popen[bytes] | None = None
+        for user in ("twin", "ear"):
+            self.permit(user)
+        self._configuration = folder / "mosquitto.conf"
+        self._configuration.write_text(
+            f"listener {self.port} 127.0.0.1\nallow_anonymous false\n"
+            f"password_file {self._passwords}\nuser root\n"
+        )
+        self._log = folder / "mosquitto.log"
+
+    def permit(self, user: str) -> None:
+        """Let a user in, at once if the broker runs."""
+        subprocess.run(
+            ["mosquitto_passwd", "-b", self._passwords, user, "secret"], check=True, timeout=20
+        )
+        if self._process is not None:
+            self._process.send_signal(signal.SIGHUP)
+
+    def forbid(self, user: str) -> None:
+        """Let a user in no more when the broker starts the next time."""
+        subprocess.run(["mosquitto_passwd", "-D", self._passwords, user], check=True, timeout=20)
+
+    def start(self) -> None:
+        assert MOSQUITTO is not None
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen([MOSQUITTO, "-c", self._configuration], stderr=log)
+
+        def listens() -> bool:
+            with socket.socket() as probe:
+                return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+        wait_until(listens, PATIENCE_S, "mosquitto listens")
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(10)
+            self._process = None
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    broker = Broker(tmp_path)
+    broker.start()
+    yield broker
+    broker.stop()
+
+
+class Asset:
+    """An asset whose tags a test sets."""
+
+    def __init__(self) -> None:
+        self.tags = {"t_inner_ring_c": tag(61.5), "t_inner_ring_c.twin": tag(61.0)}
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"tags": dict(self.tags)}
+
+
+def tag(value: float | None, quality: int = 192) -> dict[str, Any]:
+    time = "2026-11-21T08:00:00.000Z"
+    return {"value": value, "unit": "°C", "quality": quality, "time": time}
+
+
+def section(broker: Broker, **more: Any) -> MqttSection:
+    given = {"host": "127.0.0.1", "port": broker.port, "topic_prefix": "works/hall-2"}
+    given |= {"enabled": True, "username": "twin", "password": "secret"}
+    return MqttSection.model_validate(given | more)
+
+
+class Listener:
+    """Hears all topics."""
+
+    def __init__(self, client: Client) -> None:
+        self._messages = aiter(client.messages)
+
+    async def hear(self, topic: str, payload: Any = ...) -> tuple[Any, bool]:
+        """Wait for a payload on a topic; gives it and whether it was retained."""
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                message = await anext(self._messages)
+                text = bytes(message.payload).decode()
+                found = json.loads(text) if text.startswith("{") else text
+                if str(message.topic) == f"works/hall-2/{topic}" and payload in (..., found):
+                    return found, message.retain
+
+
+@asynccontextmanager
+async def listening(broker: Broker) -> AsyncIterator[Listener]:
+    async with Client(
+        "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+    ) as client:
+        await client.subscribe("works/#", qos=1)
+        yield Listener(client)
+
+
+@asynccontextmanager
+async def publishing(settings: MqttSection, asset: Asset, bus: Bus) -> AsyncIterator[None]:
+    running = asyncio.create_task(Publisher(settings, {"bench-1": asset}, bus).run())
+    try:
+        yield
+        assert not running.done(), running
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_tags_alarms_and_status(broker: Broker) -> None:
+    asset, bus = Asset(), Bus(ProcessClock())
+    async with publishing(section(broker), asset, bus):
+        async with listening(broker) as listener:
+            await listener.hear("bench-1/t_inner_ring_c.twin", tag(61.0))
+        async with listening(broker) as listener:  # who comes later finds what is retained
+            assert await listener.hear("status") == ("online", True)
+        async with listening(broker) as listener:
+            assert await listener.hear("bench-1/t_inner_ring_c") == (tag(61.5), True)
+            asset.tags["t_inner_ring_c"] = tag(None, 16)
+            assert await listener.hear("bench-1/t_inner_ring_c") == (tag(None, 16), False)
+            bus.publish("measurement", "bench-1", {"samples": []})
+            bus.publish("alarm", "bench-1", {"id": "7", "state": "UNACK"})
+            alarm = {"id": "7", "state": "UNACK"}
+            assert await listener.hear("bench-1/alarms") == (alarm, False)
+    async with listening(broker) as listener:
+        assert await listener.hear("status") == ("offline", True)
+
+
+async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publisher, "RECONNECT_S", (0.1, 0.2))
+    broker.stop()
+    asset, bus = Asset(), Bus(ProcessClock())
+    async with publishing(section(broker), asset, bus):
+        await asyncio.sleep(0.5)
+        for _ in range(2):
+            await asyncio.to_thread(broker.start)
+            async with listening(broker) as listener:
+                await listener.hear("bench-1/t_inner_ring_c", tag(61.5))
+            broker.stop()
+        bus.publish("alarm", "bench-1", {"id": "1"})
+        # The listener comes first, as the broker keeps no alarm for it.
+        broker.forbid("twin")
+        await asyncio.to_thread(broker.start)
+        async with listening(broker) as listener:
+            await asyncio.to_thread(broker.permit, "twin")
+            assert (await listener.hear("bench-1/alarms"))[0] == {"id": "1"}
+
+
+LOST = """
+import asyncio, sys
+from service.clock import ProcessClock
+from service.bus.stream import Bus
+from service.plant.mqtt.publisher import Publisher
+from service.site.settings import MqttSection
+section = MqttSection.model_validate_json(sys.argv[1])
+asyncio.run(Publisher(section, {}, Bus(ProcessClock())).run())
+"""
+
+
+async def test_the_broker_says_offline_for_a_service_that_is_lost(broker: Broker) -> None:
+    given = section(broker).model_dump() | {"password": "secret"}
+    async with listening(broker) as listener:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", LOST, json.dumps(given)
+        )
+        try:
+            await listener.hear("status", "online")
+            process.kill()
+            await listener.hear("status", "offline")
+        finally:
+            if process.returncode is None:
+                process.kill()
+            await process.wait()
+
+
+async def test_a_wrong_password_leaves_the_service_running_and_is_never_shown(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(publisher, "RECONNECT_S", (0.1, 0.2))
+    wrong = section(broker, password="not-the-secret")
+    assert "not-the-secret" not in repr(wrong)
+    async with publishing(wrong, Asset(), Bus(ProcessClock())):
+        async with asyncio.timeout(PATIENCE_S):
+            shown = ""
+            while "mqtt_away" not in shown:
+                await asyncio.sleep(0.05)
+                shown += "".join(capsys.readouterr())
+    assert "ot authorized" in shown
+    assert "not-the-secret" not in shown
+
+
+def test_what_cannot_be_had_is_told_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    wanted = Settings(
+        mqtt=MqttSection(enabled=True, tls=True, ca_file=Path("none.pem")), base_dir=tmp_path
+    )
+    with pytest.raises(SettingsError, match=r"mqtt.ca_file = .*none.pem'.*PEM certificates"):
+        outlets.check_extras(wanted)
+    monkeypatch.setattr(outlets, "find_spec", lambda name: None)
+    with pytest.raises(SettingsError, match=r"mqtt.enabled = true: .*'bearing-twin\[mqtt\]'"):
+        outlets.check_extras(wanted)
+
+
+@pytest.mark.parametrize("prefix", ["", "/a", "a/", "a//b", "a/+", "#", "$SYS", "a b"])
+def test_a_prefix_that_is_no_topic_is_refused(prefix: str) -> None:
+    with pytest.raises(ValueError, match="topic_prefix"):
+        MqttSection(topic_prefix=prefix)

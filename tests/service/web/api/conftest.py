@@ -1,0 +1,348 @@
+"""An application on a real store, bus, alarm book and ingest.
+
+The twin and the job manager are the boundary of the web side: small in-memory ones stand there.
+"""
+
+import asyncio
+import shutil
+from collections.abc import AsyncIterator, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from fastapi import FastAPI
+from prometheus_client import CollectorRegistry
+
+from adapters.drivers import SourceHealth
+from adapters.samples import Batch, Sample
+from service.alarms import AlarmBook, AlarmCondition, alarm_document
+from service.bus.stream import Bus
+from service.clock import ProcessClock, rfc3339
+from service.domain.errors import (
+    ActivationRefusedError,
+    JobConflictError,
+    NotIdentifiedError,
+    NotReadyError,
+)
+from service.domain.requests import NODES, SENSORS, IdentificationRequest, ProfileStep
+from service.ingest import Ingest, Spool
+from service.security import create_key
+from service.site.settings import Settings
+from service.store import ActiveJobError, Job, ModelVersion, Outbox, Store
+from service.web.api import create_app
+from service.web.api.context import ServiceContext
+
+ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
+REMOTE = ("203.0.113.9", 50_000)
+QUANTILES = ("q025", "q25", "q50", "q75", "q975")
+MINUTE_US = 60_000_000
+
+
+def tag(value: float | None, unit: str, time_us: int, quality: int = 192) -> dict[str, Any]:
+    return {"value": value, "unit": unit, "quality": quality, "time": rfc3339(time_us)}
+
+
+class MemoryTwin:
+    """A twin that stands at one temperature and forecasts it to stay."""
+
+    def __init__(self, asset_id: str, channels: Mapping[str, str], time_us: int) -> None:
+        self.id = asset_id
+        self.running = True
+        self.temperature_names = SENSORS + NODES
+        self.channels = channels
+        self.time_us = time_us
+        self.ready = True
+        self.identified = True
+        self.live_forecast: dict[str, Any] | None = None
+        self.tags = {
+            name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
+        }
+        self.asked: list[tuple[float, str]] = []
+
+    def summary(self) -> Mapping[str, Any]:
+        return {
+            "id": self.id,
+            "name": self.id,
+            "group": None,
+            "bearing": "6311",
+            "network": "bearing-14",
+            "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},
+            "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
+            "channels": [{"name": n, "source": s} for n, s in self.channels.items()],
+            "health": {"status": "good"},
+            "active_model": {"version": 1, "trusted": True, "identified_at": None},
+            "controller": None,
+        }
+
+    def snapshot(self) -> Mapping[str, Any]:
+        return {"tags": self.tags}
+
+    def state(self) -> Mapping[str, Any]:
+        nodes = {name: {"mean_c": 60.0, "std_c": float("nan")} for name in NODES}
+        return {"time": rfc3339(self.time_us), "model_version": 1, "nodes": nodes}
+
+    def verdict(self) -> Mapping[str, Any]:
+        unknown = {"word": "unknown", "reasons": ["the twin does not run"], "limit": None}
+        unknown |= {"probability": None, "seconds_to_limit": None, "alarm_probability": None}
+        return {
+            "time": rfc3339(self.time_us),
+            "now": unknown,
+            "next_step": unknown,
+            "time_to_limit": None,
+            "missing": ["twin"],
+        }
+
+    def forecast(self) -> Mapping[str, Any] | None:
+        return self.live_forecast
+
+    async def what_if(
+        self, profile: Sequence[ProfileStep], step_s: float | None, nodes: Collection[str] | None
+    ) -> Mapping[str, Any]:
+        if not self.ready:
+            raise NotReadyError("the twin waits for its first data")
+        total_s = sum(step.duration_s for step in profile)
+        step_s = step_s or 60.0
+        time_s = [step_s * row for row in range(int(total_s // step_s) + 1)]
+        crossing = {"probability": 0.0, "median_s": None, "earliest_s": None}
+        return {
+            "time_s": time_s,
+            "nodes": {
+                name: {quantile: [60.0] * len(time_s) for quantile in QUANTILES}
+                for name in nodes or SENSORS + NODES
+            },
+            "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
+            "time_to_limit": {"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
+        }
+
+    async def envelope(self) -> Mapping[str, Any]:
+        if not self.ready:
+            raise NotReadyError("the twin waits for its first data")
+        return {"made_at": rfc3339(self.time_us), "labels": [], "median_s": float("inf")}
+
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+        if not self.identified:
+            raise NotIdentifiedError("no identified model yet")
+        target = {"speed_rpm": speed_rpm, "load_n": load_n, "duration_s": duration_s}
+        return {"target": target, "steps": []}
+
+    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+        if not self.ready:
+            raise NotReadyError("the twin waits for its first data")
+        return {"time": rfc3339(self.time_us), "revolutions_before": 1000, "revolutions": 0}
+
+    async def windows(self) -> Sequence[Mapping[str, Any]]:
+        hour_us = 60 * MINUTE_US
+        return [
+            {
+                "start": rfc3339(self.time_us - hour_us),
+                "end": rfc3339(self.time_us),
+                "score": 1.5,
+                "operating_points": [{"speed_rpm": 1500.0, "load_n": 2650.0, "duration_s": 3600.0}],
+            }
+        ]
+
+
+def job_document(job: Job) -> dict[str, Any]:
+    return {
+        "id": job.id,
+        "status": job.status,
+        "progress": job.progress,
+        "best_fitness": job.best_fitness,
+        "evaluations": job.evaluations,
+        "created_at": rfc3339(job.created_at_us),
+        "started_at": None,
+        "ended_at": None,
+        "error": job.error,
+        "model_version": job.model_version,
+        "request": job.request,
+    }
+
+
+class MemoryJobs:
+    """Jobs that stay queued until they are cancelled; rows in the real store."""
+
+    def __init__(self, store: Store, clock: ProcessClock) -> None:
+        self._store = store
+        self._clock = clock
+
+    async def create(
+        self,
+        asset_id: str,
+        request: IdentificationRequest,
+        idempotency_key: str | None,
+        who: str,
+    ) -> tuple[Mapping[str, Any], bool]:
+        try:
+            job, created = self._store.add_job(
+                asset_id,
+                request.model_dump(mode="json") | {"who": who},
+                self._clock.now_us(),
+                idempotency_key,
+            )
+        except ActiveJobError as error:
+            in_the_way = self._store.job(error.job_id)
+            assert in_the_way is not None
+            raise JobConflictError(job_document(in_the_way)) from error
+        return job_document(job), created
+
+    async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+        job = self._store.job(job_id)
+        return job_document(job) if job and job.asset == asset_id else None
+
+    async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
+        return [job_document(job) for job in self._store.jobs(asset_id)]
+
+    async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+        self._store.update_job(job_id, status="cancelled")
+        return await self.job(asset_id, job_id)
+
+    async def activate(
+        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+    ) -> Mapping[str, Any]:
+        wanted = self._store.model_version(asset_id, version)
+        if wanted is None:
+            raise KeyError(version)
+        if wanted.status == "rejected" and not (force and comment):
+            raise ActivationRefusedError(f"version {version} was rejected: {wanted.reason}")
+        active = self._store.activate(asset_id, version, who, comment or "", self._clock.now_us())
+        return model_document(active)
+
+
+def model_document(model: ModelVersion) -> dict[str, Any]:
+    named = {name: model.document[name] for name in ("parameters", "windows", "scores", "naive")}
+    return {"version": model.version, "status": model.status, "reason": model.reason} | named
+
+
+@dataclass
+class World:
+    """The application with everything around it, and a client for each role."""
+
+    app: FastAPI
+    context: ServiceContext
+    clock: ProcessClock
+    store: Store
+    bus: Bus
+    alarms: AlarmBook
+    bench: MemoryTwin
+    rig: MemoryTwin
+    sources: list[SourceHealth]
+    data_dir: Path
+    keys: dict[str, str] = field(default_factory=dict)
+    clients: dict[str, httpx2.AsyncClient] = field(default_factory=dict)
+    taken: list[Sample] = field(default_factory=list)
+
+    def client(self, role: str | None = None, **options: Any) -> httpx2.AsyncClient:
+        """A client from another machine, with the key of a role or with none."""
+        name = f"{role} {options}"
+        if name not in self.clients:
+            options.setdefault("headers", {})
+            if role is not None:
+                options["headers"] |= {"X-API-Key": self.keys[role]}
+            address = options.pop("address", REMOTE)
+            base_url = options.pop("base_url", "http://bench.example:8080")
+            transport = httpx2.ASGITransport(self.app, client=address, raise_app_exceptions=False)
+            self.clients[name] = httpx2.AsyncClient(
+                transport=transport, base_url=base_url, **options
+            )
+        return self.clients[name]
+
+    def write(self, asset: str, channel: str, start_us: int, values: Sequence[float]) -> None:
+        """Store one sample per second."""
+        self.store.write_samples(
+            [
+                Sample(asset, channel, start_us + 1_000_000 * number, value, 192, start_us)
+                for number, value in enumerate(values)
+            ]
+        )
+
+    def raise_alarm(
+        self, channel: str = "t_inner_ring_c", active: bool = True, latched: bool = False
+    ) -> str:
+        """Raise an alarm (or let it return) and give its id."""
+        self.alarms.evaluate(
+            AlarmCondition(
+                asset="bench-1",
+                kind="measured limit",
+                channel=channel,
+                level="warning",
+                active=active,
+                value=91.0 if active else 70.0,
+                message=f"{channel} over its warning limit",
+                priority=2,
+                latched=latched,
+            )
+        )
+        return next((a.id for a in self.alarms.active() if a.channel == channel), "")
+
+
+@pytest.fixture(scope="session")
+def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a new store: making one costs more than most tests."""
+    folder = tmp_path_factory.mktemp("empty")
+    Store.open("", folder).close()
+    return folder / "bearing-twin.db"
+
+
+@pytest.fixture
+async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
+    shutil.copy(empty_store, tmp_path)
+    clock = ProcessClock()
+    settings = Settings()
+    bus, registry = Bus(clock), CollectorRegistry()
+    taken: list[Sample] = []
+
+    def take(batch: Batch) -> None:
+        taken.extend(batch.samples)
+
+    with Store.open("", tmp_path) as store, Outbox.open(tmp_path, store) as outbox:
+        alarms = AlarmBook(
+            outbox, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
+        )
+        ingest = Ingest(store, Spool.open(tmp_path, 16), clock, take, registry=registry)
+        now_us = clock.now_us()
+        wired = {
+            "speed_rpm": "drive",
+            "t_inner_ring_c": "pt100",
+            "t_outer_ring_c": "pt100",
+            "t_inner_ring_c.twin": "twin",
+        }
+        bench = MemoryTwin("bench-1", wired, now_us)
+        rig = MemoryTwin("rig-2", {"t_inner_ring_c": "push", "ambient_c": "push"}, now_us)
+        sources = [SourceHealth("pt100", "modbus-tcp", up=True, detail="answers at 10.1.2.3:5020")]
+        context = ServiceContext(
+            settings=settings,
+            clock=clock,
+            store=store,
+            outbox=outbox,
+            bus=bus,
+            ingest=ingest,
+            alarms=alarms,
+            assets={"bench-1": bench, "rig-2": rig},
+            jobs=MemoryJobs(store, clock),
+            registry=registry,
+            sources=lambda: sources,
+        )
+        world = World(
+            app=create_app(context),
+            context=context,
+            clock=clock,
+            store=store,
+            bus=bus,
+            alarms=alarms,
+            bench=bench,
+            rig=rig,
+            sources=sources,
+            data_dir=tmp_path,
+            keys={role: create_key(store, role).text for role in ROLES},
+            taken=taken,
+        )
+        ingesting = asyncio.create_task(ingest.run([]))
+        try:
+            yield world
+        finally:
+            for client in world.clients.values():
+                await client.aclose()
+            ingesting.cancel()
+            await asyncio.gather(ingesting, return_exceptions=True)

@@ -1,0 +1,115 @@
+import json
+from typing import Any
+
+import pytest
+
+from service.web.api.bodies import AssetDocument, AssetList, Snapshot, State
+
+SNAPSHOT = "/api/v1/assets/bench-1/snapshot"
+
+
+async def test_assets_are_listed_and_shown(world: Any) -> None:
+    client = world.client("viewer")
+    listed = AssetList.model_validate((await client.get("/api/v1/assets")).json())
+    assert [asset.id for asset in listed.items] == ["bench-1", "rig-2"]
+    shown = (await client.get("/api/v1/assets/bench-1")).json()
+    assert AssetDocument.model_validate(shown).bearing == "6311"
+    assert shown["controller"] is None
+
+
+async def test_snapshot_answers_304_until_something_changes(world: Any) -> None:
+    client = world.client("viewer")
+    first = await client.get(SNAPSHOT)
+    assert Snapshot.model_validate(first.json()).tags["t_inner_ring_c"].value == 60.0
+    entity_tag = first.headers["etag"]
+    for condition in (entity_tag, f"W/{entity_tag}", f'"other", {entity_tag}', "*"):
+        again = await client.get(SNAPSHOT, headers={"If-None-Match": condition})
+        assert (again.status_code, again.content) == (304, b"")
+        assert again.headers["etag"] == entity_tag
+    other = await client.get(SNAPSHOT, headers={"If-None-Match": '"other"'})
+    assert other.status_code == 200
+    world.bench.tags["t_inner_ring_c"]["value"] = 61.0
+    changed = await client.get(SNAPSHOT, headers={"If-None-Match": entity_tag})
+    assert changed.status_code == 200
+    assert changed.headers["etag"] != entity_tag
+
+
+@pytest.mark.parametrize("path", ["/api/v1/assets", "/api/v1/assets/bench-1"])
+async def test_configuration_answers_304_until_something_changes(world: Any, path: str) -> None:
+    client = world.client("gateway")
+    entity_tag = {"If-None-Match": (await client.get(path)).headers["etag"]}
+    assert (await client.get(path, headers=entity_tag)).status_code == 304
+    world.bench.channels["load_n"] = "drive"
+    assert (await client.get(path, headers=entity_tag)).status_code == 200
+
+
+async def test_snapshot_never_asks_the_store(world: Any) -> None:
+    client = world.client("viewer")
+    await client.get(SNAPSHOT)  # the key is known now
+    world.store.close()
+    (world.data_dir / "bearing-twin.db").rename(world.data_dir / "gone.db")
+    assert (await client.get(SNAPSHOT)).status_code == 200
+
+
+async def test_what_is_not_a_number_is_null(world: Any) -> None:
+    world.bench.tags["t_inner_ring_c"] |= {"value": float("nan"), "quality": 16}
+    snapshot = await world.client("viewer").get(SNAPSHOT)
+    assert json.loads(snapshot.text)["tags"]["t_inner_ring_c"]["value"] is None
+    state = (await world.client("viewer").get("/api/v1/assets/bench-1/state")).json()
+    assert State.model_validate(state).nodes["t_node_13_c"].std_c is None
+
+
+async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
+    client = world.client("viewer")
+    waiting = await client.get("/api/v1/assets/bench-1/forecast")
+    assert waiting.status_code == 503
+    assert int(waiting.headers["Retry-After"]) > 0
+    assert "waits for its first data" in waiting.json()["detail"]
+    world.bench.live_forecast = {"made_at": "2026-11-21T08:00:00.000Z", "time_s": [0.0]}
+    answer = await client.get("/api/v1/assets/bench-1/forecast")
+    assert answer.json() == world.bench.live_forecast
+
+
+async def test_what_if_passes_on_what_was_asked(world: Any) -> None:
+    body = {
+        "profile": [{"duration_s": 120, "speed_rpm": 6200, "load_n": 5500, "ambient_c": 24}],
+        "step_s": 30,
+        "nodes": ["t_inner_ring_c", "t_node_7_c"],
+    }
+    client = world.client("operator")
+    answer = (await client.post("/api/v1/assets/bench-1/forecasts", json=body)).json()
+    assert answer["time_s"] == [0, 30, 60, 90, 120]
+    assert list(answer["nodes"]) == body["nodes"]
+    whole = (
+        await client.post("/api/v1/assets/bench-1/forecasts", json={"profile": body["profile"]})
+    ).json()
+    assert len(whole["nodes"]) == 15
+
+
+async def test_what_if_before_the_first_data_is_to_be_tried_again(world: Any) -> None:
+    world.bench.ready = False
+    body = {"profile": [{"duration_s": 120, "speed_rpm": 6200, "load_n": 5500}]}
+    response = await world.client("operator").post("/api/v1/assets/bench-1/forecasts", json=body)
+    assert response.status_code == 503
+    assert int(response.headers["retry-after"]) > 0
+    assert "first data" in response.json()["detail"]
+
+
+async def test_the_short_way_to_a_snapshot_refuses_and_answers_as_the_route_does(
+    world: Any,
+) -> None:
+    gateway = await world.client("gateway").get(SNAPSHOT)
+    assert gateway.status_code == 403
+    assert gateway.headers["content-type"] == "application/problem+json"
+    assert (await world.client().get(SNAPSHOT)).status_code == 401
+    assert (await world.client("viewer").get(SNAPSHOT.replace("bench-1", "b-9"))).status_code == 404
+    assert (await world.client("viewer").post(SNAPSHOT)).status_code == 405
+    answer = await world.client("viewer").get(SNAPSHOT)
+    assert answer.headers["cache-control"] == "private, no-cache"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    world.bench.tags["speed_rpm"]["value"] = 61.0
+    again = await world.client("viewer").get(
+        SNAPSHOT, headers={"If-None-Match": answer.headers["etag"]}
+    )
+    assert again.status_code == 200
+    assert again.json()["tags"]["speed_rpm"]["value"] == 61.0
