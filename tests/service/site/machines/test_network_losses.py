@@ -12,7 +12,7 @@ from service.site.machines.machine import Machine
 from service.site.machines.networks import NetworkSection
 from service.site.settings import AssetSection
 
-DEPLOY = Path(__file__).parents[3] / "deploy" / "networks"
+DEPLOY = Path(__file__).parents[4] / "deploy" / "networks"
 MOTOR = """
 [parameters]
 slot = { unit = "K/W", centre = 0.1, spread = 0.5 }

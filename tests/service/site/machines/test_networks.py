@@ -28,7 +28,7 @@ from twin_core.networks.simple_5 import (
 )
 from twin_core.simulation import OperatingProfile, simulate, steady_state
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 GEARBOX = ROOT / "deploy" / "networks" / "gearbox.toml"
 SIMPLE_5 = ROOT / "deploy" / "networks" / "simple-5.toml"
 
