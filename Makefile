@@ -7,7 +7,7 @@ DEMO_ARGS ?=
 .PHONY: demo test lint clean
 
 demo: $(VENV)/.installed-run
-	$(BIN)/bearing-twin demo $(DEMO_ARGS)
+	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
 
 test: $(VENV)/.installed-test lint
 	$(BIN)/python -m pytest --numprocesses=2
@@ -25,7 +25,7 @@ $(VENV)/bin/python:
 		{ rm -rf $(VENV); echo "No venv module: on Debian install it with 'apt-get install python3-venv'" >&2; exit 2; }
 
 $(VENV)/.installed-run: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . >&2
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml constraints.txt

@@ -2,15 +2,20 @@
 
 import os
 import signal
+from collections import Counter
+from collections.abc import Iterator
 
 import hypothesis
 import pytest
+from programs import MISSING, commands_for
 
 # A slow machine is no finding: an example may take the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
 hypothesis.settings.load_profile("patient")
 
 _skipped: list[str] = []
+#: Commands that install what is missing, and how many tests were skipped for it.
+_installs: Counter[str] = Counter()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -44,12 +49,26 @@ def pytest_configure() -> None:
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if report.skipped and not hasattr(report, "wasxfail"):
         _skipped.append(report.nodeid)
+        reason = str(report.longrepr[2]) if isinstance(report.longrepr, tuple) else ""
+        _, missing, install = reason.partition(MISSING)
+        if missing:
+            _installs[install] += 1
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """In continuous integration every real component is there, so nothing may be skipped."""
-    if _skipped and os.environ.get("CI"):
-        reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-        if reporter is not None:
-            reporter.write_line(f"skipped in CI, which counts as failed: {_skipped}", red=True)
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
+    """In continuous integration nothing may be skipped; what is missing stands in the last line."""
+    if _skipped and os.environ.get("CI") and session.exitstatus == pytest.ExitCode.OK:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None:
+        return
+    if _skipped and os.environ.get("CI"):
+        reporter.write_line(f"skipped in CI, which counts as failed: {len(_skipped)}", red=True)
+    if _installs:
+        reporter.write_line(
+            f"{_installs.total()} tests skipped, as programs are missing: "
+            f"{commands_for(_installs)}",
+            red=True,
+        )

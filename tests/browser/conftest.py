@@ -1,7 +1,5 @@
 """A real browser for the dashboard: Debian's Chromium, driven by Playwright."""
 
-import os
-import shutil
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -16,6 +14,7 @@ from playwright.sync_api import (
     expect,
     sync_playwright,
 )
+from programs import needed
 
 from service.web.pages import static_directory
 from tests.browser.plant import Plant
@@ -24,19 +23,14 @@ WAIT_MS = 60_000  # on a busy machine a service takes its time
 
 expect.set_options(timeout=WAIT_MS)
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-
 
 # Per module, not per session: Playwright's event loop must be gone before asynchronous tests run.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    if CHROMIUM is None:
-        if os.environ.get("CI"):
-            pytest.fail("no Chromium on this machine, and CI is set: apt-get install chromium")
-        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    path = needed("chromium", "chromium", "chromium-browser")
     with sync_playwright() as playwright:
         # The sandbox needs kernel rights that a container seldom has; the pages are our own.
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield chromium
         chromium.close()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from playwright.sync_api import Browser, BrowserContext, Page, WebSocketRoute, sync_playwright
 
-from tests.browser.conftest import CHROMIUM
+from tests.programs import path_of
 
 VIEWS = (
     "login",
@@ -108,6 +108,8 @@ if __name__ == "__main__":
     target, secret, out, *wanted = sys.argv[1:]
     Path(out).mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        chromium = playwright.chromium.launch(
+            executable_path=path_of("chromium", "chromium-browser"), args=["--no-sandbox"]
+        )
         shoot(chromium, target, secret, Path(out), wanted)
         chromium.close()

@@ -6,7 +6,6 @@ import itertools
 import json
 import math
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -22,6 +21,7 @@ import can
 import can.interfaces.slcan
 import cantools
 import pytest
+from programs import needed
 from pyModbusTCP.client import ModbusClient  # type: ignore[import-untyped]
 
 from adapters.virtual_bench import PortInUseError, UnknownScenarioError, dbc_path, run
@@ -188,20 +188,16 @@ async def test_wire_break_and_over_range_show_their_codes() -> None:
 
 
 async def test_mbpoll_reads_the_bench() -> None:
-    """Debian's mbpoll where it is installed, as in CI; pyModbusTCP reads the same elsewhere."""
-    mbpoll = shutil.which("mbpoll")
+    mbpoll = needed("mbpoll")
     async with _bench("demo", rate=1.0) as where:
-        if mbpoll is None:
-            values = await asyncio.to_thread(_read, _client(where, 1), False, 0, 3)
-        else:
-            process = await asyncio.create_subprocess_exec(
-                mbpoll, "-m", "tcp", "-a", "1", "-0", "-r", "0", "-c", "3", "-t", "3", "-1",
-                "-p", str(where["modbus"]["port"]), where["modbus"]["host"],
-                stdout=asyncio.subprocess.PIPE,
-            )  # fmt: skip
-            output, _ = await process.communicate()
-            assert process.returncode == 0
-            values = [int(raw) for raw in re.findall(r"^\[\d+\]:\s+(\d+)", output.decode(), re.M)]
+        process = await asyncio.create_subprocess_exec(
+            mbpoll, "-m", "tcp", "-a", "1", "-0", "-r", "0", "-c", "3", "-t", "3", "-1",
+            "-p", str(where["modbus"]["port"]), where["modbus"]["host"],
+            stdout=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        output, _ = await process.communicate()
+        assert process.returncode == 0
+        values = [int(raw) for raw in re.findall(r"^\[\d+\]:\s+(\d+)", output.decode(), re.M)]
     assert len(values) == 3
     assert all(210 <= value <= 245 for value in values)
 

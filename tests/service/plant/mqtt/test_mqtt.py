@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -16,6 +14,7 @@ from typing import Any
 import pytest
 from aiomqtt import Client
 from processes import free_port, wait_until
+from programs import needed
 
 from service.bus.stream import Bus
 from service.clock import ProcessClock
@@ -25,11 +24,7 @@ from service.plant.mqtt.publisher import Publisher
 from service.site.configuration import SettingsError
 from service.site.settings import MqttSection, Settings
 
-MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-pytestmark = [
-    pytest.mark.wires,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = pytest.mark.wires
 PATIENCE_S = 30.0
 
 
@@ -37,6 +32,7 @@ class Broker:
     """mosquitto on a port of its own, with the users twin and ear."""
 
     def __init__(self, folder: Path) -> None:
+        self._program = needed("mosquitto")
         self.port = free_port()
         self._passwords = folder / "passwords"
         self._passwords.touch(mode=0o600)
@@ -63,9 +59,8 @@ class Broker:
         subprocess.run(["mosquitto_passwd", "-D", self._passwords, user], check=True, timeout=20)
 
     def start(self) -> None:
-        assert MOSQUITTO is not None
         with self._log.open("ab") as log:
-            self._process = subprocess.Popen([MOSQUITTO, "-c", self._configuration], stderr=log)
+            self._process = subprocess.Popen([self._program, "-c", self._configuration], stderr=log)
 
         def listens() -> bool:
             with socket.socket() as probe:

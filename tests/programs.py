@@ -1,0 +1,46 @@
+"""Programs that tests need and that are no Python packages."""
+
+import os
+import shutil
+from collections.abc import Collection
+from typing import NoReturn
+
+import pytest
+
+#: Why a test is skipped; the command that installs what is missing follows.
+MISSING = "missing: "
+APT = "apt-get install "
+
+
+def path_of(*commands: str) -> str | None:
+    """Path of the first of some commands that this machine has."""
+    path = f"{os.environ.get('PATH', '')}:/usr/sbin"
+    return next((found for name in commands if (found := shutil.which(name, path=path))), None)
+
+
+def needed(package: str, *commands: str) -> str:
+    """Path of a program, without which the test is skipped.
+
+    The last line of the run names all that is missing; where ``CI`` is set the run then fails.
+
+    Parameters
+    ----------
+    package
+        Of Debian, that brings the program.
+    commands
+        The program's names; the package's by default.
+    """
+    found = path_of(*(commands or (package,)))
+    return found or missing(APT + package)
+
+
+def missing(command: str) -> NoReturn:
+    """Skip the test, as something is missing that a command installs."""
+    pytest.skip(MISSING + command)
+
+
+def commands_for(commands: Collection[str]) -> str:
+    """One line that does all the commands; those of Debian's packages are one."""
+    packages = sorted(one.removeprefix(APT) for one in commands if one.startswith(APT))
+    others = sorted(one for one in commands if not one.startswith(APT))
+    return " && ".join([APT + " ".join(packages)] * bool(packages) + others)
