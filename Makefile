@@ -9,8 +9,11 @@ DEMO_ARGS ?=
 demo: $(VENV)/.installed-run
 	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
 
-test: $(VENV)/.installed-test lint
-	$(BIN)/python -m pytest --numprocesses=2
+# The types are checked on one core while the kernels are compiled on another. Tests wait for other
+# processes half of their time: there are more workers than the two cores of a small machine.
+test: $(VENV)/.installed-test
+	@$(MAKE) --no-print-directory --jobs=2 lint kernels
+	$(BIN)/python -m pytest --numprocesses=4
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
@@ -21,6 +24,9 @@ lint: $(VENV)/.installed-test
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "build/docs/index.html"
+
+kernels: $(VENV)/.installed-test
+	$(BIN)/python -m service warm-up
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -8,6 +8,9 @@ from collections.abc import Iterator
 import hypothesis
 import pytest
 from programs import MISSING, commands_for
+from sharing import Sharing, longest_first
+from xdist.remote import Producer
+from xdist.scheduler import Scheduling
 
 # A slow machine is no finding: an example may take the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
@@ -44,6 +47,15 @@ def pytest_configure() -> None:
     """Let programs under test hear Ctrl-C also when the tests run behind a shell's `&`."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items[:] = longest_first(items)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
+    return Sharing(config, log)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
