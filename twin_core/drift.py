@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc
 
 from twin_core.identification.posterior import Posterior
 from twin_core.likeness import Likeness, likeness
@@ -165,7 +165,7 @@ class Difference:
     @property
     def probability(self) -> float:
         """Of so large a statistic without any change."""
-        return float(stats.chi2.sf(self.statistic, self.value.size))
+        return float(chdtrc(self.value.size, self.statistic))
 
 
 def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> Difference:
