@@ -36,12 +36,10 @@ def compile_kernels() -> None:
     )
     observer.predict(5.0, 1500.0, 2650.0, 22.0)
     observer.update({"t_inner_ring_c": 22.1})
-    forecast(
-        model, posterior, observer.temperatures_c, observer.covariance, 0.0, profile, members=4
-    )
+    state = observer.state()
+    forecast(model, posterior, state, profile, members=4)
     limits = dict.fromkeys(model.sensor_names, (90.0,))
-    state = (observer.temperatures_c, observer.covariance, 0.0, 22.0)
-    envelope(model, posterior, *state, [1500.0], [2650.0], limits, members=2)
+    envelope(model, posterior, state, [1500.0], [2650.0], limits, members=2)
     minutes = MinuteData(
         time_s, speed_rpm, load_n, ambient_c, measured, np.ones(time_s.size, dtype=np.bool_)
     )

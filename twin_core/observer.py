@@ -23,9 +23,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin_core.machine_state import MachineState, course_known
 from twin_core.models import ThermalModel
 from twin_core.network import CompiledNetwork
 from twin_core.process_noise import LONG_RUN_IN, disturbance_structure, transition_and_noise
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,
@@ -165,16 +167,49 @@ class Observer:
         return self._covariance[: self._nodes, : self._nodes].copy()
 
     @property
-    def operating_point(self) -> tuple[float, float, float] | None:
-        """Speed in rpm, load in N and ambient in degC of the last step; None before the first."""
+    def operating_point(self) -> OperatingPoint | None:
+        """Operating point of the last step; None before the first."""
         if self._point is None:
             return None
-        return (*self._point, self._ambient_c)
+        return OperatingPoint(*self._point, self._ambient_c, self._inputs)
 
-    @property
-    def inputs(self) -> tuple[float, ...]:
-        """The network's inputs of the last step; empty before the first."""
-        return self._inputs
+    def state(
+        self,
+        ambient_c: float | None = None,
+        inputs: Sequence[float] | None = None,
+        *,
+        followed_s: float = np.inf,
+    ) -> MachineState:
+        """Return the machine's state: what forecasts, maps and advice start from.
+
+        Parameters
+        ----------
+        ambient_c, inputs
+            Ambient temperature in degC and inputs (k,) at this moment; by default those of the
+            last step.
+        followed_s
+            For how long the machine has been followed, in s; by default long enough for its
+            course to be known.
+
+        Raises
+        ------
+        ValueError
+            If an ambient temperature or inputs are missing before the first step.
+        """
+        point = self.operating_point
+        if point is None and (ambient_c is None or (inputs is None and self._model.input_names)):
+            raise ValueError("the observer has made no step yet: give ambient_c and all inputs")
+        last = point or OperatingPoint(0.0, 0.0, 0.0)
+        return MachineState(
+            temperatures_c=self.temperatures_c,
+            covariance=self.covariance,
+            revolutions=self._revolutions,
+            ambient_c=last.ambient_c if ambient_c is None else float(ambient_c),
+            inputs=last.inputs if inputs is None else tuple(inputs),
+            heat_disturbance_w=self.heat_disturbance_w,
+            operating_point=point,
+            course_known=course_known(followed_s),
+        )
 
     @property
     def std_c(self) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.clock import rfc3339
-from service.live.envelope import Now
+from service.live.estimate import EstimatedState
 from service.site.settings import AssetSection
 from twin_core.forecasting.advice import Advice, advise
 from twin_core.forecasting.design import Level
@@ -19,7 +19,7 @@ from twin_core.windows import LowRiskRegion
 
 
 def give_advice(
-    settings: AssetSection, now: Now, measured: Sequence[str], target: Level
+    settings: AssetSection, state: EstimatedState, measured: Sequence[str], target: Level
 ) -> Mapping[str, Any]:
     """Compute the advice; takes some tenths of a second, so not in the event loop.
 
@@ -27,7 +27,7 @@ def give_advice(
     ----------
     settings : AssetSection
         Low-risk region and limits.
-    now : Now
+    state : EstimatedState
         The machine at this moment.
     measured : sequence of str
         Its channels.
@@ -39,13 +39,14 @@ def give_advice(
     NothingIdentifiedError
         Before the first identification.
     """
-    sensors = now.active.model.sensor_names
+    active = state.active
+    sensors = active.model.sensor_names
     limits = {name: pair for name, pair in settings.limits.items() if name in sensors}
     region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
     advice = advise(
-        now.model,
-        now.active.posterior,
-        now.present,
+        active.model,
+        active.posterior,
+        state.machine,
         target,
         region,
         {name: pair.warning for name, pair in limits.items()},
@@ -53,8 +54,8 @@ def give_advice(
         measured=measured,
     )
     return advice_json(advice, region) | {
-        "made_at": rfc3339(now.time_us),
-        "model_version": now.active.version,
+        "made_at": rfc3339(state.time_us),
+        "model_version": active.version,
     }
 
 

@@ -6,20 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from adapters.samples import PlannedProfile, PlanStep
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile
 
 # A measured speed or load this close to the step's set-point says better what the machine does.
 _NEAR_SETPOINT = 0.06
-
-
-@dataclass(frozen=True, slots=True)
-class OperatingPoint:
-    """Present speed, load and ambient temperature, and the inputs of a network of one's own."""
-
-    speed_rpm: float
-    load_n: float
-    ambient_c: float
-    inputs: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import rfc3339
-from service.live.estimate import ActiveModel
+from service.live.estimate import EstimatedState
 from service.live.rules import label
 from service.site.settings import AssetSection
-from twin_core.forecasting.design import Present
 from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED
-from twin_core.models import ThermalModel
 
 SPEEDS, LOADS = 20, 15
 # The grid reaches well beyond the low-risk region, where the high-risk points are.
@@ -28,7 +26,7 @@ _SPEED_STEP_RPM, _LOAD_STEP_N = 50.0, 50.0
 _SAME_STATE_K = 1.0
 _SAME_AMBIENT_K = 0.5
 _SAME_REVOLUTIONS = 0.1
-_SAME_FOLLOWED = 0.1
+_SAME_COURSE = 0.1
 LEAST_WALL_S = 10.0
 LONGEST_S = 1800.0
 QUANTILE_NAMES = ("q025", "q50", "q975")
@@ -36,39 +34,8 @@ LEVELS = ("warning", "alarm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Now:
-    """The machine as the twin sees it at a moment.
-
-    Attributes
-    ----------
-    active : ActiveModel
-        What the twin runs on.
-    present : Present
-        State, revolutions and ambient.
-    time_us : int
-        Process time of the state.
-    speed_rpm, load_n : float
-        Present operating point.
-    inputs : tuple of float
-        Those of a network of one's own, which answers take to stay as they are.
-    """
-
-    active: ActiveModel
-    present: Present
-    time_us: int
-    speed_rpm: float
-    load_n: float
-    inputs: tuple[float, ...] = ()
-
-    @property
-    def model(self) -> ThermalModel:
-        """The model with its inputs as they are now."""
-        return self.active.model.holding(self.inputs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Kept:
-    now: Now
+    state: EstimatedState
     axes: tuple[NDArray[np.float64], NDArray[np.float64]]
     made_wall_s: float
     document: Mapping[str, Any]
@@ -90,32 +57,37 @@ class EnvelopeKeeper:
         self._kept: _Kept | None = None
         self._computing = asyncio.Lock()
 
-    async def document(self, now: Now, planned: Sequence[tuple[float, float]]) -> Mapping[str, Any]:
+    async def document(
+        self, state: EstimatedState, planned: Sequence[tuple[float, float]]
+    ) -> Mapping[str, Any]:
         """Give the envelope as the REST interface shows it.
 
         Parameters
         ----------
-        now : Now
+        state : EstimatedState
             The machine at this moment.
         planned : sequence of (float, float)
             Speeds in rpm and loads in N that the grid must hold: of the plan ahead.
         """
         async with self._computing:
-            axes = grid(self._settings, [*planned, (now.speed_rpm, now.load_n)])
+            point = state.point
+            axes = grid(self._settings, [*planned, (point.speed_rpm, point.load_n)])
             kept = self._kept
-            if kept is None or not self._holds(kept, now, axes):
+            if kept is None or not self._holds(kept, state, axes):
                 begun_s = time.monotonic()
-                document = await asyncio.to_thread(self._compute, now, axes)
-                kept = self._kept = _Kept(now, axes, begun_s, document)
+                document = await asyncio.to_thread(self._compute, state, axes)
+                kept = self._kept = _Kept(state, axes, begun_s, document)
         return dict(kept.document) | {
-            "present": {"speed_rpm": round(now.speed_rpm, 1), "load_n": round(now.load_n, 1)}
+            "present": {"speed_rpm": round(point.speed_rpm, 1), "load_n": round(point.load_n, 1)}
         }
 
     @staticmethod
     def _holds(
-        kept: _Kept, now: Now, axes: tuple[NDArray[np.float64], NDArray[np.float64]]
+        kept: _Kept,
+        state: EstimatedState,
+        axes: tuple[NDArray[np.float64], NDArray[np.float64]],
     ) -> bool:
-        if kept.now.active is not now.active:
+        if kept.state.active is not state.active:
             return False
         if any(
             not np.array_equal(before, after) for before, after in zip(kept.axes, axes, strict=True)
@@ -123,42 +95,31 @@ class EnvelopeKeeper:
             return False
         if time.monotonic() - kept.made_wall_s < LEAST_WALL_S:
             return True
-        before, after = kept.now.present, now.present
+        before, after = kept.state.machine, state.machine
         return (
-            abs(now.time_us - kept.now.time_us) < LONGEST_S * 1e6
-            and float(np.max(np.abs(after.state_c - before.state_c))) <= _SAME_STATE_K
+            abs(state.time_us - kept.state.time_us) < LONGEST_S * 1e6
+            and float(np.max(np.abs(after.temperatures_c - before.temperatures_c))) <= _SAME_STATE_K
             and abs(after.ambient_c - before.ambient_c) <= _SAME_AMBIENT_K
-            and abs(after.followed - before.followed) <= _SAME_FOLLOWED
+            and abs(after.course_known - before.course_known) <= _SAME_COURSE
             and abs(after.revolutions - before.revolutions)
             <= _SAME_REVOLUTIONS * max(before.revolutions, 1e5)
         )
 
     def _compute(
-        self, now: Now, axes: tuple[NDArray[np.float64], NDArray[np.float64]]
+        self, state: EstimatedState, axes: tuple[NDArray[np.float64], NDArray[np.float64]]
     ) -> Mapping[str, Any]:
-        sensors = now.active.model.sensor_names
+        active = state.active
+        sensors = active.model.sensor_names
         limits = {
             name: (pair.warning, pair.alarm)
             for name, pair in self._settings.limits.items()
             if name in sensors
         }
-        found = envelope(
-            now.model,
-            now.active.posterior,
-            now.present.state_c,
-            now.present.state_covariance,
-            now.present.revolutions,
-            now.present.ambient_c,
-            *axes,
-            limits,
-            disturbance_w=now.present.disturbance_w,
-            operating_point=now.present.operating_point,
-            followed=now.present.followed,
-        )
-        labels = [] if now.active.posterior.identified else [NOT_IDENTIFIED]
+        found = envelope(active.model, active.posterior, state.machine, *axes, limits)
+        labels = [] if active.posterior.identified else [NOT_IDENTIFIED]
         return envelope_json(found) | {
-            "made_at": rfc3339(now.time_us),
-            "model_version": now.active.version,
+            "made_at": rfc3339(state.time_us),
+            "model_version": active.version,
             "low_risk": self._settings.low_risk.model_dump(),
             "labels": labels,
         }

@@ -2,19 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
-from service.live.ahead import OperatingPoint
-from twin_core.forecasting.members import FOLLOWED_S
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import Innovation, Observer, initial_state, not_colder_than
 from twin_core.operating_points import usual_levels
+from twin_core.profiles import OperatingPoint
 from twin_core.windows import stands_at_ambient
 
 # A gap without any knowledge of the operating point longer than this starts the estimate anew,
@@ -40,6 +40,28 @@ class ActiveModel:
     def values(self) -> NDArray[np.float64]:
         """Physical parameter values at the posterior's centre, shape (p,)."""
         return self.model.parameters.values_from_z(self.posterior.z)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedState:
+    """What the live twin knows of its machine at a moment.
+
+    Attributes
+    ----------
+    active : ActiveModel
+        The model version that the twin runs on.
+    machine : MachineState
+        State of the machine.
+    point : OperatingPoint
+        What it runs at.
+    time_us : int
+        Process time.
+    """
+
+    active: ActiveModel
+    machine: MachineState
+    point: OperatingPoint
+    time_us: int
 
 
 class LiveEstimate:
@@ -92,6 +114,16 @@ class LiveEstimate:
         if self._floor_c is None:
             return observer.temperatures_c
         return not_colder_than(self._floor_c, observer.temperatures_c, observer.covariance)
+
+    def state(self) -> EstimatedState | None:
+        """The present state, for forecasts, maps and advice; None before there is an estimate."""
+        if self._observer is None or self.point is None or self.time_us is None:
+            return None
+        machine = self._observer.state(
+            self.point.ambient_c, self.point.inputs, followed_s=self.followed_s
+        )
+        machine = replace(machine, temperatures_c=self.temperatures_c)
+        return EstimatedState(self.active, machine, self.point, self.time_us)
 
     def _note_surroundings(
         self, duration_s: float, point: OperatingPoint, temperatures: Mapping[str, float]

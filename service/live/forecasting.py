@@ -13,15 +13,16 @@ from service.clock import rfc3339
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.live import presentation
-from service.live.ahead import OperatingPoint, Step, held, operating_profile, planned
-from service.live.estimate import LiveEstimate
+from service.live.ahead import Step, held, operating_profile, planned
+from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
 from service.site.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
-from twin_core.forecasting.members import course_known
+from twin_core.profiles import OperatingPoint
+from twin_core.simulation import OperatingProfile
 
 FORECAST_ROW_S = 60.0
 HORIZON_S = 4 * 3600.0
@@ -106,15 +107,17 @@ class Forecasting:
         missing : sequence of str
             Operating channels without a usable value: no verdict follows from such a forecast.
         """
-        made_us = self._estimate.time_us or self._clock.now_us()
+        state = self._estimate.state()
+        if state is None:
+            raise RuntimeError("the estimate has not started")
+        made_us, version = state.time_us, state.active.version
         steps = self.steps_ahead(made_us)
         if not steps:
             return None
-        version = self._estimate.active.version
-        arguments = self._arguments(steps, FORECAST_ROW_S)
+        profile = operating_profile(steps, FORECAST_ROW_S, state.point.inputs)
         loop = asyncio.get_running_loop()
         result, crossings, body = await loop.run_in_executor(
-            self._executor, _make, arguments, self._limits
+            self._executor, _make, state, profile, self._limits
         )
         body |= {
             "made_at": rfc3339(made_us),
@@ -137,30 +140,29 @@ class Forecasting:
         nodes: Collection[str] | None,
     ) -> Mapping[str, Any]:
         """Forecast a profile from the present state; see `service.domain.interfaces.AssetTwin`."""
-        point = self._estimate.point
-        if point is None or not self._estimate.started:
+        state = self._estimate.state()
+        if state is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         steps = [
             Step(
                 step.duration_s,
                 step.speed_rpm,
                 step.load_n,
-                point.ambient_c if step.ambient_c is None else step.ambient_c,
+                state.point.ambient_c if step.ambient_c is None else step.ambient_c,
             )
             for step in profile
         ]
-        model_version = self._estimate.active.version
-        arguments = self._arguments(steps, step_s or FORECAST_ROW_S)
+        ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
         wanted = list(nodes) if nodes else None
         loop = asyncio.get_running_loop()
         try:
             body = await loop.run_in_executor(
-                self._what_if_executor, _what_if, arguments, self._limits, wanted
+                self._what_if_executor, _what_if, state, ahead, self._limits, wanted
             )
         except BrokenProcessPool as error:
             raise NotReadyError("the worker that computes what-if forecasts has died") from error
         return body | {
-            "model_version": model_version,
+            "model_version": state.active.version,
             "profile": presentation.steps_json(steps),
         }
 
@@ -188,56 +190,28 @@ class Forecasting:
             return False
         return (now_us - plan.time_us) / 1e6 <= allowed_age_s(_PLAN_MAX_AGE_S, self._clock.rate)
 
-    @property
-    def _inputs(self) -> tuple[float, ...]:
-        """Present inputs of a network of one's own."""
-        point = self._estimate.point
-        return () if point is None else point.inputs
-
-    def _arguments(self, steps: Sequence[Step], row_s: float) -> tuple[Any, ...]:
-        """What `_forecast` computes a forecast from the present state from."""
-        observer, active = self._estimate.observer, self._estimate.active
-        return (
-            active.model,
-            active.posterior,
-            self._estimate.temperatures_c,
-            observer.covariance.copy(),
-            float(observer.revolutions),
-            operating_profile(steps, row_s, self._inputs),
-            observer.heat_disturbance_w,
-            observer.operating_point,
-            observer.inputs or self._inputs,
-            course_known(self._estimate.followed_s),
-        )
-
 
 def _make(
-    arguments: tuple[Any, ...], limits: Mapping[str, Limits], nodes: Sequence[str] | None = None
+    state: EstimatedState,
+    profile: OperatingProfile,
+    limits: Mapping[str, Limits],
+    nodes: Sequence[str] | None = None,
 ) -> _Made:
     # JSON too: two days in all nodes are a hundred thousand figures, no work for the event loop.
-    result = _forecast(*arguments)
+    active = state.active
+    result = forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
     crossings = presentation.limit_crossings(result, limits)
     return _Made(result, crossings, presentation.forecast_json(result, limits, crossings, nodes))
 
 
 def _what_if(
-    arguments: tuple[Any, ...], limits: Mapping[str, Limits], nodes: Sequence[str] | None
+    state: EstimatedState,
+    profile: OperatingProfile,
+    limits: Mapping[str, Limits],
+    nodes: Sequence[str] | None,
 ) -> dict[str, Any]:
     """Give only what the caller gets: it comes from another process."""
-    return _make(arguments, limits, nodes).body
-
-
-def _forecast(*arguments: Any) -> Forecast:
-    *state, disturbance_w, operating_point, inputs, followed = arguments
-    return forecast(
-        *state,
-        disturbance_w=disturbance_w,
-        operating_point=operating_point,
-        followed=followed,
-        inputs=inputs,
-        members=MEMBERS,
-        seed=0,
-    )
+    return _make(state, profile, limits, nodes).body
 
 
 def _beyond_times(plan: PlannedProfile) -> list[tuple[float, ...]]:

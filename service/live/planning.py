@@ -7,12 +7,11 @@ from typing import Any
 from service.domain.errors import NotIdentifiedError, NotReadyError
 from service.live.advice import give_advice
 from service.live.ahead import Step
-from service.live.envelope import EnvelopeKeeper, Now
-from service.live.estimate import LiveEstimate
+from service.live.envelope import EnvelopeKeeper
+from service.live.estimate import EstimatedState, LiveEstimate
 from service.site.settings import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError
-from twin_core.forecasting.design import Level, Present
-from twin_core.forecasting.members import course_known
+from twin_core.forecasting.design import Level
 
 
 class Planning:
@@ -46,7 +45,7 @@ class Planning:
             While there is no estimate.
         """
         planned = [(step.speed_rpm, step.load_n) for step in ahead]
-        return await self._envelope.document(self._now(), planned)
+        return await self._envelope.document(self._state(), planned)
 
     async def advice(self, target: Level) -> Mapping[str, Any]:
         """Low-risk steps, ranked by what they would teach about a point.
@@ -61,25 +60,13 @@ class Planning:
         try:
             async with self._advising:
                 return await asyncio.to_thread(
-                    give_advice, self._settings, self._now(), self._measured, target
+                    give_advice, self._settings, self._state(), self._measured, target
                 )
         except NothingIdentifiedError as error:
             raise NotIdentifiedError(str(error)) from error
 
-    def _now(self) -> Now:
-        point, time_us = self._estimate.point, self._estimate.time_us
-        if point is None or time_us is None or not self._estimate.started:
+    def _state(self) -> EstimatedState:
+        state = self._estimate.state()
+        if state is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
-        observer = self._estimate.observer
-        present = Present(
-            self._estimate.temperatures_c,
-            observer.covariance.copy(),
-            max(float(observer.revolutions), 0.0),
-            point.ambient_c,
-            observer.heat_disturbance_w.copy(),
-            observer.operating_point,
-            course_known(self._estimate.followed_s),
-        )
-        return Now(
-            self._estimate.active, present, time_us, point.speed_rpm, point.load_n, point.inputs
-        )
+        return state

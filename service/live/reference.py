@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.live.ahead import OperatingPoint
 from service.live.estimate import ActiveModel
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, SimulationError, simulate
 
 

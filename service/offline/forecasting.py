@@ -1,7 +1,7 @@
 """A forecast from a model file: follow the history, then run the ensemble over the profile."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from service.offline.rows import (
 from service.offline.tables import FloatArray, PlannedRows, Recording
 from service.site.machines.machine import Machine
 from twin_core.forecasting import forecast
-from twin_core.forecasting.members import course_known
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import usual_levels
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, SimulationError, hold_operating_point
 from twin_core.windows import MinuteData, is_at_rest
 
@@ -42,37 +43,6 @@ class UnusableHistoryError(ValueError):
 
 class FollowError(Exception):
     """The model cannot follow the history; one line for the user."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Present:
-    """What is known of the machine at the beginning of the profile.
-
-    Attributes
-    ----------
-    temperatures_c, covariance
-        (nodes,) and (nodes, nodes) of all nodes.
-    disturbance_w
-        (nodes,) heat that the model lacks at present, as the observer found it.
-    revolutions
-        Run-in of the grease.
-    speed_rpm, load_n, ambient_c
-        Operating point that holds until the profile's first row.
-    inputs
-        The network's inputs likewise, (k,).
-    followed_s
-        For how long the estimate follows a history; infinite for a machine whose state is given.
-    """
-
-    temperatures_c: FloatArray
-    covariance: FloatArray
-    disturbance_w: FloatArray
-    revolutions: float
-    speed_rpm: float
-    load_n: float
-    ambient_c: float
-    inputs: tuple[float, ...] = ()
-    followed_s: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,25 +68,24 @@ class ProfileForecast:
         }
 
 
-def cold(identified: IdentifiedModel, initial_temperature_c: float) -> Present:
+def cold(identified: IdentifiedModel, initial_temperature_c: float) -> MachineState:
     """A machine that stands at one temperature, its grease as at the start of the data."""
     nodes = len(identified.model.node_names)
-    return Present(
+    inputs = tuple(
+        initial_temperature_c if name in identified.model.network.boundaries else 0.0
+        for name in identified.model.input_names
+    )
+    return MachineState(
         temperatures_c=np.full(nodes, initial_temperature_c),
         covariance=_COLD_OFFSET_K**2 * np.ones((nodes, nodes)) + _COLD_SCATTER_K**2 * np.eye(nodes),
-        disturbance_w=np.zeros(nodes),
         revolutions=float(identified.run_in.revolutions[0]),
-        speed_rpm=0.0,
-        load_n=0.0,
         ambient_c=initial_temperature_c,
-        inputs=tuple(
-            initial_temperature_c if name in identified.model.network.boundaries else 0.0
-            for name in identified.model.input_names
-        ),
+        inputs=inputs,
+        operating_point=OperatingPoint(0.0, 0.0, initial_temperature_c, inputs),
     )
 
 
-def follow(identified: IdentifiedModel, history: Recording) -> Present:
+def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
     """Follow a history to its last row with the observer.
 
     Parameters
@@ -151,21 +120,16 @@ def follow(identified: IdentifiedModel, history: Recording) -> Present:
             )
         last = (float(good.speed_rpm[-1]), float(good.load_n[-1]), float(good.ambient_c[-1]))
         # Rows at the end without an operating point: the last known one holds.
-        inputs = good.inputs_at(-1)
-        observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last, inputs)
+        point = OperatingPoint(*last, good.inputs_at(-1))
+        observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last, point.inputs)
         if minutes.time_s[-1] > good.time_s[-1]:
             observer.update(_readings(minutes, minutes.size - 1))
     except SimulationError as error:
         raise FollowError(f"{history.name}: {error}") from error
-    return Present(
-        observer.temperatures_c,
-        observer.covariance,
-        observer.heat_disturbance_w,
-        observer.revolutions,
-        *last,
-        inputs=inputs,
-        followed_s=float(minutes.time_s[-1]) - since_s,
+    state = observer.state(
+        point.ambient_c, point.inputs, followed_s=float(minutes.time_s[-1]) - since_s
     )
+    return replace(state, operating_point=point)
 
 
 def _step_followed(history: Recording, machine: Machine, model: ThermalModel) -> float:
@@ -242,23 +206,11 @@ def _readings(minutes: MinuteData, row: int) -> dict[str, float]:
 
 
 def forecast_profile(
-    identified: IdentifiedModel, present: Present, rows: PlannedRows
+    identified: IdentifiedModel, state: MachineState, rows: PlannedRows
 ) -> ProfileForecast:
     """Forecast all sensors and nodes at the rows of a profile."""
-    profile = _profile(identified, present, rows)
-    result = forecast(
-        identified.model,
-        identified.posterior,
-        present.temperatures_c,
-        present.covariance,
-        present.revolutions,
-        profile,
-        disturbance_w=present.disturbance_w,
-        operating_point=(present.speed_rpm, present.load_n, present.ambient_c),
-        inputs=present.inputs,
-        followed=course_known(present.followed_s),
-        members=MEMBERS,
-    )
+    profile = _profile(identified, state, rows)
+    result = forecast(identified.model, identified.posterior, state, profile, members=MEMBERS)
     quantiles = np.empty((len(result.quantiles), rows.time_s.size, len(result.names)))
     for level, table in enumerate(result.quantiles):
         for name, values in enumerate(table.T):
@@ -285,15 +237,18 @@ def _initial_state(names: Sequence[str], quantiles_c: FloatArray) -> dict[str, d
     }
 
 
-def _profile(identified: IdentifiedModel, present: Present, rows: PlannedRows) -> OperatingProfile:
+def _profile(
+    identified: IdentifiedModel, state: MachineState, rows: PlannedRows
+) -> OperatingProfile:
     """Rows from now on at most a step apart, so that no peak between two planned ones is missed.
 
     Means over the steps stand for the rows where there are too many for the ensemble.
     """
     time_s = rows.time_s
     columns = [rows.speed_rpm, rows.load_n, rows.ambient_c, *rows.inputs.T]
-    if time_s[0] > 0.0:
-        before = (present.speed_rpm, present.load_n, present.ambient_c, *present.inputs)
+    point = state.operating_point
+    if time_s[0] > 0.0 and point is not None:
+        before = (point.speed_rpm, point.load_n, point.ambient_c, *point.inputs)
         time_s = np.append(0.0, time_s)
         columns = [np.append(now, values) for now, values in zip(before, columns, strict=True)]
     longest_s = step_ahead(identified.machine, identified.model)

@@ -130,12 +130,8 @@ def story(request: pytest.FixtureRequest) -> Story:
     made = forecast(
         model,
         result.posterior,
-        observer.temperatures_c,
-        observer.covariance,
-        observer.revolutions,
+        observer.state(),
         ahead,
-        disturbance_w=observer.heat_disturbance_w,
-        operating_point=observer.operating_point,
     )
     return Story(minutes, truth, low, result, report, ahead, made, first)
 

@@ -19,10 +19,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.forecasting.design import Design, Level, Present, held_profile
+from twin_core.forecasting.design import Design, Level, held_profile
 from twin_core.forecasting.ensemble import forecast
 from twin_core.forecasting.stepping import LoadStep, stepping_plan
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import (
     NEW_LOAD,
@@ -148,7 +149,7 @@ class Advice:
 def advise(
     model: ThermalModel,
     posterior: Posterior,
-    present: Present,
+    state: MachineState,
     target: Level,
     region: LowRiskRegion,
     limits: Mapping[str, float],
@@ -164,7 +165,7 @@ def advise(
     ----------
     model, posterior
         What is known of the machine, identified from low-risk data.
-    present
+    state
         The machine now; steps and target begin here.
     target
         The point that is to be forecast, and for how long it is to be held.
@@ -188,6 +189,7 @@ def advise(
         If posterior and model do not belong together, or the target is not a running machine.
     """
     posterior.check(model)
+    model = model.holding(state.inputs)
     if not posterior.identified:
         raise NothingIdentifiedError(
             "no identified model yet: run low-risk windows and identify first"
@@ -200,14 +202,8 @@ def advise(
     made = forecast(
         model,
         posterior,
-        present.state_c,
-        present.state_covariance,
-        present.revolutions,
-        held_profile((target,), present.ambient_c, model.compiled.inputs),
-        disturbance_w=present.disturbance_w,
-        operating_point=present.operating_point,
-        followed=present.followed,
-        inputs=model.compiled.inputs,
+        state,
+        held_profile((target,), state.ambient_c, state.inputs),
         members=members,
         seed=seed,
     )
@@ -217,7 +213,7 @@ def advise(
     }
     decisive = max(sensors, key=lambda name: now[name].half_width_k)
     has = sensors if measured is None else measured
-    design = Design(model, posterior, present, sensors, has, target)
+    design = Design(model, posterior, state, sensors, has, target)
     trained = posterior.trained.operating_points
     ranked, excluded = [], []
     for levels in candidates(trained, target, region):
@@ -258,7 +254,7 @@ def advise(
         excluded=tuple(excluded),
         worth_while=bool(ranked) and ranked[0].narrower_by >= _WORTH_WHILE,
         stepping=stepping_plan(
-            model, posterior, present, target, limits if alarm_limits is None else alarm_limits
+            model, posterior, state, target, limits if alarm_limits is None else alarm_limits
         ),
     )
 

@@ -21,6 +21,7 @@ from twin_core.forecasting.ensemble import (
 )
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.whitening import whitening
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.simulation import (
     OperatingProfile,
@@ -42,37 +43,6 @@ _NOISE_VARIANCE_K2 = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Present:
-    """The machine now.
-
-    Attributes
-    ----------
-    state_c, state_covariance
-        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the node temperatures.
-    revolutions
-        Revolutions since the grease was fresh.
-    ambient_c
-        Ambient temperature.
-    disturbance_w
-        (nodes,) heat in W that the model lacks at present, or None.
-    operating_point
-        Speed in rpm, load in N and ambient in degC up to now, or None for a machine that has not
-        been followed.
-    followed
-        How much of its present course has been observed, 0 to 1; see
-        `twin_core.forecasting.members.course_known`.
-    """
-
-    state_c: FloatArray
-    state_covariance: FloatArray
-    revolutions: float
-    ambient_c: float
-    disturbance_w: FloatArray | None = None
-    operating_point: tuple[float, float, float] | None = None
-    followed: float = 1.0
-
-
 @dataclass(frozen=True, slots=True)
 class Level:
     """A span at constant speed and load."""
@@ -89,8 +59,8 @@ class Design:
     ----------
     model, posterior
         What is known of the machine; they must belong together.
-    present
-        Where steps and forecast begin.
+    state
+        Where steps and forecast begin; its ambient temperature and inputs are held.
     sensors
         Names of the sensors that are forecast.
     measured
@@ -108,21 +78,21 @@ class Design:
         self,
         model: ThermalModel,
         posterior: Posterior,
-        present: Present,
+        state: MachineState,
         sensors: Sequence[str],
         measured: Collection[str],
         target: Level,
     ) -> None:
         posterior.check(model)
-        self._model = model
-        self._present = present
+        self._model = model = model.holding(state.inputs)
+        self._state = state
         more = [name for name in model.node_names if name in measured and name not in sensors]
         names = [*sensors, *more]
         self._rows = model.sensor_matrix(names)
         self._measured = [index for index, name in enumerate(names) if name in measured]
         self._forecast = slice(len(sensors))
         self._z = posterior.z
-        variance, directions = np.linalg.eigh(present.state_covariance)
+        variance, directions = np.linalg.eigh(state.covariance)
         kept = variance > _LEAST_STATE_K**2
         self._state_factor = directions[:, kept] * np.sqrt(variance[kept])
         # Not the samples' covariance: round the curved valley of good fits it takes the directions
@@ -137,7 +107,7 @@ class Design:
         self._target = np.zeros((count + 1, len(sensors)))
         self._target[:count] = gradient[:, -1, self._forecast]
         end_c = path[-1, self._forecast]
-        rise_c = np.where(np.isfinite(end_c), np.maximum(end_c - present.ambient_c, 0.0), 0.0)
+        rise_c = np.where(np.isfinite(end_c), np.maximum(end_c - state.ambient_c, 0.0), 0.0)
         self._load = target.load_n, posterior.trained.load_n_max
         self._deviation_k = LOAD_DEVIATION * model.errors.scale * rise_c
         self.std_k: FloatArray = self._std_k(self._information, 0.0)
@@ -192,7 +162,7 @@ class Design:
         )
 
     def _profile(self, levels: Sequence[Level]) -> OperatingProfile:
-        return held_profile(levels, self._present.ambient_c, self._model.compiled.inputs)
+        return held_profile(levels, self._state.ambient_c, self._state.inputs)
 
     def _sensitivities(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray]:
         """Readings (n, sensors), and their derivatives (d, n, sensors); infinite if it runs away.
@@ -207,8 +177,8 @@ class Design:
                 self._model,
                 parameters.values_from_z(z),
                 profile,
-                self._present.state_c,
-                self._present.revolutions,
+                self._state.temperatures_c,
+                self._state.revolutions,
                 initial_directions=self._state_factor,
                 outputs=self._rows,
             )
@@ -227,18 +197,18 @@ class Design:
         _, friction_w = heat_balance_w(
             self._model,
             values,
-            self._present.state_c,
+            self._state.temperatures_c,
             first.speed_rpm,
             first.load_n,
-            self._present.ambient_c,
-            self._present.revolutions,
+            self._state.ambient_c,
+            self._state.revolutions,
         )
         moved = simulate_batch(
             self._model,
             values[None],
             self._profile(levels),
-            self._present.state_c[None],
-            self._present.revolutions,
+            self._state.temperatures_c[None],
+            self._state.revolutions,
             disturbance_w=FRICTION_SHIFT * friction_w * np.asarray(share),
         )[0]
         shift = moved @ self._rows.T - path
@@ -246,7 +216,7 @@ class Design:
 
 
 def held_profile(
-    levels: Sequence[Level], ambient_c: float, inputs: FloatArray | None = None
+    levels: Sequence[Level], ambient_c: float, inputs: Sequence[float] = ()
 ) -> OperatingProfile:
     """Rows of one minute over levels held one after the other, from now.
 
@@ -260,5 +230,5 @@ def held_profile(
         np.array([level.speed_rpm for level in levels])[index],
         np.array([level.load_n for level in levels])[index],
         np.full(time_s.size, ambient_c),
-        np.tile(np.empty(0) if inputs is None else inputs, (time_s.size, 1)),
+        np.tile(np.array(inputs, np.float64), (time_s.size, 1)),
     )

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
 from twin_core.forecasting.heat_laws import law_verdicts
@@ -21,10 +21,12 @@ from twin_core.forecasting.labels import doubtful_start, forecast_labels
 from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
 from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
 from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import (
     OperatingProfile,
     hold_operating_point,
@@ -153,15 +155,9 @@ class Forecast:
 def forecast(
     model: ThermalModel,
     posterior: Posterior,
-    state_c: ArrayLike,
-    state_covariance: ArrayLike,
-    revolutions: float,
+    state: MachineState,
     profile: OperatingProfile,
     *,
-    disturbance_w: ArrayLike | None = None,
-    operating_point: tuple[float, float, float] | None = None,
-    followed: float = 1.0,
-    inputs: ArrayLike = (),
     members: int = 200,
     seed: int = 0,
 ) -> Forecast:
@@ -171,29 +167,10 @@ def forecast(
     ----------
     model, posterior
         What is known of the machine; they must belong together.
-    state_c, state_covariance
-        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the present node temperatures.
-    revolutions
-        Revolutions since the grease was fresh.
+    state
+        The machine now; the observer's ``state()``.
     profile
         n rows ahead; the first is now.
-    disturbance_w
-        (nodes,) heat in W that the model lacks at present, the observer's
-        ``heat_disturbance_w``; it fades as in the observer. Default none.
-    operating_point
-        Speed in rpm, load in N and ambient in degC up to now, the observer's
-        ``operating_point``, if it has followed a run. A member whose resistances are not those of
-        the observer's model is out of balance in the state that this model has found; it starts
-        with the heats that keep it on the observed course, and they fade likewise; they end when
-        the machine stops or starts, as what is wrong is mostly friction. Without it every member
-        is taken to be in the present state by itself, as a cold machine is.
-    followed
-        How much of the present course has been observed, 0 to 1: by this part of them members get
-        the heats that keep them on it. From a few readings nobody knows where a machine is going;
-        see `twin_core.forecasting.members.course_known`. Below 1 a label says how well the state
-        is known where that is badly.
-    inputs
-        (k,) the network's inputs up to now, beside `operating_point`.
     members
         Even number of members; random numbers come in antithetic pairs, so that the ensemble's
         centre is the posterior's.
@@ -212,19 +189,20 @@ def forecast(
     parameters = model.parameters
     z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
     values = parameters.values_from_z(z)
-    revolutions = max(float(revolutions), 0.0)
-    mean_c = np.asarray(state_c, np.float64)
-    start = mean_c + rng.permutation(
-        normal_draws(rng, members, np.asarray(state_covariance, np.float64))
+    mean_c, revolutions, operating_point = (
+        state.temperatures_c,
+        state.revolutions,
+        state.operating_point,
     )
+    start = mean_c + rng.permutation(normal_draws(rng, members, state.covariance))
     heat_w = np.zeros(start.shape)
     best = parameters.values_from_z(posterior.z)
     goes_on = operating_point is None or goes_on_as(operating_point, profile)
-    if disturbance_w is not None and goes_on:
-        heat_w += np.asarray(disturbance_w, np.float64)
+    if state.heat_disturbance_w is not None and goes_on:
+        heat_w += state.heat_disturbance_w
     if operating_point is not None and goes_on:
-        heat_w += followed * imbalance_w(
-            model.holding(inputs), best, mean_c, values, start, operating_point, revolutions
+        heat_w += state.course_known * imbalance_w(
+            model, best, mean_c, values, start, operating_point, revolutions
         )
     temperatures = member_paths(
         model, values, hold_operating_point(profile), start, revolutions, heat_w
@@ -275,7 +253,9 @@ def forecast(
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
     names = (*sensors, *(model.node_names[k] for k in others))
-    doubts = () if followed >= 1.0 else doubtful_start(names, quantiles[:, 0], model.errors.scale)
+    doubts: tuple[str, ...] = ()
+    if state.course_known < 1.0:
+        doubts = doubtful_start(names, quantiles[:, 0], model.errors.scale)
     return Forecast(
         time_s=profile.time_s,
         names=names,
@@ -319,15 +299,13 @@ def _beyond_drives(
     return _following(beyond, profile.time_s, model.errors.slow_s)
 
 
-def _started(
-    profile: OperatingProfile, operating_point: tuple[float, float, float] | None
-) -> FloatArray:
+def _started(profile: OperatingProfile, operating_point: OperatingPoint | None) -> FloatArray:
     """Zero until the machine starts out of a standstill, then towards one, (n,).
 
     A machine that was not followed is taken to do what it did in its data.
     """
     standing = stands(profile)
-    if operating_point is not None and abs(operating_point[0]) < STANDING_RPM:
+    if operating_point is not None and abs(operating_point.speed_rpm) < STANDING_RPM:
         standing[0] = True
     since = np.logical_or.accumulate(standing) & ~standing
     return _following(np.maximum.accumulate(since.astype(np.float64)), profile.time_s, START_S)

@@ -27,6 +27,7 @@ from twin_core.forecasting.ensemble import (
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.members import imbalance_w
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.simulation import holding
@@ -108,17 +109,11 @@ class Envelope:
 def envelope(
     model: ThermalModel,
     posterior: Posterior,
-    state_c: ArrayLike,
-    state_covariance: ArrayLike,
-    revolutions: float,
-    ambient_c: float,
+    state: MachineState,
     speed_rpm: ArrayLike,
     load_n: ArrayLike,
     limits: Mapping[str, Sequence[float]],
     *,
-    disturbance_w: ArrayLike | None = None,
-    operating_point: tuple[float, float, float] | None = None,
-    followed: float = 1.0,
     horizon_s: float = HORIZON_S,
     members: int = MEMBERS,
     seed: int = 0,
@@ -131,23 +126,12 @@ def envelope(
     ----------
     model, posterior
         What is known of the machine; they must belong together.
-    state_c, state_covariance
-        Mean (nodes,) in degC and covariance (nodes, nodes) in K2 of the present node temperatures.
-    revolutions
-        Revolutions since the grease was fresh.
-    ambient_c
-        Ambient temperature, held.
+    state
+        The machine now; its ambient temperature and inputs are held.
     speed_rpm, load_n
         (speeds,) and (loads,) axes of the grid, increasing, not negative.
     limits
         Limits in degC per sensor; sensors without limits have steady temperatures all the same.
-    disturbance_w
-        (nodes,) heat in W that the model lacks at present; it fades as in the observer.
-    operating_point
-        Speed, load and ambient up to now, if the observer has followed a run; see
-        `twin_core.forecasting.forecast`.
-    followed
-        How much of that course is known, 0 to 1; see there.
     horizon_s
         How long each point is held for the times to the limits. Steady temperatures are those of
         grease run in until then.
@@ -163,6 +147,7 @@ def envelope(
         limit names no sensor, or a number is out of range.
     """
     posterior.check(model)
+    model = model.holding(state.inputs)
     speeds, loads = _axis("speed_rpm", speed_rpm), _axis("load_n", load_n)
     if members < 2 or members % 2:
         raise ValueError(f"members is {members}, expected an even number of at least 2")
@@ -174,11 +159,9 @@ def envelope(
             raise ValueError(f"limits: no sensor {name!r}, expected one of {', '.join(sensors)}")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
-    turned = max(float(revolutions), 0.0)
     z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
-    start = np.asarray(state_c, np.float64) + rng.permutation(
-        normal_draws(rng, members, np.asarray(state_covariance, np.float64))
-    )
+    mean_c, ambient_c = state.temperatures_c, float(state.ambient_c)
+    start = mean_c + rng.permutation(normal_draws(rng, members, state.covariance))
     # The same pairs in all three, so that their sum has no bias in any percentile.
     offset = SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),))
     slow = paired_draws(rng, members, (len(sensors),))
@@ -202,21 +185,20 @@ def envelope(
     at_limits = np.where(np.isfinite(table), np.maximum(table - ambient_c, 0.0), 0.0)
     values = parameters.values_from_z(z)
     heat_w = np.zeros(start.shape)
-    if disturbance_w is not None:
-        heat_w += np.asarray(disturbance_w, np.float64)
-    if operating_point is not None:
+    if state.heat_disturbance_w is not None:
+        heat_w += state.heat_disturbance_w
+    if state.operating_point is not None:
         best = parameters.values_from_z(posterior.z)
-        mean_c = np.asarray(state_c, np.float64)
-        heat_w += followed * imbalance_w(
-            model, best, mean_c, values, start, operating_point, turned
+        heat_w += state.course_known * imbalance_w(
+            model, best, mean_c, values, start, state.operating_point, state.revolutions
         )
     steady, crossing = _hold(
         model,
         values,
         start,
-        turned,
+        state.revolutions,
         heat_w,
-        float(ambient_c),
+        ambient_c,
         cells,
         # A sensor that reads too high by its offset reaches its limit that much earlier.
         table - offset[:, :, None],
@@ -234,7 +216,7 @@ def envelope(
     return Envelope(
         speed_rpm=speeds,
         load_n=loads,
-        ambient_c=float(ambient_c),
+        ambient_c=ambient_c,
         horizon_s=horizon_s,
         members=members,
         sensors=sensors,

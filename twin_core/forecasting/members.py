@@ -7,12 +7,10 @@ from twin_core.forecasting.paths import net_heat_range
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch
 
 FloatArray = NDArray[np.float64]
-
-FOLLOWED_S = 3600.0
-"""A course that has been followed for this time counts as known."""
 
 
 def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
@@ -20,9 +18,9 @@ def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
     return np.asarray(np.abs(profile.speed_rpm) < STANDING_RPM)
 
 
-def goes_on_as(operating_point: tuple[float, float, float], profile: OperatingProfile) -> bool:
-    """Whether the machine goes on running, or standing, as up to now (speed, load, ambient)."""
-    return bool(stands(profile)[0] == (abs(operating_point[0]) < STANDING_RPM))
+def goes_on_as(operating_point: OperatingPoint, profile: OperatingProfile) -> bool:
+    """Whether the machine goes on running, or standing, as up to now."""
+    return bool(stands(profile)[0] == (abs(operating_point.speed_rpm) < STANDING_RPM))
 
 
 def member_paths(
@@ -80,32 +78,25 @@ def _rows(profile: OperatingProfile, first: int, last: int) -> OperatingProfile:
     return profile.rows(slice(first, last + 1))
 
 
-def course_known(followed_s: float) -> float:
-    """How much of a machine's course is known, 0 to 1, once it has been followed for a time in s.
-
-    A machine is on its own course, as little as its model knows of it, once the observer has seen
-    the slower parts answer.
-    """
-    return min(max(followed_s, 0.0) / FOLLOWED_S, 1.0)
-
-
 def imbalance_w(
     model: ThermalModel,
     best: FloatArray,
     state_c: FloatArray,
     values: FloatArray,
     start_c: FloatArray,
-    operating_point: tuple[float, float, float],
+    operating_point: OperatingPoint,
     revolutions: float,
 ) -> FloatArray:
     """Heats (members, nodes) that set each member, in its own start, on the observed course.
 
     dT/dt of every node shall be what it is with the best parameters in the observed state.
     """
+    model = model.holding(operating_point.inputs)
     capacity = kernels.bind_network(model.compiled, best)[0]
-    net_w = heat_balance_w(model, best, state_c, *operating_point, revolutions)[0]
+    point = operating_point.speed_rpm, operating_point.load_n, operating_point.ambient_c
+    net_w = heat_balance_w(model, best, state_c, *point, revolutions)[0]
     own_w, own_capacity = np.empty(start_c.shape), np.empty(start_c.shape)
-    speed_rpm, load_n, ambient_c = operating_point
+    speed_rpm, load_n, ambient_c = point
     net_heat_range(
         model.compiled,
         values,

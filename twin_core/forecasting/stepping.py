@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_core.forecasting.design import Level, Present
+from twin_core.forecasting.design import Level
 from twin_core.forecasting.envelope import envelope
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import NEW_SPEED, alike
 
@@ -63,7 +64,7 @@ class LoadStep:
 def stepping_plan(
     model: ThermalModel,
     posterior: Posterior,
-    present: Present,
+    state: MachineState,
     target: Level,
     limits: Mapping[str, float],
 ) -> tuple[LoadStep, ...]:
@@ -71,7 +72,7 @@ def stepping_plan(
 
     Parameters
     ----------
-    model, posterior, present
+    model, posterior, state
         What is known of the machine, identified from data.
     target
         Where to go.
@@ -81,19 +82,7 @@ def stepping_plan(
     steps: list[LoadStep] = []
     barred = ""
     for speed_rpm, load_n in levels_towards(posterior, target.speed_rpm, target.load_n):
-        found = envelope(
-            model,
-            posterior,
-            present.state_c,
-            present.state_covariance,
-            present.revolutions,
-            present.ambient_c,
-            [speed_rpm],
-            [load_n],
-            {},
-            disturbance_w=present.disturbance_w,
-            operating_point=present.operating_point,
-        )
+        found = envelope(model, posterior, state, [speed_rpm], [load_n], {})
         expected = {name: float(found.steady_c[name][1, 0, 0]) for name in found.sensors}
         upper = {name: float(found.steady_c[name][2, 0, 0]) for name in found.sensors}
         for name, limit_c in limits.items():

@@ -28,17 +28,7 @@ def forecast_ensemble(tell: Progress) -> Measurement:
     )
     tell(0.5, "forecasts")
     value = shortest_s(
-        lambda: forecast(
-            twin.model,
-            twin.posterior,
-            observer.temperatures_c,
-            observer.covariance,
-            observer.revolutions,
-            ahead,
-            disturbance_w=observer.heat_disturbance_w,
-            operating_point=observer.operating_point,
-            members=MEMBERS,
-        ),
+        lambda: forecast(twin.model, twin.posterior, observer.state(), ahead, members=MEMBERS),
         at_least_s=2.0,
     )
     tell(0.8, "single simulations")

@@ -36,7 +36,7 @@ from service.lab.studies.common import (
     in_processes,
 )
 from twin_core.forecasting.advice import Advice, advise
-from twin_core.forecasting.design import Level, Present
+from twin_core.forecasting.design import Level
 from twin_core.forecasting.labels import RUNAWAY
 from twin_core.windows import LowRiskRegion
 
@@ -187,19 +187,12 @@ def asked(arrangement: Arrangement, bench: BenchParameters, seed: int) -> Advice
     done = run_bench(bench, arrangement.light, seed)
     twin = identify_twin(done, arrangement.light_minutes)
     observer = follow(twin, done, arrangement.light_minutes - 1)
-    present = Present(
-        observer.temperatures_c,
-        observer.covariance,
-        observer.revolutions,
-        float(done.minutes.ambient_c[-1]),
-        observer.heat_disturbance_w,
-        observer.operating_point,
-    )
+    state = observer.state(float(done.minutes.ambient_c[-1]))
     heavy = arrangement.heavy
     return advise(
         twin.model,
         twin.posterior,
-        present,
+        state,
         Level(heavy.speed_rpm, heavy.load_n, 60.0 * heavy.minutes),
         arrangement.region,
         WARNING_C,

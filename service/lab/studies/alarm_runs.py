@@ -30,7 +30,6 @@ from service.site.wiring import ChannelFacts
 from service.store import JournalFilter, Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.forecasting import Forecast, forecast
-from twin_core.forecasting.members import course_known
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior, identify
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile
@@ -258,9 +257,10 @@ def _samples(seen: Measured, from_h: float, step_s: float) -> Iterator[tuple[int
 
 def _held(estimate: LiveEstimate) -> Forecast:
     """The forecast with the present point held, as the service makes it without a plan."""
-    observer, active, point = estimate.observer, estimate.active, estimate.point
-    if point is None:
-        raise RuntimeError("a started estimate has an operating point")
+    state = estimate.state()
+    if state is None:
+        raise RuntimeError("a started estimate has a state")
+    active, point = state.active, state.point
     time_s = np.arange(0.0, _HORIZON_S + 1.0, _FORECAST_ROW_S)
     profile = OperatingProfile(
         time_s,
@@ -268,16 +268,6 @@ def _held(estimate: LiveEstimate) -> Forecast:
         np.full(time_s.size, point.load_n),
         np.full(time_s.size, point.ambient_c),
     )
-    return forecast(
-        active.model,
-        active.posterior,
-        observer.temperatures_c,
-        observer.covariance,
-        observer.revolutions,
-        profile,
-        disturbance_w=observer.heat_disturbance_w,
-        operating_point=observer.operating_point,
-        followed=course_known(estimate.followed_s),
-        members=_MEMBERS,
-        seed=0,
-    )
+    # The observer's own temperatures, not those bounded by the surroundings.
+    machine = replace(state.machine, temperatures_c=estimate.observer.temperatures_c)
+    return forecast(active.model, active.posterior, machine, profile, members=_MEMBERS, seed=0)

@@ -291,17 +291,8 @@ def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile
     ahead
         n rows; the first is the present one.
     """
-    observer = follow(twin, run, first)
-    return forecast(
-        twin.model,
-        twin.posterior,
-        observer.temperatures_c,
-        observer.covariance,
-        observer.revolutions,
-        ahead,
-        disturbance_w=observer.heat_disturbance_w,
-        operating_point=observer.operating_point,
-    )
+    state = follow(twin, run, first).state(float(ahead.ambient_c[0]))
+    return forecast(twin.model, twin.posterior, state, ahead)
 
 
 def follow(twin: Twin, run: BenchRun, last: int) -> Observer:

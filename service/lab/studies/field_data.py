@@ -30,6 +30,7 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.identification.gates import GateCheck
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import initial_state
 from twin_core.process_noise import LONG_RUN_IN
@@ -329,9 +330,8 @@ def forecasts(
         now = {case.sensor: float(measured[0])}
         point = (float(rows.ambient_c[0]), float(rows.speed_rpm[0]), float(rows.load_n[0]))
         mean, covariance = initial_state(model, values, now, *point, False)
-        made = forecast(
-            model, posterior, mean, covariance, LONG_RUN_IN, profile, members=_MEMBERS, seed=0
-        )
+        state = MachineState(mean, covariance, LONG_RUN_IN, point[0])
+        made = forecast(model, posterior, state, profile, members=_MEMBERS, seed=0)
         low, median, high = made.quantile(case.sensor)[[0, 2, 4]]
         known = np.isfinite(measured)
         errors.setdefault("twin", []).append((median - measured)[known])

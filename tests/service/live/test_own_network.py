@@ -123,7 +123,7 @@ async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[
     estimate = live.runtime.estimate
     assert estimate.point is not None
     assert estimate.point.inputs == (200.0,)
-    assert estimate.observer.inputs == (200.0,)
+    assert estimate.observer.state().inputs == (200.0,)
     last = forecast["nodes"]["t_winding_c"]["q50"][-1]
     assert last > 40.0
     kept = estimate.to_dict()

@@ -16,6 +16,7 @@ from service.live.presentation import LimitCrossing
 from service.site.channels import unit_of
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast, forecast
+from twin_core.machine_state import MachineState
 
 BEGAN = "2026-11-21T08:00:00.000Z"
 START_US = 1_763_700_000_000_000
@@ -35,10 +36,8 @@ def estimate(make_version: Callable[..., Any]) -> LiveEstimate:
 def hot_forecast(make_version: Callable[..., Any]) -> Forecast:
     active = make_version()
     profile = operating_profile([Step(7200.0, 9000.0, 12_000.0, 23.0)], 600.0)
-    return forecast(
-        active.model, active.posterior, np.full(13, 23.0), 0.01 * np.eye(13), 0.0, profile,
-        members=50,
-    )  # fmt: skip
+    state = MachineState(np.full(13, 23.0), 0.01 * np.eye(13), 0.0, 23.0)
+    return forecast(active.model, active.posterior, state, profile, members=50)
 
 
 def body(result: Forecast) -> dict[str, Any]:

@@ -22,9 +22,9 @@ from service.live.readings import Readings
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
 from service.site.settings import AssetSection
-from twin_core.forecasting.members import FOLLOWED_S, course_known
 from twin_core.identification import identify
 from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.machine_state import FOLLOWED_S, course_known
 from twin_core.models import ThermalModel
 from twin_core.operating_points import usual_levels
 from twin_core.simulation import OperatingProfile, simulate

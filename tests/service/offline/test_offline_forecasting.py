@@ -4,9 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.offline.forecasting import Present, UnusableHistoryError, follow
+from service.offline.forecasting import UnusableHistoryError, follow
 from service.offline.model_file import IdentifiedModel
 from service.offline.tables import Recording
+from twin_core.machine_state import MachineState
 
 from .files import LOW_S, Run
 
@@ -22,20 +23,20 @@ def recording(rows: np.ndarray, temperatures: bool = True) -> Recording:
     return Recording("data.csv", None, time_s, speed_rpm, load_n, ambient_c, shown)
 
 
-def rings(identified: IdentifiedModel, present: Present) -> tuple[float, float]:
+def rings(identified: IdentifiedModel, state: MachineState) -> tuple[float, float]:
     rows = identified.model.sensor_matrix(identified.model.sensor_names)
-    inner, outer = rows @ present.temperatures_c
+    inner, outer = rows @ state.temperatures_c
     return float(inner), float(outer)
 
 
 def test_the_state_is_that_of_the_last_second(run: Run, identified: IdentifiedModel) -> None:
     end_s = LOW_S - 2400 + 143  # on the steep part, between two minutes
     for every_s in (1, 23):
-        present = follow(identified, recording(run.rows(every_s, 0, end_s)))
-        assert rings(identified, present) == pytest.approx(
+        state = follow(identified, recording(run.rows(every_s, 0, end_s)))
+        assert rings(identified, state) == pytest.approx(
             (run.inner_c[end_s], run.outer_c[end_s]), abs=0.4
         )
-        assert present.speed_rpm == pytest.approx(4200.0, abs=10.0)
+        assert state.operating_point.speed_rpm == pytest.approx(4200.0, abs=10.0)
 
 
 def test_readings_correct_the_model_all_the_way(run: Run, identified: IdentifiedModel) -> None:
@@ -58,15 +59,17 @@ def test_rows_at_the_end_without_an_operating_point_still_pass(
     rows[-9:, 4:] = np.nan
     before, after = (follow(identified, recording(rows[: -9 + late or None])) for late in (0, 9))
     assert rings(identified, after)[0] > rings(identified, before)[0] + 2.0
-    assert after.revolutions == pytest.approx(before.revolutions + 9 * before.speed_rpm)
+    assert after.revolutions == pytest.approx(
+        before.revolutions + 9 * before.operating_point.speed_rpm
+    )
 
 
 def test_the_grease_is_as_run_in_as_the_history_says(run: Run, identified: IdentifiedModel) -> None:
     # The model's data ended at 21600 s and 540 000 revolutions; this history shows another run.
     rows = run.rows(60)
     turned = float(rows[:-1, 1].sum())
-    present = follow(identified, recording(rows))
-    assert present.revolutions == pytest.approx(540_000.0 + turned, rel=1e-3)
+    state = follow(identified, recording(rows))
+    assert state.revolutions == pytest.approx(540_000.0 + turned, rel=1e-3)
     # A history of the same run, by its temperatures, begins where the data did.
     run_in = replace(
         identified.run_in,
@@ -98,11 +101,11 @@ def test_after_a_long_gap_the_estimate_starts_anew_but_the_run_in_goes_on(
 ) -> None:
     rows = run.rows(60)
     broken = np.delete(rows, slice(20, 100), axis=0)
-    present = follow(identified, recording(broken))
+    state = follow(identified, recording(broken))
     truth = (run.inner_c[LOW_S], run.outer_c[LOW_S])
-    assert rings(identified, present) == pytest.approx(truth, abs=0.5)
+    assert rings(identified, state) == pytest.approx(truth, abs=0.5)
     turned = rows[:20, 1].sum() + rows[100:-1, 1].sum()
-    assert present.revolutions == pytest.approx(540_000.0 + turned + 3.5 * 1500.0, rel=1e-3)
+    assert state.revolutions == pytest.approx(540_000.0 + turned + 3.5 * 1500.0, rel=1e-3)
     broken[20:, 4:] = np.nan
     with pytest.raises(UnusableHistoryError, match="in the last contiguous span"):
         follow(identified, recording(broken))

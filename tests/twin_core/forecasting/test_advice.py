@@ -15,11 +15,12 @@ from twin_core.forecasting.advice import (
     candidates,
     why_not,
 )
-from twin_core.forecasting.design import Design, Level, Present, held_profile
+from twin_core.forecasting.design import Design, Level, held_profile
 from twin_core.forecasting.ensemble import LOAD_DEVIATION
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.identification.problem import IdentificationProblem
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import simulate, steady_state
@@ -77,15 +78,15 @@ def single_load(model: ThermalModel) -> Posterior:
 
 
 @pytest.fixture(scope="module")
-def present(model: ThermalModel) -> Present:
+def state(model: ThermalModel) -> MachineState:
     values = model.parameters.centre
     warm = steady_state(model, values, 5800.0, 2650.0, 22.0, 2.0e6)
-    return Present(warm, 0.2**2 * np.eye(13), 2.0e6, 22.0)
+    return MachineState(warm, 0.2**2 * np.eye(13), 2.0e6, 22.0)
 
 
 @pytest.fixture(scope="module")
-def advice(model: ThermalModel, single_load: Posterior, present: Present) -> Advice:
-    return advise(model, single_load, present, TARGET, REGION, WARNING_C)
+def advice(model: ThermalModel, single_load: Posterior, state: MachineState) -> Advice:
+    return advise(model, single_load, state, TARGET, REGION, WARNING_C)
 
 
 # ---------------------------------------------------------------------------- the ranking
@@ -150,23 +151,25 @@ def test_the_target_is_forecast_with_its_labels(advice: Advice) -> None:
 
 
 def test_beyond_the_regions_speed_the_load_moves_at_a_known_one(
-    model: ThermalModel, present: Present
+    model: ThermalModel, state: MachineState
 ) -> None:
     slow = trained_on(model, (OperatingPoint(4200.0, 2650.0, 21600.0, 0.0),))
     region = LowRiskRegion(speed_rpm_max=4300.0, load_n_max=3400.0)
-    found = advise(model, slow, present, Level(6200.0, 5500.0, 7200.0), region, WARNING_C)
+    found = advise(model, slow, state, Level(6200.0, 5500.0, 7200.0), region, WARNING_C)
     assert all(level.speed_rpm <= 4300.0 for step in found.steps for level in step.levels)
     first, second = found.steps[0].levels
     assert first.speed_rpm == second.speed_rpm
     assert first.load_n != second.load_n
 
 
-def test_a_known_machine_has_nothing_left_to_learn(model: ThermalModel, present: Present) -> None:
+def test_a_known_machine_has_nothing_left_to_learn(
+    model: ThermalModel, state: MachineState
+) -> None:
     known = replace(
         trained_on(model, (*TRAINED, OperatingPoint(5800.0, 3400.0, 7200.0, 21600.0))),
         covariance=1e-4 * np.eye(model.parameters.size),
     )
-    found = advise(model, known, present, TARGET, REGION, WARNING_C)
+    found = advise(model, known, state, TARGET, REGION, WARNING_C)
     assert not found.worth_while
     assert all("hardly anything new" in step.why for step in found.steps)
 
@@ -201,11 +204,11 @@ def test_one_thing_at_a_time(levels: list[tuple[float, float]], allowed: bool) -
 
 
 def test_a_step_that_may_pass_a_warning_is_refused(
-    model: ThermalModel, single_load: Posterior, present: Present
+    model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
-    inner = float(model.sensor_row("t_inner_ring_c") @ present.state_c)
+    inner = float(model.sensor_row("t_inner_ring_c") @ state.temperatures_c)
     limits = {"t_inner_ring_c": inner + 2.5}
-    found = advise(model, single_load, present, TARGET, REGION, limits)
+    found = advise(model, single_load, state, TARGET, REGION, limits)
     hot = [step for step in found.excluded if "too hot" in step.reason]
     assert any(level.load_n == 3400.0 for step in hot for level in step.levels)
     assert all(step.peak_c["t_inner_ring_c"] < inner + 2.5 for step in found.steps)
@@ -213,13 +216,13 @@ def test_a_step_that_may_pass_a_warning_is_refused(
 
 
 def test_a_hot_machine_may_cool_down_on_the_step(
-    model: ThermalModel, single_load: Posterior, present: Present
+    model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
-    inner = float(model.sensor_row("t_inner_ring_c") @ present.state_c)
+    inner = float(model.sensor_row("t_inner_ring_c") @ state.temperatures_c)
     limits = {"t_inner_ring_c": inner + 2.5}
-    hot = replace(present, state_c=present.state_c + 15.0)
+    hot = replace(state, temperatures_c=state.temperatures_c + 15.0)
     found, from_hot = (
-        advise(model, single_load, start, TARGET, REGION, limits) for start in (present, hot)
+        advise(model, single_load, start, TARGET, REGION, limits) for start in (state, hot)
     )
     cool = {step.levels for step in found.steps if step.levels[-1].load_n < 2000.0}
     # two hours at a light load are enough to cool down, and no reason to refuse the step
@@ -247,15 +250,15 @@ def test_a_set_point_at_the_edge_of_the_region_is_not_lost_to_noise() -> None:
 
 
 def test_nothing_identified_and_no_machine_are_named(
-    model: ThermalModel, single_load: Posterior, present: Present
+    model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
     with pytest.raises(NothingIdentifiedError, match="identify first"):
-        advise(model, prior_posterior(model), present, TARGET, REGION, WARNING_C)
+        advise(model, prior_posterior(model), state, TARGET, REGION, WARNING_C)
     with pytest.raises(ValueError, match="expected a positive speed"):
-        advise(model, single_load, present, Level(0.0, 1.0, 60.0), REGION, WARNING_C)
+        advise(model, single_load, state, Level(0.0, 1.0, 60.0), REGION, WARNING_C)
     other = build_model(bearing=bearing("6016"))
     with pytest.raises(ValueError, match="6016"):
-        advise(other, single_load, present, TARGET, REGION, WARNING_C)
+        advise(other, single_load, state, TARGET, REGION, WARNING_C)
 
 
 # ---------------------------------------------------------------------------- the numbers
@@ -263,7 +266,7 @@ def test_the_design_agrees_with_an_identification_of_the_step(
     model: ThermalModel, single_load: Posterior
 ) -> None:
     """C' from the derivatives that an identification of the step's data would use."""
-    cold = Present(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
+    cold = MachineState(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
     step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
     design = Design(model, single_load, cold, SENSORS, SENSORS, TARGET)
     std_k, shifted_k, _ = design.after(step)
@@ -297,31 +300,31 @@ def test_the_design_agrees_with_an_identification_of_the_step(
 
 
 def test_the_forecast_interval_is_that_of_the_ensemble(
-    model: ThermalModel, present: Present
+    model: ThermalModel, state: MachineState
 ) -> None:
     """For a narrow posterior the linear prediction and the ensemble agree."""
     known = replace(trained_on(model, TRAINED), covariance=0.05**2 * np.eye(model.parameters.size))
-    design = Design(model, known, present, SENSORS, SENSORS, TARGET)
-    found = advise(model, known, present, TARGET, REGION, WARNING_C, members=1000)
+    design = Design(model, known, state, SENSORS, SENSORS, TARGET)
+    found = advise(model, known, state, TARGET, REGION, WARNING_C, members=1000)
     for k, name in enumerate(SENSORS):
         assert found.now[name].half_width_k == pytest.approx(1.96 * design.std_k[k], rel=0.1)
 
 
 def test_longer_and_more_varied_steps_never_teach_less(
-    model: ThermalModel, single_load: Posterior, present: Present
+    model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
-    design = Design(model, single_load, present, SENSORS, SENSORS, TARGET)
+    design = Design(model, single_load, state, SENSORS, SENSORS, TARGET)
     short, _, _ = design.after((Level(5800.0, 3400.0, 1800.0),))
     long, _, _ = design.after((Level(5800.0, 3400.0, 5400.0),))
     assert np.all(long <= short + 1e-9)
 
 
 def test_the_more_thermometers_the_more_a_step_teaches(
-    model: ThermalModel, single_load: Posterior, present: Present
+    model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
     step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
     more, both, outer, none = (
-        Design(model, single_load, present, SENSORS, measured, TARGET).after(step)[0]
+        Design(model, single_load, state, SENSORS, measured, TARGET).after(step)[0]
         for measured in (
             (*SENSORS, "t_node_7_c", "speed_rpm"),
             SENSORS,
@@ -338,7 +341,7 @@ def test_the_more_thermometers_the_more_a_step_teaches(
 def test_a_step_that_cannot_be_simulated_is_refused(
     model: ThermalModel, single_load: Posterior
 ) -> None:
-    burning = Present(np.full(13, 2500.0), np.zeros((13, 13)), 0.0, 22.0)
+    burning = MachineState(np.full(13, 2500.0), np.zeros((13, 13)), 0.0, 22.0)
     found = advise(model, single_load, burning, TARGET, REGION, {})
     assert found.steps == ()
     assert not found.worth_while

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from twin_core.bearings import bearing
 from twin_core.forecasting import QUANTILE_LEVELS, Forecast, forecast
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate, steady_state
@@ -45,7 +46,9 @@ def now(model: ThermalModel, speed_rpm: float = 1500.0) -> tuple[np.ndarray, np.
 def test_median_follows_the_simulation_at_the_optimum(model, known) -> None:  # type: ignore[no-untyped-def]
     state, covariance = now(model)
     profile = hold(4200.0, 2650.0)
-    result = forecast(model, known, state, covariance, RUN_IN, profile, members=400)
+    result = forecast(
+        model, known, MachineState(state, covariance, RUN_IN, 22.0), profile, members=400
+    )
     centre = simulate(model, model.parameters.centre, profile, state, RUN_IN).temperatures_c
     for name in SENSORS:
         expected = centre @ model.sensor_row(name)
@@ -58,7 +61,9 @@ def test_median_follows_the_simulation_at_the_optimum(model, known) -> None:  # 
 
 def test_fan_starts_at_the_observed_state_and_opens(model, known) -> None:  # type: ignore[no-untyped-def]
     state, covariance = now(model)
-    result = forecast(model, known, state, covariance, RUN_IN, hold(4200.0, 2650.0))
+    result = forecast(
+        model, known, MachineState(state, covariance, RUN_IN, 22.0), hold(4200.0, 2650.0)
+    )
     for name in SENSORS:
         quantiles = result.quantile(name)
         assert quantiles[2, 0] == pytest.approx(float(model.sensor_row(name) @ state), abs=0.05)
@@ -75,7 +80,9 @@ def test_spread_agrees_with_linear_propagation(model, known) -> None:  # type: i
     """s^2 = g' C g + deviation^2 for a narrow posterior and an exactly known state."""
     state, _ = now(model)
     profile = hold(4200.0, 2650.0)
-    result = forecast(model, known, state, np.zeros((13, 13)), RUN_IN, profile, members=1000)
+    result = forecast(
+        model, known, MachineState(state, np.zeros((13, 13)), RUN_IN, 22.0), profile, members=1000
+    )
     row, step = model.sensor_row("t_node_4_c"), 1e-3
     gradient = np.empty(known.z.size)
     for k in range(known.z.size):
@@ -96,7 +103,13 @@ def test_a_sleeve_lies_anywhere_between_ring_and_shaft(model, known) -> None:  #
     """From the first row on: the observer knows of no joint of its own either."""
     state, _ = now(model)
     exact = np.zeros((13, 13))
-    result = forecast(model, known, state, exact, RUN_IN, hold(1500.0, 2650.0, 2), members=1000)
+    result = forecast(
+        model,
+        known,
+        MachineState(state, exact, RUN_IN, 22.0),
+        hold(1500.0, 2650.0, 2),
+        members=1000,
+    )
     for body, shaft in ((10, 5), (11, 12)):
         quantiles = result.quantile(f"t_node_{body}_c")[:, 0]
         differences = state[[4 - 1, shaft - 1]] - state[body - 1]
@@ -114,7 +127,9 @@ def test_a_load_beyond_the_trained_ones_widens_the_band_by_its_distance(model, k
     for load_n in (2650.0, 5500.0):
         point = OperatingPoint(4200.0, load_n, 3600.0, 0.0)
         trained = replace(known, trained=TrainedRange((point,), 60, True, 0.0))
-        made = forecast(model, trained, state, covariance, RUN_IN, profile, members=1000)
+        made = forecast(
+            model, trained, MachineState(state, covariance, RUN_IN, 22.0), profile, members=1000
+        )
         width[load_n] = made
     for name in SENSORS:
         plain, wide = (width[load_n].quantile(name) for load_n in (5500.0, 2650.0))
@@ -132,7 +147,9 @@ def test_a_start_widens_the_cooler_ring_by_what_the_hotter_one_may_pass_on(model
     starting = replace(running, speed_rpm=np.where(running.time_s < 300.0, 0.0, 4200.0))
     half, median = {}, {}
     for profile in (running, starting):
-        result = forecast(model, known, cold, exact, RUN_IN, profile, members=600)
+        result = forecast(
+            model, known, MachineState(cold, exact, RUN_IN, 22.0), profile, members=600
+        )
         quantiles = np.array([result.quantile(name)[:, -1] for name in SENSORS])
         half[profile is starting] = (quantiles[:, 4] - quantiles[:, 0]) / 2.0
         median[profile is starting] = quantiles[:, 2]
@@ -148,8 +165,8 @@ def test_samples_of_the_posterior_are_used_when_there_are_any(model) -> None:  #
     prior = prior_posterior(model)
     tight = replace(prior, samples=np.zeros((10, prior.z.size)))
     profile = hold(6200.0, 5500.0)
-    wide_fan = forecast(model, prior, state, covariance, RUN_IN, profile)
-    tight_fan = forecast(model, tight, state, covariance, RUN_IN, profile)
+    wide_fan = forecast(model, prior, MachineState(state, covariance, RUN_IN, 22.0), profile)
+    tight_fan = forecast(model, tight, MachineState(state, covariance, RUN_IN, 22.0), profile)
     width = [
         float(np.ptp(fan.quantile("t_inner_ring_c")[[0, 4], -1])) for fan in (wide_fan, tight_fan)
     ]
@@ -160,7 +177,8 @@ def test_same_seed_same_forecast(model, known) -> None:  # type: ignore[no-untyp
     state, covariance = now(model)
     profile = hold(4200.0, 2650.0, 31)
     first, same, other = (
-        forecast(model, known, state, covariance, RUN_IN, profile, seed=seed) for seed in (1, 1, 2)
+        forecast(model, known, MachineState(state, covariance, RUN_IN, 22.0), profile, seed=seed)
+        for seed in (1, 1, 2)
     )
     assert_array_equal(first.quantiles, same.quantiles)
     assert np.any(first.quantiles != other.quantiles)
@@ -169,7 +187,9 @@ def test_same_seed_same_forecast(model, known) -> None:  # type: ignore[no-untyp
 def test_a_sensor_is_less_certain_than_the_node_beneath(model, known) -> None:  # type: ignore[no-untyped-def]
     """Offset, noise and resolution belong to the measured value only."""
     state, covariance = now(model)
-    result = forecast(model, known, state, 0.0 * covariance, RUN_IN, hold(1500.0, 2650.0, 3))
+    result = forecast(
+        model, known, MachineState(state, 0.0 * covariance, RUN_IN, 22.0), hold(1500.0, 2650.0, 3)
+    )
     start = result.quantiles[4, 0] - result.quantiles[0, 0]
     assert np.all(start[:2] > 0.3)
     between_joints = [2 + 6 - 1, 2 + 10 - 1, 2 + 11 - 1]
@@ -184,7 +204,7 @@ def test_irregular_rows_and_a_change_on_the_way(model, known) -> None:  # type: 
         np.full(6, 2650.0),
         np.full(6, 22.0),
     )
-    result = forecast(model, known, state, covariance, RUN_IN, profile)
+    result = forecast(model, known, MachineState(state, covariance, RUN_IN, 22.0), profile)
     median = result.quantile("t_inner_ring_c")[2]
     assert median[3] == pytest.approx(median[0], abs=0.2)
     assert median[5] > median[4] > median[3] + 5.0
@@ -200,7 +220,9 @@ def test_a_runaway_counts_as_over_every_limit_and_is_reported(model) -> None:  #
     samples[0, index("q")] = -4.0
     samples[0, index("s")] = 4.0
     spoilt = replace(prior, samples=samples)
-    result = forecast(model, spoilt, state, covariance, RUN_IN, hold(6200.0, 5500.0, 241))
+    result = forecast(
+        model, spoilt, MachineState(state, covariance, RUN_IN, 22.0), hold(6200.0, 5500.0, 241)
+    )
     assert result.runaway_probability == pytest.approx(0.25)
     assert "runaway not excluded" in result.labels
     assert result.exceedance("t_inner_ring_c", 129.0).probability == pytest.approx(0.25)
@@ -213,7 +235,9 @@ def test_members_whose_simulation_fails_are_not_dropped(model) -> None:  # type:
     state, _ = now(model)
     spread = np.zeros((13, 13))
     spread[3, 3] = 1e5**2  # an absurdly unsure node: most members start where nothing can follow
-    result = forecast(model, prior, state, spread, RUN_IN, hold(1500.0, 2650.0, 5))
+    result = forecast(
+        model, prior, MachineState(state, spread, RUN_IN, 22.0), hold(1500.0, 2650.0, 5)
+    )
     share = result.exceedance("t_outer_ring_c", 450.0).probability
     assert share > 0.5
     assert result.runaway_probability >= share
@@ -264,13 +288,17 @@ def test_exceedance_within_a_span() -> None:
 def test_senseless_orders_are_refused(model, known) -> None:  # type: ignore[no-untyped-def]
     state, covariance = now(model)
     with pytest.raises(ValueError, match="even number"):
-        forecast(model, known, state, covariance, 0.0, hold(1500.0, 2650.0), members=11)
+        forecast(
+            model,
+            known,
+            MachineState(state, covariance, 0.0, 22.0),
+            hold(1500.0, 2650.0),
+            members=11,
+        )
     with pytest.raises(ValueError, match="6016"):
         forecast(
             model,
             replace(known, bearing="6016"),
-            state,
-            covariance,
-            0.0,
+            MachineState(state, covariance, 0.0, 22.0),
             hold(1500.0, 2650.0),
         )

@@ -11,6 +11,7 @@ from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.forecasting.envelope import Envelope, envelope
 from twin_core.identification.posterior import Posterior, prior_posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.simulation import OperatingProfile, steady_state
 
@@ -21,6 +22,8 @@ LOADS = np.array([300.0, 2650.0, 6000.0])
 RUN_IN = 1.0e7
 AMBIENT_C = 24.0
 HOURS = 3600.0
+
+COLD = MachineState(np.full(13, AMBIENT_C), np.zeros((13, 13)), RUN_IN, AMBIENT_C)
 
 
 @pytest.fixture(scope="module")
@@ -47,18 +50,8 @@ def certain(posterior: Posterior, **z: float) -> Posterior:
 
 
 def from_cold(model: ThermalModel, posterior: Posterior, **changes: object) -> Envelope:
-    start = np.full(13, AMBIENT_C)
-    arguments: dict = {"state_c": start, "state_covariance": np.zeros((13, 13))} | changes
-    return envelope(
-        model,
-        posterior,
-        revolutions=RUN_IN,
-        ambient_c=AMBIENT_C,
-        speed_rpm=SPEEDS,
-        load_n=LOADS,
-        limits=LIMITS,
-        **arguments,
-    )
+    arguments: dict = {"state": COLD, "speed_rpm": SPEEDS, "load_n": LOADS, "limits": LIMITS}
+    return envelope(model, posterior, **arguments | changes)
 
 
 def test_steady_temperatures_are_those_of_the_model(model: ThermalModel, prior: Posterior) -> None:
@@ -86,7 +79,8 @@ def test_times_are_those_of_a_simulation_minute_by_minute(
     warm = steady_state(model, values, 2000.0, 2650.0, AMBIENT_C, RUN_IN)
     heat = np.zeros(13)
     heat[6] = disturbance_w
-    found = from_cold(model, known, state_c=warm, disturbance_w=heat)
+    state = replace(COLD, temperatures_c=warm, heat_disturbance_w=heat)
+    found = from_cold(model, known, state=state)
     time_s = np.arange(0.0, 8 * HOURS + 1.0, 60.0)
     crossed = 0
     for row, load_n in enumerate(LOADS):
@@ -97,15 +91,7 @@ def test_times_are_those_of_a_simulation_minute_by_minute(
                 np.full(time_s.size, load_n),
                 np.full(time_s.size, AMBIENT_C),
             )
-            made = forecast(
-                model,
-                known,
-                warm,
-                np.zeros((13, 13)),
-                RUN_IN,
-                profile,
-                disturbance_w=heat,
-            )
+            made = forecast(model, known, state, profile)
             for name in SENSORS:
                 for limit in found.limits[name]:
                     path = made.quantile(name)[2]
@@ -126,8 +112,8 @@ def test_intervals_and_probabilities_agree_with_forecasts(
     model: ThermalModel, warm_machine: Posterior
 ) -> None:
     """Steady band, probability and times, against the forecast's own."""
-    state = np.full(13, 40.0)
-    found = from_cold(model, warm_machine, state_c=state, state_covariance=np.eye(13), members=400)
+    state = replace(COLD, temperatures_c=np.full(13, 40.0), covariance=np.eye(13))
+    found = from_cold(model, warm_machine, state=state, members=400)
     time_s = np.arange(0.0, 8 * HOURS + 1.0, 120.0)
     column, row = 2, 2
     profile = OperatingProfile(
@@ -136,7 +122,7 @@ def test_intervals_and_probabilities_agree_with_forecasts(
         np.full(time_s.size, LOADS[row]),
         np.full(time_s.size, AMBIENT_C),
     )
-    made = forecast(model, warm_machine, state, np.eye(13), RUN_IN, profile, members=400, seed=7)
+    made = forecast(model, warm_machine, state, profile, members=400, seed=7)
     for name in SENSORS:
         low, _, middle, _, high = made.quantile(name)[:, -1]
         assert_allclose(found.steady_c[name][:, row, column], (low, middle, high), atol=3.0)
@@ -168,7 +154,7 @@ def test_more_load_is_never_safer(model: ThermalModel, warm_machine: Posterior) 
 def test_a_hot_machine_is_over_its_limit_at_once_but_may_cool(
     model: ThermalModel, prior: Posterior
 ) -> None:
-    found = from_cold(model, certain(prior), state_c=np.full(13, 95.0))
+    found = from_cold(model, certain(prior), state=replace(COLD, temperatures_c=np.full(13, 95.0)))
     inner = found.limits["t_inner_ring_c"][0]
     assert_array_equal(inner.median_s, 0.0)
     assert_array_equal(inner.probability, 1.0)
@@ -201,7 +187,9 @@ def test_runaway_is_told_and_its_verdict_follows_the_label_rule(
 def test_a_member_without_a_steady_state_counts_as_run_away(
     model: ThermalModel, prior: Posterior
 ) -> None:
-    found = from_cold(model, certain(prior), state_c=np.full(13, 2500.0))
+    found = from_cold(
+        model, certain(prior), state=replace(COLD, temperatures_c=np.full(13, 2500.0))
+    )
     assert_array_equal(found.runaway_probability, 1.0)
     assert_allclose(found.steady_c["t_inner_ring_c"], 500.0, atol=0.5)
     assert_allclose(found.limits["t_inner_ring_c"][0].steady_probability, 1.0)
@@ -242,17 +230,8 @@ def test_same_seed_same_envelope(model: ThermalModel, prior: Posterior) -> None:
 def test_wrong_requests_are_named(
     model: ThermalModel, prior: Posterior, changes: dict, text: str
 ) -> None:
-    arguments: dict = {
-        "state_c": np.full(13, 22.0),
-        "state_covariance": np.zeros((13, 13)),
-        "revolutions": 0.0,
-        "ambient_c": 22.0,
-        "speed_rpm": SPEEDS,
-        "load_n": LOADS,
-        "limits": LIMITS,
-    }
     with pytest.raises(ValueError, match=text):
-        envelope(model, prior, **arguments | changes)
+        from_cold(model, prior, **changes)
 
 
 def test_the_posterior_of_another_bearing_is_refused(model: ThermalModel) -> None:
@@ -262,8 +241,8 @@ def test_the_posterior_of_another_bearing_is_refused(model: ThermalModel) -> Non
 
 
 def test_running_in_goes_on_while_the_point_is_held(model: ThermalModel, prior: Posterior) -> None:
-    arguments = (np.full(13, AMBIENT_C), np.zeros((13, 13)), 0.0, AMBIENT_C, [3000.0], [2650.0])
-    fresh = envelope(model, certain(prior), *arguments, {}, members=400)
+    state = replace(COLD, revolutions=0.0)
+    fresh = envelope(model, certain(prior), state, [3000.0], [2650.0], {}, members=400)
     row = model.sensor_row("t_inner_ring_c")
     begun, ended = (
         row @ steady_state(model, model.parameters.centre, 3000.0, 2650.0, AMBIENT_C, revolutions)

@@ -1,5 +1,7 @@
 """A forecast begins where the observer stands, also when its model does not fit the machine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,11 +75,8 @@ def test_the_forecast_goes_on_from_the_measured_temperature_without_a_jump() -> 
         forecast(
             model,
             posterior,
-            observer.temperatures_c,
-            observer.covariance,
-            observer.revolutions,
+            replace(observer.state(), heat_disturbance_w=heat, operating_point=None),
             ahead,
-            disturbance_w=heat,
             members=50,
         ).quantile("t_inner_ring_c")[2]
         for heat in (None, warmer)
@@ -90,12 +89,8 @@ def test_the_forecast_goes_on_from_the_measured_temperature_without_a_jump() -> 
         band = forecast(
             model,
             posterior,
-            observer.temperatures_c,
-            observer.covariance,
-            observer.revolutions,
+            replace(observer.state(), operating_point=point),
             ahead,
-            disturbance_w=observer.heat_disturbance_w,
-            operating_point=point,
             members=50,
         ).quantile("t_inner_ring_c")
         opened.append(band[4] - band[0])

@@ -7,8 +7,10 @@ from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.forecasting.members import goes_on_as, member_paths
 from twin_core.identification.posterior import prior_posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.observer import DISTURBANCE_TIME_S
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate_batch, steady_state
 
 HEAVY = (5000.0, 5500.0, 22.0)
@@ -40,11 +42,8 @@ def test_nothing_grows_hotter_in_a_stop(
     result = forecast(
         model,
         prior_posterior(model),
-        hot,
-        0.01 * np.eye(13),
-        RUN_IN,
+        MachineState(hot, 0.01 * np.eye(13), RUN_IN, 22.0, operating_point=OperatingPoint(*HEAVY)),
         profile(*speeds_rpm),
-        operating_point=HEAVY,
     )
     inner = result.members_c[:, :, result.sensors.index("t_inner_ring_c")]
     # Within minutes the hotter balls may still warm it; after that every member cools.
@@ -89,7 +88,7 @@ def test_a_member_that_runs_away_before_the_stop_is_lost_as_a_whole(model: Therm
 
 
 def test_a_machine_goes_on_if_it_keeps_running_or_standing() -> None:
-    assert goes_on_as(HEAVY, profile(1500.0))
-    assert goes_on_as((0.0, 0.0, 22.0), profile(0.0))
-    assert not goes_on_as(HEAVY, profile(0.0))
-    assert not goes_on_as((0.0, 0.0, 22.0), profile(1500.0))
+    assert goes_on_as(OperatingPoint(*HEAVY), profile(1500.0))
+    assert goes_on_as(OperatingPoint(0.0, 0.0, 22.0), profile(0.0))
+    assert not goes_on_as(OperatingPoint(*HEAVY), profile(0.0))
+    assert not goes_on_as(OperatingPoint(0.0, 0.0, 22.0), profile(1500.0))

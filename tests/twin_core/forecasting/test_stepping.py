@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin_core.bearings import bearing
-from twin_core.forecasting.design import Level, Present
+from twin_core.forecasting.design import Level
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.stepping import (
     LARGEST_RATIO,
@@ -14,11 +14,12 @@ from twin_core.forecasting.stepping import (
     stepping_plan,
 )
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 
 ALARM_C = {"t_inner_ring_c": 105.0, "t_outer_ring_c": 95.0}
-PRESENT = Present(np.full(13, 40.0), 0.2**2 * np.eye(13), 1.0e7, 22.0)
+STATE = MachineState(np.full(13, 40.0), 0.2**2 * np.eye(13), 1.0e7, 22.0)
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +74,11 @@ def test_a_lighter_point_is_reached_in_one_go(trained: Posterior) -> None:
 
 
 def test_edges_are_those_of_the_envelope(model: ThermalModel, trained: Posterior) -> None:
-    (step,) = stepping_plan(model, trained, PRESENT, Level(4200.0, 3600.0, 7200.0), ALARM_C)
+    (step,) = stepping_plan(model, trained, STATE, Level(4200.0, 3600.0, 7200.0), ALARM_C)
     found = envelope(
         model,
         trained,
-        PRESENT.state_c,
-        PRESENT.state_covariance,
-        PRESENT.revolutions,
-        22.0,
+        STATE,
         [2000.0, 4200.0],
         [1000.0, 3600.0],
         {},
@@ -98,12 +96,12 @@ def test_the_way_ends_before_the_first_level_that_may_pass_the_limit(
     model: ThermalModel, trained: Posterior
 ) -> None:
     target = Level(4200.0, 7000.0, 7200.0)
-    free = stepping_plan(model, trained, PRESENT, target, {})
+    free = stepping_plan(model, trained, STATE, target, {})
     assert all(step.allowed for step in free)
     edges = [step.stop_above_c["t_inner_ring_c"] for step in free]
     assert edges == sorted(edges)
     limit_c = 0.5 * (edges[1] + edges[2])
-    barred = stepping_plan(model, trained, PRESENT, target, {"t_inner_ring_c": limit_c})
+    barred = stepping_plan(model, trained, STATE, target, {"t_inner_ring_c": limit_c})
     assert [step.allowed for step in barred] == [index < 2 for index in range(len(edges))]
     assert f"its limit {limit_c:g} °C" in barred[2].reason
     assert f"{barred[2].load_n:.0f} N" in barred[-1].reason

@@ -236,4 +236,4 @@ def test_the_observer_follows_with_the_inputs(
         observer.update({"t_winding_c": truth[k + 1, 0]})
     # The body has no sensor: it is found by winding, coolant and air.
     assert observer.temperatures_c == pytest.approx(truth[-1], abs=1.0)
-    assert observer.inputs == tuple(duty.inputs[-2])
+    assert observer.state().inputs == tuple(duty.inputs[-2])

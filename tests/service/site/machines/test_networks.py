@@ -18,6 +18,7 @@ from twin_core.forecasting import forecast
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import RUNAWAY
 from twin_core.identification import prior_posterior
+from twin_core.machine_state import MachineState
 from twin_core.network import LOSSES, EdgeKind
 from twin_core.network_model import RunawayLimits
 from twin_core.networks.simple_5 import (
@@ -300,15 +301,13 @@ def _hot(text: str, folder: Path) -> tuple[bool, bool]:
     file.write_text(text)
     model = built(file)
     ambient_c = 300.0
-    start, spread = np.full(3, ambient_c), 0.01 * np.eye(3)
+    state = MachineState(np.full(3, ambient_c), 0.01 * np.eye(3), 0.0, ambient_c)
     profile = OperatingProfile(
         np.array([0.0, 60.0, 600.0]), np.full(3, 1500.0), np.full(3, 3000.0), np.full(3, ambient_c)
     )
     posterior = prior_posterior(model)
-    made = forecast(model, posterior, start, spread, 0.0, profile, members=20)
-    found = envelope(
-        model, posterior, start, spread, 0.0, ambient_c, [1500.0], [3000.0], {}, members=20
-    )
+    made = forecast(model, posterior, state, profile, members=20)
+    found = envelope(model, posterior, state, [1500.0], [3000.0], {}, members=20)
     return RUNAWAY in made.labels, bool(found.runaway_not_excluded[0, 0])
 
 
