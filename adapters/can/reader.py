@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import can
 
+from adapters.backoff import Backoff
 from adapters.can.bus import close_bus, open_bus
 from adapters.can.config import CanSource
 from adapters.can.decoding import MessageTable
@@ -64,7 +65,7 @@ class Reader(threading.Thread):
         self._waiting: deque[Sample] = deque()
         self._errors: dict[str, int] = {}
         self._lost = False  # the bad samples that mark the gap have been handed over
-        self._silence_s = SILENCE_FIRST_S
+        self._silence = Backoff(SILENCE_FIRST_S, SILENCE_LAST_S)
         self.problem = "not connected yet"
         self.failure: BaseException | None = None
         self.frames = 0
@@ -97,7 +98,7 @@ class Reader(threading.Thread):
             self._notify()
 
     def _run(self) -> None:
-        delay_s = RECONNECT_FIRST_S
+        backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         opened_before = False
         while not self._stopping.is_set():
             frames_before = self.frames
@@ -120,9 +121,8 @@ class Reader(threading.Thread):
                 finally:
                     close_bus(bus)
             if self.frames > frames_before:
-                delay_s = RECONNECT_FIRST_S
-            self._stopping.wait(delay_s)
-            delay_s = min(2.0 * delay_s, RECONNECT_LAST_S)
+                backoff.reset()
+            self._stopping.wait(backoff.next())
 
     def _listen(self, bus: can.BusABC) -> None:
         """Read frames until stopped; raises when the bus is lost."""
@@ -144,12 +144,12 @@ class Reader(threading.Thread):
                 if empty > MOST_EMPTY_READS:
                     raise BusLostError("reads return at once without a frame")
                 if now - heard > self._silence_limit_s():
-                    self._silence_s = min(2.0 * self._silence_s, SILENCE_LAST_S)
+                    self._silence.next()
                     raise BusLostError(f"no frame for {now - heard:.0f} s")
                 continue
             heard = time.monotonic()
             garbage = empty = 0
-            self._silence_s = SILENCE_FIRST_S
+            self._silence.reset()
             self._receive(frame)
 
     def _receive(self, frame: can.Message) -> None:
@@ -170,7 +170,7 @@ class Reader(threading.Thread):
     def _silence_limit_s(self) -> float:
         rate = self._clock.rate
         slowest_us = max((m.age_limit_us(rate) for m in self._messages.values()), default=0.0)
-        return max(self._silence_s, slowest_us / 1e6 / rate)
+        return max(self._silence.wait_s, slowest_us / 1e6 / rate)
 
     def _lose(self, problem: str) -> None:
         """Note the loss and mark the gap, once per loss."""

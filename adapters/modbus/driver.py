@@ -10,6 +10,7 @@ from enum import Enum
 from types import TracebackType
 from typing import Self
 
+from adapters.backoff import Backoff
 from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusRtuSource, ModbusSource
 from adapters.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
@@ -36,24 +37,6 @@ PLAN_INTERVAL_S = 0.2
 PLAN_FAILED_FIRST_S = 5.0
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
 PLAN_ROWS_PER_READ = MAX_REGISTERS // PLAN_ROW_REGISTERS
-
-
-class Backoff:
-    """Growing waits: each twice the one before, up to a limit."""
-
-    def __init__(self, first_s: float, last_s: float) -> None:
-        self._first_s = first_s
-        self._last_s = last_s
-        self._next_s = first_s
-
-    def next(self) -> float:
-        """Return the next wait in seconds and double the one after."""
-        wait_s, self._next_s = self._next_s, min(2.0 * self._next_s, self._last_s)
-        return wait_s
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self._next_s = self._first_s
 
 
 class _Probe(Enum):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 
+from adapters.backoff import Backoff
 from adapters.configuration import ConfigurationError
 from adapters.drivers import ChannelBinding, PlanBinding
 from adapters.modbus.config import (
@@ -257,18 +258,17 @@ class UnitMap:
     groups: list[Group]
     plans: list[PlanBinding]
     join_at: float = 0.0  # wall (monotonic) time at which what was split may be read together again
-    join_wait_s: float = JOIN_FIRST_S
+    join_backoff: Backoff = field(default_factory=lambda: Backoff(JOIN_FIRST_S, JOIN_LAST_S))
 
     def note_split(self) -> None:
         """Remember that a group was split, and when to try it whole again."""
-        self.join_at = time.monotonic() + self.join_wait_s
-        self.join_wait_s = min(2.0 * self.join_wait_s, JOIN_LAST_S)
+        self.join_at = time.monotonic() + self.join_backoff.next()
 
     def join(self) -> None:
         """Read together again what was split, if the device refuses nothing now."""
         cells = {cell: reading for group in self.groups for cell, reading in group.cells}
         if any(reading.exception for reading in cells.values()):
-            self.join_at = time.monotonic() + self.join_wait_s
+            self.join_at = time.monotonic() + self.join_backoff.wait_s
         else:
             self.groups, self.join_at = group(cells), 0.0
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import structlog
 from anyio import to_thread
 
+from adapters.backoff import Backoff
 from service.domain.errors import TemporaryError
 
 #: Wall seconds between two tries: first, and at most.
@@ -64,7 +65,7 @@ class Waiting:
             When the service is to stop. The thread is not waited for.
         """
         ends_s = time.monotonic() + at_most_s
-        wait_s, said, said_s = _FIRST_S, "", 0.0
+        backoff, said, said_s = Backoff(_FIRST_S, _LAST_S), "", 0.0
         while True:
             try:
                 found = await self._unless_stopped(to_thread.run_sync(work, abandon_on_cancel=True))
@@ -77,8 +78,9 @@ class Waiting:
                     _log.warning("waiting", waits_for=what, error=text)
                     said, said_s = text, now_s
                 self._on_change(what, text)
-                await self._unless_stopped(asyncio.sleep(min(wait_s, max(ends_s - now_s, 0.0))))
-                wait_s = min(2.0 * wait_s, _LAST_S)
+                await self._unless_stopped(
+                    asyncio.sleep(min(backoff.next(), max(ends_s - now_s, 0.0)))
+                )
             else:
                 if said:
                     _log.info("wait_is_over", waited_for=what)

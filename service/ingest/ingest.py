@@ -10,6 +10,7 @@ from operator import attrgetter
 import structlog
 from prometheus_client import CollectorRegistry
 
+from adapters.backoff import Backoff
 from adapters.drivers import Clock, Driver
 from adapters.samples import Batch, Quality, Sample
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
@@ -77,7 +78,8 @@ class Ingest:
         self._writer = SampleWriter(None, spool, self._ledger)
         watch_queues(lambda: self._writer.queued, spool, clock, registry)
         self._accepting = asyncio.Lock()
-        self._refused = 0
+        self._push_backoff = Backoff(RETRY_PUSH_S, RETRY_PUSH_LAST_S)
+        self._retry_after_s = RETRY_PUSH_S
         self._went_on = False
         # Where channels ended in the last run; what waits on the spool is newer than the store.
         ends = spool.newest()
@@ -141,7 +143,7 @@ class Ingest:
     @property
     def retry_after_s(self) -> int:
         """Wall seconds after which a refused push may be sent again; grows while all are."""
-        return int(min(RETRY_PUSH_S * 2 ** max(self._refused - 1, 0), RETRY_PUSH_LAST_S))
+        return int(self._retry_after_s)
 
     async def accept(self, samples: Sequence[Sample]) -> WriteCounts:
         """Take pushed samples: the live twins get them, and they are on the disk at the end.
@@ -189,7 +191,7 @@ class Ingest:
             try:
                 written = self._writer.put_and_tell(judged)
             except StoreUnavailableError:
-                self._refused += 1
+                self._retry_after_s = self._push_backoff.next()
                 raise
             stored = asyncio.ensure_future(self._await(written, patience_s))
             # Nobody may be there any more to hear that it failed.
@@ -207,9 +209,10 @@ class Ingest:
                 raise StoreUnavailableError(f"their turn did not come within {patience_s:g} s")
             counts = await ends
         except StoreUnavailableError:
-            self._refused += 1
+            self._retry_after_s = self._push_backoff.next()
             raise
-        self._refused = 0
+        self._push_backoff.reset()
+        self._retry_after_s = RETRY_PUSH_S
         return counts
 
     async def _hand_over_portions(self, samples: Sequence[Sample]) -> None:
@@ -255,22 +258,21 @@ class Ingest:
         self._writer.attach(store)
 
     async def _pump(self, driver: Driver) -> None:
-        wait_s = RESTART_FIRST_S
+        backoff = Backoff(RESTART_FIRST_S, RESTART_LAST_S)
         poll_seconds = self._source_metrics.poll_seconds.labels(driver.name)
         while True:
             try:
                 async with driver:
                     async for batch in driver.batches():
-                        wait_s = RESTART_FIRST_S
+                        backoff.reset()
                         if batch.poll_s is not None:
                             poll_seconds.observe(batch.poll_s)
                         self._take(batch)
-                _log.warning("source_ended", source=driver.name, restart_in_s=wait_s)
+                _log.warning("source_ended", source=driver.name, restart_in_s=backoff.wait_s)
             except Exception:
                 # Whatever a driver stumbles over must not end the other sources, nor itself.
-                _log.exception("source_failed", source=driver.name, restart_in_s=wait_s)
-            await asyncio.sleep(wait_s)
-            wait_s = min(2.0 * wait_s, RESTART_LAST_S)
+                _log.exception("source_failed", source=driver.name, restart_in_s=backoff.wait_s)
+            await asyncio.sleep(backoff.next())
 
     def _take(self, batch: Batch) -> None:
         if batch.samples:

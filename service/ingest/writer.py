@@ -11,6 +11,7 @@ from operator import attrgetter, itemgetter
 
 import structlog
 
+from adapters.backoff import Backoff
 from adapters.samples import Sample
 from service.ingest.metrics import SampleLedger
 from service.ingest.spool import Spool
@@ -84,8 +85,8 @@ class SampleWriter:
         self._condition = threading.Condition()
         self._give_up_at: float | None = None
         self._thread: threading.Thread | None = None
-        self._store_asked_at = 0.0
-        self._retry_s = _RETRY_S
+        self._backoff = Backoff(_RETRY_S, _RETRY_LAST_S)
+        self._retry_at = 0.0
         self._answers = 0  # of the store and the spool, good or bad
         self.problem: str | None = None
         self.spool_problem: str | None = None
@@ -276,7 +277,7 @@ class SampleWriter:
                 rest_s = self._waiting_since + BATCH_S - time.monotonic()
                 wait_s = max(rest_s, 0.0) if self._parcels else None
                 if len(self._spool):
-                    due_s = max(self._store_asked_at + self._retry_s - time.monotonic(), 0.0)
+                    due_s = max(self._retry_at - time.monotonic(), 0.0)
                     wait_s = due_s if wait_s is None else min(wait_s, due_s)
                 if not self._condition.wait(wait_s) and len(self._spool):
                     break
@@ -327,10 +328,10 @@ class SampleWriter:
 
     def _drain(self) -> None:
         """Move samples from the spool into the store, for a while, if the store takes them."""
-        if time.monotonic() < self._store_asked_at + self._retry_s:
+        if time.monotonic() < self._retry_at:
             return
         if self._store is None:
-            self._store_asked_at = time.monotonic()
+            self._retry_at = time.monotonic() + self._backoff.wait_s
             return
         until = time.monotonic() + _DRAIN_S
         while len(self._spool) and time.monotonic() < until:
@@ -346,7 +347,7 @@ class SampleWriter:
                     continue
             except QueueUnavailableError as error:
                 _log.warning("spool_unavailable", error=str(error), waiting=len(self._spool))
-                self._store_asked_at = time.monotonic()
+                self._retry_at = time.monotonic() + self._backoff.wait_s
             finally:
                 self._ledger.skip(self._spool.take_lost(), "damaged")
             # What is stored but still on the spool is read once more, and a duplicate then.
@@ -371,11 +372,8 @@ class SampleWriter:
             except StoreUnavailableError as error:
                 if self.problem is None:
                     _log.warning("store_unavailable", error=str(error), waiting=self._queued)
-                self._retry_s = (
-                    min(2.0 * self._retry_s, _RETRY_LAST_S) if self.problem else _RETRY_S
-                )
                 self.problem = str(error)
-                self._store_asked_at = time.monotonic()
+                self._retry_at = time.monotonic() + self._backoff.next()
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except QueueUnavailableError as error:
                 self._answers += 1
@@ -401,7 +399,7 @@ class SampleWriter:
         if self.problem is not None:
             _log.info("store_available", waiting=self._queued + len(self._spool))
         self.problem = self.spool_problem = None
-        self._retry_s = _RETRY_S
+        self._backoff.reset()
         self._ledger.settle(stored=counts.stored, duplicates=counts.duplicates)
         if too_old := len(samples) - counts.stored - counts.duplicates:
             self._ledger.skip(too_old, "too_old")

@@ -205,7 +205,7 @@ async def test_what_was_split_by_a_refusal_is_read_in_one_request_again() -> Non
     await server.serve_forever(background=True)
     line = Line(port, registers=3)
     (unit,) = (one.map for one in line.driver._units)
-    unit.join_wait_s = 0.5
+    unit.join_backoff.wait_s = 0.5
     task = asyncio.create_task(line.run())
     try:
         await line.until(Quality.CONFIG_ERROR, 3)

@@ -341,7 +341,10 @@ async def test_the_gap_while_the_service_was_away_is_marked_once(tmp_path: Path)
 def test_a_full_queue_skips_the_newest_and_says_so(hall: Hall) -> None:
     ledger = SampleLedger(CollectorRegistry())
     writer = SampleWriter(hall.store, hall.spool, ledger)
-    writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10)])
+    # As drivers do, in many small parcels: a single one would be a transaction of seconds.
+    for begin in range(0, QUEUE_SAMPLES - 1000, 1000):
+        writer.put([sample(time_us) for time_us in range(begin, begin + 1000)])
+    writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 1000, QUEUE_SAMPLES - 10)])
     writer.put([sample(time_us) for time_us in range(QUEUE_SAMPLES - 10, QUEUE_SAMPLES + 20)])
     with pytest.raises(StoreUnavailableError, match=f"{QUEUE_SAMPLES} samples already wait"):
         writer.put_and_tell([sample(1)])
