@@ -382,7 +382,8 @@ class SampleWriter:
                 self.spool_problem = str(error)
                 return written, [one for rest in (part, *reversed(parts)) for one in rest]
             except Exception:
-                # Whatever the reason, see above.
+                # Whatever the reason, see above. It is an answer too: the store does not hang.
+                self._answers += 1
                 if len(part) == 1:
                     _log.exception("sample_refused", sample=part[0])
                     self._ledger.skip(1, "refused")
