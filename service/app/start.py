@@ -13,7 +13,6 @@ from typing import Any
 from anyio import to_thread
 
 from service.app.supervision import Supervisor
-from service.app.waiting import StoppedError, Waiting
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Service
 from service.clock import ProcessClock
@@ -35,6 +34,7 @@ from service.store import (
 )
 from service.store.errors import opening_error
 from service.tasks import INGEST, background
+from service.waiting import StoppedError, Waiting
 from service.web.side import WebSide, bind
 
 #: Wall seconds that another service is given to leave the data directory or the port. A service

@@ -1,1 +1,1 @@
-"""What the processes of a service tell each other."""
+"""What joins the cell with the web side and the plant side: changes out, commands in."""

@@ -70,3 +70,31 @@ class NotReadyError(RuntimeError):
 
 class NotIdentifiedError(RuntimeError):
     """There is no identified model yet; the text says what to do."""
+
+
+class CellUnavailableError(RuntimeError):
+    """The process that follows the machines does not answer; the text says why."""
+
+
+class PushRefusedError(RuntimeError):
+    """None of the pushed samples was stored, and none is going to be.
+
+    Parameters
+    ----------
+    detail : str
+        Why.
+    retry_after_s : int
+        Wall seconds after which the same push may come again.
+    """
+
+    def __init__(self, detail: str, retry_after_s: int) -> None:
+        super().__init__(detail, retry_after_s)
+        self.detail = detail
+        self.retry_after_s = retry_after_s
+
+    def __str__(self) -> str:
+        return self.detail
+
+
+class NotKeptError(RuntimeError):
+    """A change was made, but neither the store nor the disk takes it; the text says why."""

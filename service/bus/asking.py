@@ -1,0 +1,77 @@
+"""Commands under way, on the side of who asks."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any, get_args
+
+import msgspec
+
+from service.bus.errors import load_error
+from service.bus.messages import Answer, AnswerT, Command, Request, encode
+from service.domain.errors import CellUnavailableError
+
+#: Questions that wait for their answer.
+MOST_WAITING = 512
+
+
+class Asking:
+    """Numbers the commands of a reader and brings the answers to who waits for them.
+
+    Parameters
+    ----------
+    send : callable
+        Takes an encoded request, or raises `CellUnavailableError`; must not wait.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._number = 0
+        self._waiting: dict[int, asyncio.Future[Answer]] = {}
+        self._answer = msgspec.msgpack.Decoder(Answer)
+
+    async def ask(self, command: Command[AnswerT], patience_s: float) -> AnswerT:
+        """See `service.bus.interface.ReaderBus.ask`."""
+        if len(self._waiting) >= MOST_WAITING:
+            raise CellUnavailableError("too many questions wait for the cell")
+        self._number += 1
+        number = self._number
+        name = type(command).__name__
+        request = Request(number, time.monotonic() + patience_s, name, msgspec.Raw(encode(command)))
+        waiting = self._waiting[number] = asyncio.get_running_loop().create_future()
+        try:
+            self._send(encode(request))
+            async with asyncio.timeout(patience_s):
+                answer = await waiting
+        except TimeoutError:
+            raise CellUnavailableError(f"the cell did not answer within {patience_s:g} s") from None
+        finally:
+            self._waiting.pop(number, None)
+        if answer.error:
+            raise load_error(answer.error, bytes(answer.body))
+        found: AnswerT = _decoder(type(command)).decode(answer.body)
+        return found
+
+    def take(self, answer: bytes) -> None:
+        """Bring an answer to who waits for it."""
+        try:
+            found = self._answer.decode(answer)
+        except msgspec.DecodeError:
+            return
+        waiting = self._waiting.get(found.number)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(found)
+
+    def give_up(self, why: str) -> None:
+        """End the wait of all: no answer will come."""
+        for waiting in self._waiting.values():
+            if not waiting.done():
+                waiting.set_exception(CellUnavailableError(why))
+
+
+@cache
+def _decoder(command: type[Command[Any]]) -> "msgspec.msgpack.Decoder[Any]":
+    (base,) = (one for one in command.__orig_bases__ if get_args(one))  # type: ignore[attr-defined]
+    (kind,) = get_args(base)
+    return msgspec.msgpack.Decoder(kind)

@@ -1,0 +1,85 @@
+"""The two faces of a bus: the cell's, and that of those who read from it."""
+
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from typing import Any, Protocol
+
+from service.bus.messages import AnswerT, Change, Command, State
+
+Handler = Callable[[Any], Awaitable[Any]]
+"""Answers a command; may raise an error of the domain."""
+
+#: Wall seconds between two reports of the cell's state.
+STATE_EVERY_S = 0.25
+#: Wall seconds without a sign of the cell after which it counts as away.
+AWAY_AFTER_S = 2.0
+#: The topic of the cell's state, and that of the live messages.
+STATE_TOPIC = "state"
+STREAM_TOPIC = "stream"
+
+
+class CellBus(Protocol):
+    """The cell's face: it never waits for anybody.
+
+    Attributes
+    ----------
+    epoch : str
+        Names this start of the cell.
+    """
+
+    epoch: str
+
+    def publish(self, topic: str, number: int, body: bytes) -> None:
+        """Report a change; who reads too slowly loses it and sees that by its number.
+
+        May be called from any thread.
+        """
+
+    def report(self, state: State) -> None:
+        """Report from now on that the cell is in this state."""
+
+    async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
+        """Answer commands until cancelled.
+
+        Of one caller and of all together only so many are under way; the next one is refused.
+        """
+
+
+class ReaderBus(Protocol):
+    """The face of the web side and the plant side."""
+
+    @property
+    def away_s(self) -> float:
+        """Wall seconds since the last sign of the cell."""
+
+    @property
+    def epoch(self) -> str:
+        """Of the cell that was last heard; empty before the first sign."""
+
+    @property
+    def state(self) -> State:
+        """What the cell last reported of itself."""
+
+    async def run(self) -> None:
+        """Keep the connection until cancelled."""
+
+    def changes(self, topic: str) -> AsyncIterator[Change]:
+        """Give the changes of a topic as they come, from now on; some may be missing."""
+
+    async def ask(self, command: Command[AnswerT], patience_s: float) -> AnswerT:
+        """Have a command answered.
+
+        Parameters
+        ----------
+        command : Command
+            What is asked.
+        patience_s : float
+            Wall seconds that the answer may take.
+
+        Raises
+        ------
+        CellUnavailableError
+            If no answer came, or the cell refuses any more commands; whether the command took
+            effect is not known then.
+        Exception
+            The error of the domain that the command ended in.
+        """
