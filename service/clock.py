@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -135,15 +136,17 @@ class ClockWatch:
     ----------
     clock : Clock
         Process time.
+    wall_s : callable
+        Wall seconds of a clock that nobody sets.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._seen_us, self._seen_s = clock.now_us(), time.monotonic()
+    def __init__(self, clock: Clock, wall_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._wall_s = clock, wall_s
+        self._seen_us, self._seen_s = clock.now_us(), wall_s()
 
     def step_s(self) -> float:
         """Process seconds by which the clock was set since the last look; 0 when it was not."""
-        now_us, now_s = self._clock.now_us(), time.monotonic()
+        now_us, now_s = self._clock.now_us(), self._wall_s()
         passed_us = (now_s - self._seen_s) * self._clock.rate * MICROSECONDS
         ahead_s = (now_us - self._seen_us - passed_us) / MICROSECONDS
         self._seen_us, self._seen_s = now_us, now_s

@@ -4,10 +4,12 @@ import asyncio
 import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from jumping import work
 
 from service.alarms import AlarmBook
 from service.bus.stream import Bus
@@ -33,6 +35,7 @@ class HeldExecutor(Executor):
         self.computed = asyncio.Event()
         self._threads = ThreadPoolExecutor(1)
         self._loop = asyncio.get_running_loop()
+        self._releasing: set[asyncio.Future[None]] = set()
 
     def submit(  # type: ignore[override]
         self, function: Callable[[JobOrder], JobResult], order: JobOrder
@@ -40,14 +43,20 @@ class HeldExecutor(Executor):
         held: Future[JobResult] = Future()
 
         def hold(inner: "Future[JobResult]") -> None:
-            self._loop.call_soon_threadsafe(self.computed.set)
-            asyncio.run_coroutine_threadsafe(release(inner), self._loop)
+            self._loop.call_soon_threadsafe(has_computed, inner)
+
+        def has_computed(inner: "Future[JobResult]") -> None:
+            working.close()
+            self.computed.set()
+            self._releasing.add(asyncio.ensure_future(release(inner)))
 
         async def release(inner: "Future[JobResult]") -> None:
             await self.let_go.wait()
             held.set_result(inner.result())
 
         self.orders.append(order)
+        working = ExitStack()
+        working.enter_context(work())
         self._threads.submit(function, order).add_done_callback(hold)
         return held
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import ctypes
-import time
 from functools import partial
 
 import structlog
@@ -76,11 +75,12 @@ class Upkeep:
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""
-        watch = ClockWatch(self._clock)
-        agrees_since_s = time.monotonic()
+        wall_s = asyncio.get_running_loop().time
+        watch = ClockWatch(self._clock, wall_s)
+        agrees_since_s = wall_s()
         expire_at_s = agrees_since_s + self._trust_after_s
         while True:
-            now_s = time.monotonic()
+            now_s = wall_s()
             if watch.step_s():
                 agrees_since_s = now_s
             expire_at_s = max(expire_at_s, agrees_since_s + self._trust_after_s)

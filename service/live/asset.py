@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-import time
+import math
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
@@ -407,7 +407,8 @@ class AssetRuntime:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 
     async def _follow(self) -> None:
-        told_wall_s = time.monotonic()
+        wall_s = asyncio.get_running_loop().time
+        told_wall_s = wall_s()
         stored_us = 0
         while True:
             await self._clock.sleep(self._step_s)
@@ -416,13 +417,12 @@ class AssetRuntime:
             self._step(now_us, means)
             with self._watching():
                 self._watch.step(now_us, means, self.estimate.innovations, self._trusted)
-            wall_s = time.monotonic()
             quality = Quality.LAST_USABLE if self._blind else Quality.GOOD
-            if self.estimate.started and wall_s - told_wall_s >= STATE_LEAST_WALL_S:
+            if self.estimate.started and wall_s() - told_wall_s >= STATE_LEAST_WALL_S:
                 # With the sensors' estimates, so that a chart needs no polling.
                 samples = presentation.samples_json(self.estimate.samples(self.id, now_us, quality))
                 self._bus.publish("state", self.id, {**self.state(), "samples": samples})
-                told_wall_s = wall_s
+                told_wall_s = wall_s()
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
                 self._store_samples(self.estimate.samples(self.id, now_us, quality))
                 stored_us = now_us
@@ -478,17 +478,17 @@ class AssetRuntime:
 
     async def _tell_verdicts(self) -> None:
         """Send the verdict when it changes, and now and then so that its age can be seen."""
-        told, told_wall_s = None, -VERDICT_EVERY_WALL_S
+        wall_s = asyncio.get_running_loop().time
+        told, told_wall_s = None, -math.inf
         while True:
             verdict = dict(self.verdict())
             words = [
                 (verdict[name]["word"], verdict[name]["limit"]) for name in ("now", "next_step")
             ]
             news = words, verdict["missing"]
-            wall_s = time.monotonic()
-            if news != told or wall_s - told_wall_s >= VERDICT_EVERY_WALL_S:
+            if news != told or wall_s() - told_wall_s >= VERDICT_EVERY_WALL_S:
                 self._bus.publish("verdict", self.id, verdict)
-                told, told_wall_s = news, wall_s
+                told, told_wall_s = news, wall_s()
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
 
     async def _save(self) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from job_shop import ASSET, Shop
+from jumping import jumping_in, seen_threads
 
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook
@@ -23,6 +24,10 @@ from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile, simulate
+
+__all__ = ["seen_threads"]
+
+pytest_asyncio_loop_factories = jumping_in("test_automatic.py")
 
 MINUTE_US = 60_000_000
 START_US = 29_395_000 * MINUTE_US

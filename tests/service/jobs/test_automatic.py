@@ -4,8 +4,9 @@ import asyncio
 from pathlib import Path
 
 from job_shop import ASSET, HeldExecutor, Shop, away, until
+from structlog.testing import capture_logs
 
-from service.jobs.automatic import identify_by_itself
+from service.jobs.automatic import LOOK_EVERY_S, identify_by_itself
 
 
 async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_not_repeated(
@@ -13,10 +14,10 @@ async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_no
 ) -> None:
     held = HeldExecutor()
     jobs = await shop.open(held)
-    shop.clock.rate = 3600.0
-    with away(tmp_path, "samples"):  # the first look fails; the next ones must come all the same
+    with away(tmp_path, "samples"), capture_logs() as logs:
         looking = asyncio.create_task(identify_by_itself(jobs, shop.histories, shop.clock))
-        await asyncio.sleep(1.5)
+        # Looks that fail; the next ones must come all the same.
+        await until(lambda: len([one for one in logs if "failed" in one["event"]]) > 3)
         assert shop.store.jobs(ASSET) == []
     shop.clock.us += 24 * 3600 * 1_000_000
     try:
@@ -26,7 +27,7 @@ async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_no
         await jobs.cancel(ASSET, job.id)
         held.let_go.set()
         await shop.ended(jobs, job.id)
-        await asyncio.sleep(2.5)
+        await asyncio.sleep(100 * LOOK_EVERY_S / shop.clock.rate)
         assert len(shop.store.jobs(ASSET)) == 1
         assert not looking.done()
     finally:

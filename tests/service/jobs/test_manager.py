@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, away
+from job_shop import ASSET, QUICK, WHO, HeldExecutor, Shop, away, until
+from structlog.testing import capture_logs
 
 from service.clock import rfc3339
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
@@ -174,14 +175,17 @@ async def test_a_job_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> No
 
 
 @pytest.mark.parametrize("table", ["jobs", "model_versions"])
-async def test_a_job_waits_for_a_store_that_is_away(shop: Shop, tmp_path: Path, table: str) -> None:
+async def test_a_job_waits_for_a_store_that_is_away(
+    shop: Shop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str
+) -> None:
     held = HeldExecutor()
     jobs = await shop.open(held)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     await asyncio.wait_for(held.computed.wait(), 120)
-    with away(tmp_path, table):
+    monkeypatch.setattr("service.jobs.manager.STORE_RETRY_WALL_S", 0.1)
+    with away(tmp_path, table), capture_logs() as logs:
         held.let_go.set()
-        await asyncio.sleep(0.5)
+        await until(lambda: len([one for one in logs if "waits_for_the_store" in one["event"]]) > 2)
         assert jobs.busy(ASSET)
     job = await shop.ended(jobs, shown["id"])
     assert job.status == "succeeded"

@@ -1,6 +1,7 @@
 """A live asset on a real store, alarm book and bus; the test plays the drivers."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -8,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jumping import LoopClock, pytest_asyncio_loop_factories, seen_threads
 
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
 from service.alarms import AlarmBook, alarm_document
 from service.bus.stream import Bus, Subscription
-from service.clock import ProcessClock
 from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
 from service.site.settings import AssetSection
@@ -21,6 +22,8 @@ from service.store import Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
+
+__all__ = ["pytest_asyncio_loop_factories", "seen_threads"]
 
 RATE = 600.0
 CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
@@ -57,13 +60,14 @@ class Live:
     """A runtime, and what it handed on."""
 
     runtime: AssetRuntime
-    clock: ProcessClock
+    clock: LoopClock
     store: Store
     bus: Bus
     alarms: AlarmBook
     saved: list[Mapping[str, Any]] = field(default_factory=list)
     stored: list[Sample] = field(default_factory=list)
     store_is_away: bool = False
+    refused: int = 0
     task: asyncio.Task[None] | None = None
 
     def start(self, kept: Mapping[str, Any] | None = None) -> None:
@@ -137,7 +141,7 @@ async def make_live(
 ) -> AsyncIterator[Callable[..., Live]]:
     """Make a live asset of given settings and model; all are stopped at the end."""
     made: list[Live] = []
-    clock = ProcessClock(RATE)
+    clock = LoopClock(RATE, time.time_ns() // 1000)
     store = Store.open("", tmp_path)
     outbox = Outbox.open(tmp_path, store)
     bus = Bus(clock)
@@ -154,6 +158,7 @@ async def make_live(
 
         async def save_state(document: Mapping[str, Any]) -> None:
             if live.store_is_away:
+                live.refused += 1
                 raise OSError("no space left on device")
             live.saved.append(document)
 

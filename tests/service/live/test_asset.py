@@ -104,7 +104,7 @@ async def test_a_store_that_takes_no_state_does_not_end_the_twin(
     monkeypatch.setattr("service.live.asset.SAVE_EVERY_WALL_S", 0.1)
     live.store_is_away = True
     await running(live, WARM)
-    await asyncio.sleep(0.5)
+    await live.until(lambda: live.refused > 3, "states that the store did not take", WARM)
     assert not live.saved
     assert live.runtime.running
     live.store_is_away = False
@@ -264,8 +264,10 @@ async def test_an_asset_without_temperatures_only_shows_what_it_has(
         "speed",
         {"speed_rpm": 1500.0, "load_n": 2650.0},
     )
-    await asyncio.sleep(0.3)
-    assert not live.runtime.estimate.started
+    for _ in range(60):
+        live.feed({"speed_rpm": 1500.0, "load_n": 2650.0})
+        await live.clock.sleep(60.0)
+    assert not live.runtime.estimate.started, "an hour later"
     assert live.runtime.summary()["health"]["twin_running"] is False
     assert live.tag("t_inner_ring_c.forecast_max")["value"] is None
     assert not live.task.done()

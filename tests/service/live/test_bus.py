@@ -3,6 +3,7 @@ import json
 import threading
 
 import pytest
+from jumping import work
 
 from service.bus.stream import Bus, Subscription, SubscriptionClosedError
 from service.clock import ProcessClock
@@ -122,7 +123,8 @@ async def test_get_waits_for_a_message_from_another_thread() -> None:
     await asyncio.sleep(0.01)
     assert not waiting.done()
     threading.Thread(target=lambda: bus.publish("alarm", "a", {})).start()
-    assert (await asyncio.wait_for(waiting, 30)).type == "alarm"
+    with work():
+        assert (await asyncio.wait_for(waiting, 30)).type == "alarm"
 
 
 async def test_messages_of_many_threads_are_numbered_without_hole_and_in_order() -> None:
@@ -136,7 +138,8 @@ async def test_messages_of_many_threads_are_numbered_without_hole_and_in_order()
     threads = [threading.Thread(target=publish) for _ in range(4)]
     for thread in threads:
         thread.start()
-    messages = await read(subscription, 400)
+    with work():
+        messages = await read(subscription, 400)
     for thread in threads:
         thread.join()
     assert [m["seq"] for m in messages] == list(range(1, 401))
