@@ -8,7 +8,6 @@ from service.alarms.book import (
     UnknownAlarmError,
 )
 from service.alarms.conditions import AlarmCondition, AlarmKind, EventKind, Priority
-from service.alarms.documents import alarm_document, transition_document
 from service.alarms.states import (
     ACTIVE_STATES,
     SET_ASIDE_STATES,
@@ -19,11 +18,9 @@ from service.alarms.states import (
     Transition,
     next_state,
 )
-from service.alarms.statistics import FLOOD_IN_10_MIN, alarm_summary, statistics_document
 
 __all__ = [
     "ACTIVE_STATES",
-    "FLOOD_IN_10_MIN",
     "LONGEST_SHELVING_S",
     "SERVICE",
     "SET_ASIDE_STATES",
@@ -39,9 +36,5 @@ __all__ = [
     "Priority",
     "Transition",
     "UnknownAlarmError",
-    "alarm_document",
-    "alarm_summary",
     "next_state",
-    "statistics_document",
-    "transition_document",
 ]

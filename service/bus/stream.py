@@ -217,7 +217,7 @@ class Bus:
         self,
         type: MessageType,
         asset: str | None,
-        data: Mapping[str, Any],
+        data: object,
         time_us: int | None = None,
     ) -> Message:
         """Give a message its number and hand it to all who want it.
@@ -228,8 +228,8 @@ class Bus:
             What the data are.
         asset : str or None
             Asset that it is about; None reaches every subscriber.
-        data : mapping
-            Plain JSON types; NaN and infinities become null.
+        data
+            A document (`service.documents`), or plain JSON types; NaN and infinities become null.
         time_us : int, optional
             Process time of the data in microseconds; default now.
         """

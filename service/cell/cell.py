@@ -14,11 +14,12 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.samples import Batch, PlannedProfile, Sample
-from service.alarms import AlarmBook, AlarmCondition, alarm_document
+from service.alarms import AlarmBook, AlarmCondition
 from service.bus.stream import Bus
 from service.cell.acquisition import Acquisition
 from service.cell.retention import Upkeep
 from service.clock import ClockWatch, ProcessClock
+from service.documents.alarms import alarm_document
 from service.ingest.metrics import watch_damage, watch_forecasts, watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor

@@ -11,9 +11,10 @@ import structlog
 
 from adapters.drivers import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
-from service.alarms import SERVICE, AlarmBook, alarm_summary
+from service.alarms import SERVICE, AlarmBook
 from service.bus.stream import Bus
 from service.clock import rfc3339
+from service.documents.alarms import alarm_summary
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.live import presentation

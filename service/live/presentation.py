@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from adapters.samples import Quality, Sample
-from service.alarms import alarm_summary
 from service.clock import rfc3339, rfc3339_exact
+from service.documents.alarms import alarm_summary
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
 from service.site.settings import Limits
@@ -174,8 +174,12 @@ def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any
     priority: 1 to 3, or 0 when no alarm is active or waits for an operator.
     """
     summary = alarm_summary(alarms)
-    counts = {name: summary[name] for name in ("active", "unacknowledged", "shelved")}
-    counts["highest_priority"] = summary["highest_priority"]
+    counts = {
+        "active": summary.active,
+        "unacknowledged": summary.unacknowledged,
+        "shelved": summary.shelved,
+        "highest_priority": summary.highest_priority,
+    }
     return {
         f"alarms.{name}": tag(count, "", Quality.GOOD, changed) for name, count in counts.items()
     }

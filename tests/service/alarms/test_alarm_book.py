@@ -1,3 +1,4 @@
+import json
 import sqlite3
 import uuid
 from dataclasses import replace
@@ -13,12 +14,10 @@ from service.alarms import (
     AlarmState,
     NotAllowedError,
     UnknownAlarmError,
-    alarm_document,
-    alarm_summary,
     next_state,
-    transition_document,
 )
 from service.clock import rfc3339
+from service.documents.alarms import Peak, alarm_document, alarm_summary, transition_document
 from service.store.opening import FILE_NAME
 
 
@@ -253,7 +252,7 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
     bench.after(0, replace(HOT, predicted=True, lead_time_s=600.0, probability=0.25))
     bench.clock.advance(1.5)
     alarm = bench.book.acknowledge(bench.only().id, "eva", "seen")
-    assert alarm_document(alarm) == {
+    assert json.loads(alarm_document(alarm).to_bytes()) == {
         "id": alarm.id,
         "asset": "bench-1",
         "kind": "measured limit",
@@ -282,7 +281,7 @@ def test_documents_have_the_contracts_names(bench: Bench) -> None:
         "lead_time_s": 600.0,
         "probability": 0.25,
     }
-    assert transition_document(bench.journal()[-1]) == {
+    assert json.loads(transition_document(bench.journal()[-1]).to_bytes()) == {
         "class": "alarm",
         "alarm_id": alarm.id,
         "asset": "bench-1",
@@ -325,15 +324,20 @@ def test_the_list_goes_by_priority_whatever_the_kind(bench: Bench) -> None:
 
 
 def test_a_limit_that_is_exceeded_counts_while_its_data_are_lost(bench: Bench) -> None:
-    assert alarm_summary(bench.book.active())["over_limit"] is None
+    assert alarm_summary(bench.book.active()).over_limit is None
     bench.book.evaluate(replace(HOT, level="warning", priority=2))
-    assert alarm_summary(bench.book.active())["over_limit"] == "warning"
+    assert alarm_summary(bench.book.active()).over_limit == "warning"
     bench.book.evaluate(HOT)
     bench.book.evaluate(UNKNOWN)
     bench.book.evaluate(replace(HOT, kind="stale data", level="", priority=2, channel="source:a"))
     found = alarm_summary(bench.book.active())
-    assert found["over_limit"] == "alarm"
-    assert (found["active"], found["highest_priority"]) == (3, 1)
+    assert found.over_limit == "alarm"
+    assert (found.active, found.highest_priority) == (3, 1)
+
+
+def peak_of(bench: Bench) -> float | None:
+    peak = alarm_document(bench.only()).peak
+    return None if peak is None else peak.value
 
 
 def test_a_returned_alarm_has_its_peak_and_how_long_it_lasted(bench: Bench) -> None:
@@ -341,21 +345,21 @@ def test_a_returned_alarm_has_its_peak_and_how_long_it_lasted(bench: Bench) -> N
     bench.after(600, replace(HOT, value=113.4))
     peak_us = bench.clock.us
     bench.after(600, replace(HOT, value=108.0))
-    assert alarm_document(bench.only())["duration_s"] is None, "it stands"
+    assert alarm_document(bench.only()).duration_s is None, "it stands"
     bench.after(60, UNKNOWN)
     bench.after(60, COLD)
     returned = alarm_document(bench.only())
-    assert returned["state"] == "RTNUN"
-    assert returned["peak"] == {"value": 113.4, "time": rfc3339(peak_us)}
-    assert returned["duration_s"] == 1320.0
+    assert returned.state == "RTNUN"
+    assert returned.peak == Peak(value=113.4, time=rfc3339(peak_us))
+    assert returned.duration_s == 1320.0
     line = transition_document(bench.journal()[-1])
-    assert (line["peak"], line["duration_s"]) == (returned["peak"], 1320.0)
+    assert (line.peak, line.duration_s) == (returned.peak, 1320.0)
     bench.after(600, replace(HOT, value=115.0))
-    assert alarm_document(bench.only())["peak"]["value"] == 115.0, "raised again in the same life"
+    assert peak_of(bench) == 115.0, "raised again in the same life"
     bench.after(60, COLD)
     bench.book.acknowledge(bench.only().id, "eva")
     bench.after(60, HOT)
-    assert alarm_document(bench.only())["peak"]["value"] == HOT.value, "a new life"
+    assert peak_of(bench) == HOT.value, "a new life"
 
 
 def test_the_peak_outlives_a_restart(bench: Bench) -> None:
@@ -363,4 +367,4 @@ def test_the_peak_outlives_a_restart(bench: Bench) -> None:
     bench.restart()
     bench.after(10, HOT)
     bench.after(10, COLD)
-    assert alarm_document(bench.only())["peak"]["value"] == 120.0
+    assert peak_of(bench) == 120.0

@@ -12,8 +12,9 @@ import pytest
 from jumping import LoopClock, pytest_asyncio_loop_factories, seen_threads
 
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
-from service.alarms import AlarmBook, alarm_document
+from service.alarms import AlarmBook
 from service.bus.stream import Bus, Subscription
+from service.documents.alarms import alarm_document
 from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
 from service.site.settings import AssetSection

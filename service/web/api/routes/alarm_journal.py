@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import AsyncIterator
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Query
@@ -12,13 +12,18 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.alarms import statistics_document, transition_document
+from service.documents.alarms import (
+    AlarmJournalLine,
+    AlarmJournalList,
+    AlarmStatistics,
+    statistics_document,
+    transition_document,
+)
 from service.domain.times import Instant
 from service.security.roles import VIEWER
 from service.spreadsheets import cell
 from service.store import AlarmTransition, JournalFilter, Store
 from service.web.api.access import secured
-from service.web.api.alarm_bodies import AlarmJournalList, AlarmStatistics
 from service.web.api.cursors import decode_cursor, encode_cursor, next_link
 from service.web.api.deps import Context, json_response
 from service.web.api.problems import parameter_problem
@@ -112,7 +117,7 @@ async def get_journal(
         text = _csv([_COLUMNS]) + _csv_lines(page.items)
         return Response(text, media_type=CSV, headers=headers | _FILE)
     items = [transition_document(line) for line in page.items]
-    return json_response({"items": items, "next": following}, headers=headers)
+    return json_response(AlarmJournalList(items=items, next=following), headers=headers)
 
 
 @router.get(
@@ -158,9 +163,9 @@ def _csv_lines(lines: list[AlarmTransition]) -> str:
     return _csv([tuple(document[name] for name in _COLUMNS) for document in documents])
 
 
-def _flat(document: dict[str, Any]) -> dict[str, Any]:
-    peak = document["peak"] or {"value": None, "time": None}
-    return document | {"peak_value": peak["value"], "peak_time": peak["time"]}
+def _flat(line: AlarmJournalLine) -> dict[str, object]:
+    peak = {} if line.peak is None else {"peak_value": line.peak.value, "peak_time": line.peak.time}
+    return {"peak_value": None, "peak_time": None} | line.model_dump(exclude={"peak"}) | peak
 
 
 def _csv(rows: list[tuple[object, ...]]) -> str:

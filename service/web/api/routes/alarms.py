@@ -14,16 +14,19 @@ from service.alarms import (
     AlarmState,
     NotAllowedError,
     UnknownAlarmError,
+)
+from service.documents.alarms import (
+    AcknowledgedAlarms,
+    AlarmDocument,
+    AlarmList,
+    FailedAlarm,
     alarm_document,
 )
 from service.security.roles import ENGINEER, OPERATOR, VIEWER
 from service.store import Alarm
 from service.web.api.access import Caller, secured
 from service.web.api.alarm_bodies import (
-    AcknowledgedAlarms,
     AcknowledgeManyRequest,
-    AlarmDocument,
-    AlarmList,
     CommentedRequest,
     CommentRequest,
     ShelveRequest,
@@ -71,7 +74,7 @@ async def list_alarms(
         and active in (None, AlarmState(alarm.state) in ACTIVE_STATES)
         and unacknowledged in (None, AlarmState(alarm.state) in UNACKNOWLEDGED_STATES)
     ]
-    return json_response({"items": items, "next": None})
+    return json_response(AlarmList(items=items))
 
 
 @router.post(
@@ -84,18 +87,19 @@ async def acknowledge_alarms(
     context: Context, who: Caller, request: AcknowledgeManyRequest
 ) -> Response:
     """Take note of several alarms; `failed` names those that could not be, and why."""
-    items, failed = [], []
+    items: list[AlarmDocument] = []
+    failed: list[FailedAlarm] = []
     # An alarm of a source acknowledges those of its channels: each of them is taken first.
     sources = {one.id for one in context.alarms.active() if one.channel.startswith("source:")}
     for alarm_id in sorted(dict.fromkeys(request.ids), key=sources.__contains__):
         try:
             alarm = context.alarms.acknowledge(alarm_id, who.who, request.comment or "")
         except (UnknownAlarmError, NotAllowedError) as error:
-            failed.append({"id": alarm_id, "detail": str(error.args[0])})
+            failed.append(FailedAlarm(id=alarm_id, detail=str(error.args[0])))
         else:
             items.append(alarm_document(alarm))
     await _written(context)
-    return json_response({"items": items, "failed": failed})
+    return json_response(AcknowledgedAlarms(items=items, failed=failed))
 
 
 @router.post(

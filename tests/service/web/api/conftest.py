@@ -17,9 +17,10 @@ from prometheus_client import CollectorRegistry
 
 from adapters.drivers import SourceHealth
 from adapters.samples import Batch, Sample
-from service.alarms import AlarmBook, AlarmCondition, alarm_document
+from service.alarms import AlarmBook, AlarmCondition
 from service.bus.stream import Bus
 from service.clock import ProcessClock, rfc3339
+from service.documents.alarms import alarm_document
 from service.domain.errors import (
     ActivationRefusedError,
     JobConflictError,

@@ -6,7 +6,7 @@ import sqlite3
 from typing import Any
 
 from service.clock import rfc3339
-from service.web.api.alarm_bodies import (
+from service.documents.alarms import (
     AcknowledgedAlarms,
     AlarmDocument,
     AlarmJournalList,
