@@ -79,6 +79,37 @@ def ascending(limits: tuple[float, float] | None) -> tuple[float, float] | None:
     return limits
 
 
+class SourceConfig(StrictModel):
+    """What every source says of itself, whatever its driver.
+
+    A driver's model derives from it, narrows `driver` to its own names, and says in place of the
+    properties below what it knows better.
+    """
+
+    name: str = Field(min_length=1)
+    driver: str
+
+    @property
+    def expected_period_s(self) -> float | None:
+        """Process seconds from one value of a channel to the next; None: only observation shows."""
+        return None
+
+    @property
+    def first_max_age_s(self) -> float:
+        """Age limit of a channel, in process seconds, until its period has been observed."""
+        return 120.0
+
+    @property
+    def least_max_age_s(self) -> float:
+        """Least age limit, in process seconds, that an observed period may lead to."""
+        return 10.0
+
+    @property
+    def speed_up(self) -> float:
+        """How much faster than they happened its values come."""
+        return 1.0
+
+
 class MeasuredChannel(StrictModel):
     """What every channel may say of the values that are to be believed, in the channel's unit.
 
@@ -92,6 +123,11 @@ class MeasuredChannel(StrictModel):
     max_jump: float | None = Field(default=None, ge=0.0)
     max_rate_per_s: float | None = Field(default=None, ge=0.0)
     flat_line_s: float | None = Field(default=None, ge=0.0)
+
+    @property
+    def resolution(self) -> float:
+        """Least step between two values, in the channel's unit; 0 where none is known."""
+        return 0.0
 
     @field_validator("valid_range")
     @classmethod

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import structlog
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.files import replacing
 
 MICROSECONDS = 1_000_000

@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.alarms.conditions import AlarmCondition, EventKind
 from service.alarms.lives import (
     AlarmKey,

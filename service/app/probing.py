@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import Driver
+from adapters.protocol import Driver
 from adapters.samples import Quality, Sample, is_good, meaning
 from service.clock import ProcessClock
 from service.ingest.quality import QualityChecks
@@ -143,7 +143,10 @@ async def probe(wiring: Wiring, limit_s: float = PROBE_WALL_S) -> Probe:
         return ProbedChannel(asset, name, source, value, int(quality), age_s, detail)
 
     return Probe(
-        [ProbedSource(one.source.name, _driver(one.source), one.up, one.detail) for one in answers],
+        [
+            ProbedSource(one.source.name, one.source.config.driver, one.up, one.detail)
+            for one in answers
+        ],
         [
             channel(asset, name, facts.source)
             for asset, channels in wiring.channels.items()
@@ -188,7 +191,3 @@ async def _listen(answer: _Answer, clock: ProcessClock) -> None:
 def _note(answer: _Answer, driver: Driver) -> None:
     health = driver.health()
     answer.up, answer.detail, answer.problems = health.up, health.detail, dict(health.problems)
-
-
-def _driver(source: SourceWiring) -> str:
-    return str(getattr(source.config, "driver", ""))

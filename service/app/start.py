@@ -19,10 +19,11 @@ from service.clock import ProcessClock
 from service.ingest import Spool
 from service.kernels import compile_kernels
 from service.plant.publishers import check_extras, check_ports, open_outlets
+from service.security.loopback import is_loopback
 from service.security.tls import tls_context
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
-from service.site.wiring import is_loopback, wire
+from service.site.wiring import wire
 from service.store import (
     DatabaseInUseError,
     DatabaseLock,

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from pydantic_core import to_json
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.clock import rfc3339
 
 MessageType = Literal[

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import Clock, Driver, SourceHealth
+from adapters.protocol import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.ingest import Ingest, QualityChecks, Spool
 from service.site.wiring import Wiring

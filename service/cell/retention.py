@@ -7,7 +7,7 @@ from functools import partial
 import structlog
 from anyio import to_thread
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.clock import MICROSECONDS, ClockWatch, rfc3339
 from service.security.keys import wall_us
 from service.store import Retention, RetentionTime, Store, StoreError, StoreUnavailableError

@@ -11,7 +11,7 @@ import structlog
 from prometheus_client import CollectorRegistry
 
 from adapters.backoff import Backoff
-from adapters.drivers import Clock, Driver
+from adapters.protocol import Clock, Driver
 from adapters.samples import Batch, Quality, Sample
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks

@@ -8,7 +8,7 @@ from functools import partial
 from prometheus_client import CollectorRegistry, Gauge, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from adapters.drivers import Clock, Driver
+from adapters.protocol import Clock, Driver
 from service.ingest.spool import Spool
 from service.store import Mended, QueueUnavailableError
 

@@ -8,7 +8,6 @@ its value, shown with the reason and counted, but no mean, fit or estimate takes
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter
 
 from adapters.samples import Quality, Sample, is_good
+from service.site.check_limits import CheckLimits
 
 #: A level so far from the last one is taken once so many samples in a row agree on it.
 CONFIRMING_SAMPLES = 3
@@ -33,34 +33,6 @@ _LOG_INTERVAL_S = 10.0
 _key = itemgetter(0, 1)
 
 _log = structlog.get_logger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class CheckLimits:
-    """What the values of one channel can do, in the channel's unit; infinite: anything.
-
-    Attributes
-    ----------
-    low, high
-        Least and greatest plausible value.
-    max_jump
-        Greatest change from one sample to the next, on top of `max_rate_per_s`.
-    max_rate_per_s
-        Greatest lasting change per process second.
-    flat_line_s
-        Process seconds for which a running machine may give exactly the same value.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    max_jump: float = math.inf
-    max_rate_per_s: float = math.inf
-    flat_line_s: float = math.inf
-
-    @property
-    def anything(self) -> bool:
-        """Whether there is nothing to check."""
-        return self == CheckLimits()
 
 
 class Finding(NamedTuple):

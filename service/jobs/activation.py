@@ -6,7 +6,7 @@ from typing import Any
 
 import anyio.to_thread
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.domain.errors import ActivationRefusedError
 from service.jobs.models import active_model, model_json, why_not_of_this_asset
 from service.live.asset import AssetRuntime

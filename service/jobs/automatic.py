@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import structlog
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.domain.errors import JobConflictError, RequestRefusedError
 from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory

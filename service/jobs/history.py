@@ -7,7 +7,7 @@ import anyio.to_thread
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.clock import rfc3339
 from service.offline.rows import row_step_s
 from service.site.machines.machine import Machine

@@ -17,7 +17,7 @@ from typing import Any
 import anyio.to_thread
 import structlog
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from service.bus.stream import Bus
 from service.clock import rfc3339
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError

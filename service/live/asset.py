@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
 from service.bus.stream import Bus

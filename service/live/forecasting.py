@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, NamedTuple
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from adapters.samples import PlannedProfile
 from service.clock import rfc3339
 from service.domain.errors import NotReadyError

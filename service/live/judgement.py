@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from adapters.drivers import Clock
+from adapters.protocol import Clock
 from adapters.samples import Quality
 from service.alarms import AlarmBook
 from service.clock import rfc3339

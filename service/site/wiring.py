@@ -1,49 +1,27 @@
 """From the configuration to drivers: which channel of which asset comes from which source."""
 
-import ipaddress
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from adapters.can.config import CanSource
-from adapters.configuration import ConfigurationError, MeasuredChannel, suggestion
-from adapters.drivers import (
-    DRIVERS,
-    ChannelBinding,
-    Clock,
-    Driver,
-    DriverSpec,
-    PlanBinding,
-)
-from service.ingest.quality import CheckLimits
+from adapters.configuration import ConfigurationError, MeasuredChannel, SourceConfig, suggestion
+from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBinding
+from adapters.registry import DRIVERS
+from service.site.check_limits import CheckLimits, limits_of, within_machine
 from service.site.configuration import SettingsError, describe_all
-from service.site.machines.operating_ranges import (
-    TEMPERATURE_C,
-    Range,
-    operating_ranges,
-    refused_beyond,
-)
+from service.site.machines.operating_ranges import operating_ranges
 from service.site.settings import AssetSection, Settings
 
 PUSH = "push"
+_PUSHED = SourceConfig(name=PUSH, driver=PUSH)
 _CONTROLLED = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
 _PLAN = "plan"
-_DEFAULT_MAX_AGE_S = 10.0
-# Of channels whose interval is observed: the age limit until it is known, and the least there is.
-_UNKNOWN_AGE_S, _LEAST_AGE_S = 120.0, 10.0
-_CAN_AGE_S, _LEAST_CAN_AGE_S = 10.0, 2.0
-_INTERVALS_UNTIL_STALE = 5.0
-# A PT100 in a bearing of this size follows with a time constant of seconds, and all the friction
-# heat of its highest speed and load, put into one ring alone, warms that by less than 2 K/s.
-_TEMPERATURE_RATE_K_PER_S = 2.0
-_TEMPERATURE_JUMP_K = 5.0
-# While a machine runs, noise and the hall's air move a reading of this resolution sooner.
-_TEMPERATURE_FLAT_S = 1800.0
-_FLAT_RESOLUTION_K = 0.2
+_Model = TypeVar("_Model", bound=BaseModel)
+_LEAST_POLLED_AGE_S = 10.0
+_PERIODS_UNTIL_STALE = 5.0
 
 
 @dataclass(slots=True)
@@ -52,7 +30,7 @@ class SourceWiring:
 
     name: str
     spec: DriverSpec
-    config: BaseModel
+    config: SourceConfig
     channels: list[ChannelBinding] = field(default_factory=list)
     plans: list[PlanBinding] = field(default_factory=list)
 
@@ -120,26 +98,13 @@ def wire(settings: Settings) -> Wiring:
         raise SettingsError(*errors)
     ranges = {asset.id: operating_ranges(asset.bearing) for asset in settings.assets}
     channels = {
-        asset: {name: _plausible(name, facts, ranges[asset]) for name, facts in known.items()}
+        asset: {
+            name: replace(facts, limits=within_machine(name, facts.limits, ranges[asset]))
+            for name, facts in known.items()
+        }
         for asset, known in wiring.channels.items()
     }
     return Wiring(wiring.sources, channels)
-
-
-def _plausible(name: str, facts: ChannelFacts, ranges: Mapping[str, Range]) -> ChannelFacts:
-    """Let no speed, load or temperature be good that the machine cannot have.
-
-    A configured `valid_range` counts up to `REFUSED_BEYOND` times the default one.
-    """
-    if name.startswith("t_"):
-        ranges = {name: TEMPERATURE_C}
-    if name not in ranges:
-        return facts
-    limits = facts.limits
-    configured = math.isfinite(limits.low) or math.isfinite(limits.high)
-    low, high = (refused_beyond(ranges) if configured else ranges)[name]
-    within = replace(limits, low=max(limits.low, low), high=min(limits.high, high))
-    return replace(facts, limits=within)
 
 
 def wire_what_can_be(
@@ -236,7 +201,7 @@ def _wire_channel(
     """Bind a channel to its source; None where the source itself has an error."""
     source_name = _source_name(table, sources, key)
     if source_name == PUSH:
-        return _facts(name, PUSH, None, _validated(MeasuredChannel, table, key))
+        return _facts(name, PUSH, _PUSHED, _validated(MeasuredChannel, table, key))
     source = sources[source_name]
     if source is None:
         return None
@@ -295,8 +260,8 @@ def _check(source: SourceWiring) -> list[str]:
 
 
 def _validated(
-    model: type[BaseModel], table: dict[str, Any], key: str, base_dir: Path | None = None
-) -> BaseModel:
+    model: type[_Model], table: dict[str, Any], key: str, base_dir: Path | None = None
+) -> _Model:
     try:
         return model.model_validate(table, context={"base_dir": base_dir} if base_dir else None)
     except ValidationError as error:
@@ -304,61 +269,19 @@ def _validated(
 
 
 def _facts(
-    name: str, source_name: str, source: BaseModel | None, channel: BaseModel
+    name: str, source_name: str, source: SourceConfig, channel: MeasuredChannel
 ) -> ChannelFacts:
     max_age_s, learned_from_s = _max_age_s(source, channel)
-    return ChannelFacts(
-        source_name, max_age_s, _check_limits(name, source, channel), learned_from_s
-    )
+    return ChannelFacts(source_name, max_age_s, limits_of(name, source, channel), learned_from_s)
 
 
-def _check_limits(name: str, source: BaseModel | None, channel: BaseModel) -> CheckLimits:
-    """What a channel's values can do: as configured, else by what physics lets a temperature do."""
-    if not isinstance(channel, MeasuredChannel):
-        return CheckLimits()
-    jump = rate = flat = 0.0
-    # A record that is played faster than it happened changes as much faster.
-    if name.endswith("_c") and getattr(source, "speed", 1.0) <= 1.0:
-        jump, rate = _TEMPERATURE_JUMP_K, _TEMPERATURE_RATE_K_PER_S
-        is_whole = getattr(channel, "type", "").lstrip("u").startswith("int")
-        coarse = is_whole and abs(getattr(channel, "scale", 1.0)) > _FLAT_RESOLUTION_K
-        flat = 0.0 if name == "ambient_c" or coarse else _TEMPERATURE_FLAT_S
-    low, high = channel.valid_range or (-math.inf, math.inf)
-    return CheckLimits(
-        low,
-        high,
-        _or_nothing(channel.max_jump, jump),
-        _or_nothing(channel.max_rate_per_s, rate),
-        _or_nothing(channel.flat_line_s, flat),
-    )
-
-
-def _or_nothing(configured: float | None, default: float) -> float:
-    """Limit as configured, else by default; 0 is no limit."""
-    return (default if configured is None else configured) or math.inf
-
-
-def _max_age_s(source: BaseModel | None, channel: BaseModel) -> tuple[float, float | None]:
+def _max_age_s(source: SourceConfig, channel: MeasuredChannel) -> tuple[float, float | None]:
     """Age at which a channel is stale, and the least it may be where it is learned.
 
-    As configured, else five poll intervals of its source, else five of its observed intervals.
+    As configured, else five expected periods of its source, else five of its observed periods.
     """
-    configured = getattr(channel, "max_age_s", None)
-    if configured is not None:
-        return float(configured), None
-    poll_interval_s = getattr(source, "poll_interval_s", None)
-    if poll_interval_s:
-        return max(_DEFAULT_MAX_AGE_S, _INTERVALS_UNTIL_STALE * poll_interval_s), None
-    if isinstance(source, CanSource):
-        return _CAN_AGE_S, _LEAST_CAN_AGE_S
-    return _UNKNOWN_AGE_S, _LEAST_AGE_S
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether a listening address is reachable from this machine only."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    if channel.max_age_s is not None:
+        return channel.max_age_s, None
+    if source.expected_period_s is not None:
+        return max(_LEAST_POLLED_AGE_S, _PERIODS_UNTIL_STALE * source.expected_period_s), None
+    return source.first_max_age_s, source.least_max_age_s

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from adapters.can.config import CanChannel, CanSource
-from adapters.can.decoding import BoundMessage, bind, check
 from adapters.configuration import ConfigurationError
-from adapters.drivers import ChannelBinding, PlanBinding
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.decoding import BoundMessage, bind, check
+from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import Quality, Sample
 
 DBC = Path(__file__).parent / "bench.dbc"

@@ -4,8 +4,8 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from adapters.drivers import DRIVERS, UnknownDriverError, driver_spec
-from adapters.modbus.config import ModbusChannel, ModbusPlan
+from adapters.drivers.modbus.config import ModbusChannel, ModbusPlan
+from adapters.registry import DRIVERS, UnknownDriverError, driver_spec
 from adapters.samples import Quality, is_bad, is_good
 
 
@@ -18,7 +18,7 @@ def test_an_unknown_driver_names_the_known() -> None:
 
 def test_the_registry_imports_no_field_library() -> None:
     code = (
-        "import sys, adapters.drivers; "
+        "import sys, adapters.registry; "
         "sys.exit(any(m in sys.modules for m in ('pymodbus', 'can', 'cantools', 'serial')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.configuration import ConfigurationError
-from adapters.drivers import ChannelBinding, PlanBinding
-from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
-from adapters.modbus.mapping import Group, Point, UnitMap, check, compile_units
-from adapters.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.drivers.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
+from adapters.drivers.modbus.mapping import Group, Point, UnitMap, check, compile_units
+from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import PlanStep, Quality
 
 SOURCE = ModbusTcpSource(name="plc", host="127.0.0.1")

@@ -11,7 +11,8 @@ import pyarrow.parquet as parquet
 import pytest
 
 from adapters.configuration import ConfigurationError
-from adapters.drivers import ChannelBinding, driver_spec
+from adapters.protocol import ChannelBinding
+from adapters.registry import driver_spec
 from adapters.samples import Quality, Sample
 
 DBC = Path(__file__).parent / "bench.dbc"

@@ -16,9 +16,9 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from adapters.drivers import ChannelBinding
-from adapters.modbus.config import ModbusChannel, ModbusTcpSource
-from adapters.modbus.driver import ModbusDriver
+from adapters.drivers.modbus.config import ModbusChannel, ModbusTcpSource
+from adapters.drivers.modbus.driver import ModbusDriver
+from adapters.protocol import ChannelBinding
 from adapters.samples import Quality, Sample
 from service.clock import ProcessClock
 
@@ -157,7 +157,7 @@ async def test_an_exception_never_becomes_a_value(
     code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The longest wait after a refusal is shortened: it is not what is tested.
-    monkeypatch.setattr("adapters.modbus.driver.REFUSED_READ_S", 0.2)
+    monkeypatch.setattr("adapters.drivers.modbus.driver.REFUSED_READ_S", 0.2)
     answer: list[ExcCodes] = []
 
     async def action(*_: object) -> ExcCodes | None:
@@ -231,7 +231,7 @@ async def test_what_was_split_by_a_refusal_is_read_in_one_request_again() -> Non
 async def test_units_that_all_fell_silent_are_not_left_out_for_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("adapters.modbus.driver.RECONNECT_LAST_S", 0.3)
+    monkeypatch.setattr("adapters.drivers.modbus.driver.RECONNECT_LAST_S", 0.3)
     port = free_port()
 
     def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from adapters.can.config import CanChannel, CanSource
-from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
 from adapters.virtual_bench.modbus_server import (
     CONTROLLER_UNIT,
     PLAN_ADDRESS,

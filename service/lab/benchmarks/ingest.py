@@ -19,7 +19,7 @@ from typing import Any, Self
 import psycopg
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import SourceHealth
+from adapters.protocol import SourceHealth
 from adapters.samples import Batch, Quality, Sample, make_sample
 from service.clock import ProcessClock
 from service.ingest import Ingest, Spool

@@ -14,11 +14,11 @@ from prometheus_client import CollectorRegistry
 from pymodbus.client import AsyncModbusTcpClient
 
 import adapters.virtual_bench
-from adapters.can.config import CanChannel, CanSource
-from adapters.can.driver import CanDriver
-from adapters.drivers import ChannelBinding
-from adapters.modbus.config import ModbusChannel, ModbusTcpSource
-from adapters.modbus.driver import ModbusDriver
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.driver import CanDriver
+from adapters.drivers.modbus.config import ModbusChannel, ModbusTcpSource
+from adapters.drivers.modbus.driver import ModbusDriver
+from adapters.protocol import ChannelBinding
 from adapters.samples import is_good
 from service.clock import ProcessClock
 from service.ingest import Ingest, Spool

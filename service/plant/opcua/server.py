@@ -31,9 +31,9 @@ from service.plant.opcua.sessions import KeyedServer
 from service.plant.opcua.users import KeyUsers
 from service.plant.opcua.wire import BoundedServer
 from service.security import AuditTrail, Authenticator
+from service.security.loopback import is_loopback
 from service.site.configuration import SettingsError
 from service.site.settings import OpcUaSection
-from service.site.wiring import is_loopback
 
 APPLICATION_URI = "urn:bearing-twin:server"
 NAMESPACE = "urn:bearing-twin"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import Clock, SourceHealth
+from adapters.protocol import Clock, SourceHealth
 from service.bus.stream import Bus
 from service.domain.interfaces import AssetTwin, JobManager
 from service.site.settings import Settings

@@ -13,7 +13,8 @@ from typing import Any
 import processes
 import pytest
 
-from adapters.drivers import ChannelBinding, Driver, PlanBinding, driver_spec
+from adapters.protocol import ChannelBinding, Driver, PlanBinding
+from adapters.registry import driver_spec
 from adapters.samples import Batch, PlannedProfile, Sample
 
 PEERS = Path(__file__).parent / "peers"

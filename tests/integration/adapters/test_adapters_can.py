@@ -147,7 +147,7 @@ async def test_a_bus_that_falls_silent_shows_in_the_health_and_is_opened_anew(
     peer: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("adapters.can.reader.SILENCE_FIRST_S", 6.0)
+    monkeypatch.setattr("adapters.drivers.can.reader.SILENCE_FIRST_S", 6.0)
     adapter = peer("slcan_adapter.py", free_port, 0.02)
     adapter.start()
     async with drive(source, CHANNELS) as record:

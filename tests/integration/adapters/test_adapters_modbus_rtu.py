@@ -14,7 +14,7 @@ from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adapters.configuration import ConfigurationError
-from adapters.drivers import driver_spec
+from adapters.registry import driver_spec
 from adapters.samples import Quality
 
 pytestmark = pytest.mark.wires

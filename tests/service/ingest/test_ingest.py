@@ -12,7 +12,7 @@ import pytest
 from processes import wait_until
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import SourceHealth
+from adapters.protocol import SourceHealth
 from adapters.samples import Batch, PlannedProfile, PlanStep, Quality, Sample
 from service.clock import ProcessClock
 from service.ingest import Ingest, Spool

@@ -8,7 +8,8 @@ import pytest
 from prometheus_client import CollectorRegistry
 
 from adapters.samples import Quality, Sample, is_good
-from service.ingest.quality import CheckLimits, QualityChecks
+from service.ingest.quality import QualityChecks
+from service.site.check_limits import CheckLimits
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.site.wiring import wire

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import pytest
 
-from adapters.drivers import SourceHealth
+from adapters.protocol import SourceHealth
 from adapters.samples import Batch
 from service.app.start import serve
 from service.site.settings import ServiceSection, Settings

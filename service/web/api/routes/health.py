@@ -1,7 +1,6 @@
 """Is it alive, is it ready, and the metrics."""
 
 import asyncio
-import ipaddress
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
@@ -14,6 +13,7 @@ from starlette.responses import Response
 
 from adapters.samples import is_good
 from service.domain.interfaces import AssetTwin
+from service.security.loopback import is_loopback
 from service.security.roles import VIEWER
 from service.store import StoreUnavailableError
 from service.web.api.access import authenticate, problems, public, unauthorized
@@ -100,7 +100,7 @@ for _path, _probe in (("/livez", livez), ("/readyz", readyz)):
 )
 async def metrics(context: Context, request: Request, keys: Keys) -> Response:
     """Give all metrics; on loopback, or where the configuration allows it, without a key."""
-    allowed = context.settings.security.allow_unauthenticated_metrics or _is_loopback(request)
+    allowed = context.settings.security.allow_unauthenticated_metrics or _is_local(request)
     if not allowed:
         principal = await authenticate(request, keys)
         if principal is None:
@@ -179,11 +179,8 @@ _OF_A_PROXY = (
 )
 
 
-def _is_loopback(request: Request) -> bool:
+def _is_local(request: Request) -> bool:
     """Tell whether the caller sits on this machine, and not only a proxy on its behalf."""
     if request.client is None or any(name in request.headers for name in _OF_A_PROXY):
         return False
-    try:
-        return ipaddress.ip_address(request.client.host.partition("%")[0]).is_loopback
-    except ValueError:
-        return False
+    return is_loopback(request.client.host)

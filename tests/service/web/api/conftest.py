@@ -15,7 +15,7 @@ import pytest
 from fastapi import FastAPI
 from prometheus_client import CollectorRegistry
 
-from adapters.drivers import SourceHealth
+from adapters.protocol import SourceHealth
 from adapters.samples import Batch, Sample
 from service.alarms import AlarmBook, AlarmCondition
 from service.bus.stream import Bus

@@ -5,10 +5,10 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
-from adapters.configuration import MeasuredChannel, StrictModel
+from adapters.configuration import MeasuredChannel, SourceConfig
 
 
-class CanSource(StrictModel):
+class CanSource(SourceConfig):
     """A CAN bus. Keys not named here are handed to `can.Bus` of the interface as they are.
 
     A relative `dbc` is taken relative to the directory given as ``context={"base_dir": ...}`` on
@@ -17,7 +17,6 @@ class CanSource(StrictModel):
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
 
-    name: str = Field(min_length=1)
     driver: Literal["can"] = "can"
     interface: str = Field(default="slcan", min_length=1)
     channel: str | int
@@ -28,6 +27,16 @@ class CanSource(StrictModel):
     def _relative_to_configuration(cls, dbc: Path, info: ValidationInfo) -> Path:
         base = (info.context or {}).get("base_dir")
         return Path(base) / dbc if base is not None else dbc
+
+    @property
+    def first_max_age_s(self) -> float:
+        """A message on a bus comes in well below a second."""
+        return 10.0
+
+    @property
+    def least_max_age_s(self) -> float:
+        """Two seconds: nobody asks for a message, and none is late for a slow answer."""
+        return 2.0
 
     @property
     def bus_options(self) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from collections.abc import Callable
 import can
 
 from adapters.backoff import Backoff
-from adapters.can.bus import close_bus, open_bus
-from adapters.can.config import CanSource
-from adapters.can.decoding import MessageTable
-from adapters.drivers import Clock
+from adapters.drivers.can.bus import close_bus, open_bus
+from adapters.drivers.can.config import CanSource
+from adapters.drivers.can.decoding import MessageTable
+from adapters.protocol import Clock
 from adapters.samples import Sample
 
 logger = logging.getLogger(__name__)

@@ -1,26 +1,19 @@
-"""The protocol that every driver follows, and the registry of drivers.
+"""The protocol that every driver follows.
 
-A driver is an asynchronous context manager that yields batches of samples for ever and reports
+A driver is an asynchronous context manager that yields batches of samples without end and reports
 its own health. How to add one is described in ``docs/adding-a-driver.md``.
 """
 
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
-from types import MappingProxyType, TracebackType
-from typing import Any, Protocol, Self
+from types import TracebackType
+from typing import Protocol, Self
 
 from pydantic import BaseModel
 
-from adapters.can.config import CanChannel, CanSource
-from adapters.configuration import ConfigurationError, suggestion
-from adapters.modbus.config import ModbusChannel, ModbusPlan, ModbusRtuSource, ModbusTcpSource
-from adapters.replay.config import ReplayChannel, ReplaySource
+from adapters.configuration import MeasuredChannel, SourceConfig
 from adapters.samples import Batch
-
-
-class UnknownDriverError(ConfigurationError):
-    """There is no driver of that name."""
 
 
 class Clock(Protocol):
@@ -60,7 +53,7 @@ class SourceHealth:
         Poll cycles left out because they came too late (Modbus), samples dropped because nobody
         took them (CAN).
     reconnects
-        Times that a connection was made anew after a loss.
+        Times that a connection was made again after a loss.
     errors
         Number of errors by kind.
     problems
@@ -90,7 +83,7 @@ class ChannelBinding:
 
     asset: str
     channel: str
-    config: BaseModel
+    config: MeasuredChannel
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,14 +111,10 @@ class Driver(Protocol):
     ) -> None: ...
 
     def batches(self) -> AsyncIterator[Batch]:
-        """Yield batches for ever, reconnecting without help; cancel to stop."""
+        """Yield batches without end, reconnecting without help; cancel to stop."""
 
     def health(self) -> SourceHealth:
-        """Tell how the source is doing; cheap, from memory."""
-
-
-Create = Callable[[Any, Sequence[ChannelBinding], Sequence[PlanBinding], Clock], Driver]
-Check = Callable[[Any, Sequence[ChannelBinding], Sequence[PlanBinding]], None]
+        """Report the state of the source; cheap, from memory."""
 
 
 @dataclass(frozen=True)
@@ -136,75 +125,41 @@ class DriverSpec:
     ----------
     source_model, channel_model, plan_model
         Configuration models; `plan_model` is None when the driver cannot read a plan.
-    check
-        Checks a source with everything bound to it before the service starts (reads the DBC,
-        for example); raises `ConfigurationError`. Opens no connection.
-    create
-        Makes the driver; imports the field library only now.
+    check_function, driver_class
+        Where they are, as ``module:name``: they are imported when they are called, so that a
+        field library is loaded only where it is used.
     """
 
-    source_model: type[BaseModel]
-    channel_model: type[BaseModel]
+    source_model: type[SourceConfig]
+    channel_model: type[MeasuredChannel]
     plan_model: type[BaseModel] | None
-    check: Check
-    create: Create
+    check_function: str
+    driver_class: str
 
+    def check(
+        self,
+        source: SourceConfig,
+        channels: Sequence[ChannelBinding],
+        plans: Sequence[PlanBinding],
+    ) -> None:
+        """Check a source with everything bound to it (read the DBC, for example).
 
-def _spec(
-    source_model: type[BaseModel],
-    channel_model: type[BaseModel],
-    plan_model: type[BaseModel] | None,
-    check: str,
-    create: str,
-) -> DriverSpec:
-    """Describe a driver; its functions, as ``module:name``, are imported when they are called."""
-    return DriverSpec(
-        source_model,
-        channel_model,
-        plan_model,
-        lambda *bound: resolve_name(check)(*bound),
-        lambda *bound: resolve_name(create)(*bound),
-    )
+        Opens no connection.
 
+        Raises
+        ------
+        ConfigurationError
+            Names the key, the value and what was expected.
+        """
+        resolve_name(self.check_function)(source, channels, plans)
 
-_MODBUS = (
-    ModbusChannel,
-    ModbusPlan,
-    "adapters.modbus.mapping:check",
-    "adapters.modbus.driver:ModbusDriver",
-)
-
-DRIVERS: Mapping[str, DriverSpec] = MappingProxyType(
-    {
-        "modbus-tcp": _spec(ModbusTcpSource, *_MODBUS),
-        "modbus-rtu": _spec(ModbusRtuSource, *_MODBUS),
-        "can": _spec(
-            CanSource,
-            CanChannel,
-            None,
-            "adapters.can.decoding:check",
-            "adapters.can.driver:CanDriver",
-        ),
-        "replay": _spec(
-            ReplaySource,
-            ReplayChannel,
-            None,
-            "adapters.replay.driver:check",
-            "adapters.replay.driver:ReplayDriver",
-        ),
-    }
-)
-
-
-def driver_spec(name: str) -> DriverSpec:
-    """Look up a driver by its name in the configuration.
-
-    Raises
-    ------
-    UnknownDriverError
-        The message lists the drivers that there are.
-    """
-    try:
-        return DRIVERS[name]
-    except KeyError:
-        raise UnknownDriverError(f"unknown driver {name!r}; {suggestion(name, DRIVERS)}") from None
+    def create(
+        self,
+        source: SourceConfig,
+        channels: Sequence[ChannelBinding],
+        plans: Sequence[PlanBinding],
+        clock: Clock,
+    ) -> Driver:
+        """Make the driver; it connects when it is entered."""
+        driver: Driver = resolve_name(self.driver_class)(source, channels, plans, clock)
+        return driver

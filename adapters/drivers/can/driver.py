@@ -7,10 +7,10 @@ from collections.abc import AsyncIterator, Sequence
 from types import TracebackType
 from typing import Self
 
-from adapters.can.config import CanSource
-from adapters.can.decoding import bind, check
-from adapters.can.reader import Reader
-from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
+from adapters.drivers.can.config import CanSource
+from adapters.drivers.can.decoding import bind, check
+from adapters.drivers.can.reader import Reader
+from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch
 
 logger = logging.getLogger(__name__)
@@ -20,7 +20,7 @@ STOP_S = 2.0  # wall; longest wait for the listening thread to end
 
 
 class CanDriver:
-    """Listens to one CAN bus, see `adapters.drivers.Driver`.
+    """Listens to one CAN bus, see `adapters.protocol.Driver`.
 
     Samples carry the process time at which their frame was received. Whether a channel has become
     stale is for its user to judge; `health` tells which messages have stopped coming.

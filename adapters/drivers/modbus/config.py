@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from adapters.configuration import MeasuredChannel, StrictModel
+from adapters.configuration import MeasuredChannel, SourceConfig, StrictModel
 
 Kind = Literal["input", "holding", "coil", "discrete"]
 ValueType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64", "bool"]
@@ -42,18 +42,27 @@ BIT_KINDS = ("coil", "discrete")
 PLAN_ROW_REGISTERS = 6
 
 
-class ModbusTcpSource(StrictModel):
+class PolledSource(SourceConfig):
+    """What is polled: `poll_interval_s` is process time."""
+
+    poll_interval_s: float = Field(default=1.0, ge=0.01)
+
+    @property
+    def expected_period_s(self) -> float:
+        """The poll interval."""
+        return self.poll_interval_s
+
+
+class ModbusTcpSource(PolledSource):
     """A Modbus TCP server: a device, or a gateway with several units behind it.
 
-    `poll_interval_s` is process time, `timeout_s` (connecting and answering) wall time.
+    `timeout_s` (connecting and answering) is wall time.
     """
 
-    name: str = Field(min_length=1)
     driver: Literal["modbus-tcp"] = "modbus-tcp"
     host: str = Field(min_length=1)
     port: int = Field(default=502, ge=1, le=65535)
     unit: Unit = 1
-    poll_interval_s: float = Field(default=1.0, ge=0.01)
     timeout_s: float = Field(default=1.0, ge=0.05, le=60.0)
 
     @property
@@ -62,7 +71,7 @@ class ModbusTcpSource(StrictModel):
         return f"{self.host}:{self.port}"
 
 
-class ModbusRtuSource(StrictModel):
+class ModbusRtuSource(PolledSource):
     """A serial line (RS-485 or RS-232) with one or more units on it.
 
     `device` is a serial port of the operating system. `timeout_s` is the wall time given to an
@@ -70,7 +79,6 @@ class ModbusRtuSource(StrictModel):
     line carries one request at a time.
     """
 
-    name: str = Field(min_length=1)
     driver: Literal["modbus-rtu"] = "modbus-rtu"
     device: str = Field(min_length=1)
     baudrate: int = Field(default=19200, ge=300, le=4_000_000)
@@ -78,7 +86,6 @@ class ModbusRtuSource(StrictModel):
     parity: Literal["N", "E", "O"] = "E"
     stopbits: Literal[1, 2] = 1
     unit: Unit = 1
-    poll_interval_s: float = Field(default=1.0, ge=0.01)
     timeout_s: float = Field(default=0.5, ge=0.05, le=60.0)
 
     @property
@@ -121,6 +128,11 @@ class ModbusChannel(MeasuredChannel):
     sentinels: tuple[float, ...] = ()
     conversion: Literal["pt100_ohm"] | None = None
     status: ModbusStatus | None = None
+
+    @property
+    def resolution(self) -> float:
+        """The scale of whole numbers; a floating-point register has steps too fine to see."""
+        return abs(self.scale) if self.type.endswith(("int16", "int32")) else 0.0
 
     @model_validator(mode="before")
     @classmethod

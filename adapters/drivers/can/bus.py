@@ -15,7 +15,7 @@ from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 from serial.urlhandler import protocol_socket
 
-from adapters.can.config import CanSource
+from adapters.drivers.can.config import CanSource
 
 logger = logging.getLogger(__name__)
 

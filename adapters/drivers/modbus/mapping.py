@@ -10,8 +10,7 @@ from math import isfinite
 
 from adapters.backoff import Backoff
 from adapters.configuration import ConfigurationError
-from adapters.drivers import ChannelBinding, PlanBinding
-from adapters.modbus.config import (
+from adapters.drivers.modbus.config import (
     BIT_KINDS,
     PLAN_ROW_REGISTERS,
     Kind,
@@ -20,6 +19,7 @@ from adapters.modbus.config import (
     ModbusSource,
     data_sheet_hint,
 )
+from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.pt100 import fault, temperature_from_resistance
 from adapters.samples import Quality
 

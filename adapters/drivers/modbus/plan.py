@@ -4,7 +4,7 @@ import math
 import struct
 from collections.abc import Sequence
 
-from adapters.modbus.config import Order
+from adapters.drivers.modbus.config import Order
 from adapters.samples import PlanStep
 
 # A word-swapped or foreign table shows itself in numbers that no bearing ever meets.

@@ -9,7 +9,7 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
-from adapters.modbus.config import Kind, ModbusRtuSource, ModbusSource
+from adapters.drivers.modbus.config import Kind, ModbusRtuSource, ModbusSource
 
 # Whatever goes wrong comes back from here as an exception and is reported once, by the driver;
 # pymodbus would log every single failed attempt as an error.

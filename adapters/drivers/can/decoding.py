@@ -10,9 +10,9 @@ import cantools.database
 from cantools.database.can import Database, Message, Signal
 from cantools.errors import Error as CantoolsError
 
-from adapters.can.config import CanChannel, CanSource
 from adapters.configuration import ConfigurationError, suggestion
-from adapters.drivers import ChannelBinding, PlanBinding
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import Quality, Sample, is_good, next_time_us
 
 FrameKey = tuple[int, bool]  # identifier, extended or not

@@ -5,13 +5,13 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from adapters.configuration import MeasuredChannel, StrictModel
+from adapters.configuration import MeasuredChannel, SourceConfig
 
 TABLES = (".csv", ".parquet", ".pq")
 CAN_LOGS = (".asc", ".blf")
 
 
-class ReplaySource(StrictModel):
+class ReplaySource(SourceConfig):
     """A recorded file.
 
     `speed` is how much faster than process time it is played, stamped with process time; 0 plays
@@ -19,7 +19,6 @@ class ReplaySource(StrictModel):
     paths are taken relative to ``context={"base_dir": ...}`` on validation.
     """
 
-    name: str = Field(min_length=1)
     driver: Literal["replay"] = "replay"
     file: Path
     dbc: Path | None = None
@@ -44,6 +43,11 @@ class ReplaySource(StrictModel):
         if self.repeat and self.speed == 0.0:
             raise ValueError("repeat needs a speed above 0: times of the file can come only once")
         return self
+
+    @property
+    def speed_up(self) -> float:
+        """As configured; at full speed the values keep the times of the file."""
+        return self.speed or 1.0
 
     @property
     def is_can_log(self) -> bool:

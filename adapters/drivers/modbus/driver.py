@@ -11,11 +11,23 @@ from types import TracebackType
 from typing import Self
 
 from adapters.backoff import Backoff
-from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
-from adapters.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, ModbusRtuSource, ModbusSource
-from adapters.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
-from adapters.modbus.mapping import MAX_REGISTERS, Group, Point, UnitMap, check, compile_units
-from adapters.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.drivers.modbus.config import (
+    PLAN_ROW_REGISTERS,
+    ModbusPlan,
+    ModbusRtuSource,
+    ModbusSource,
+)
+from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
+from adapters.drivers.modbus.mapping import (
+    MAX_REGISTERS,
+    Group,
+    Point,
+    UnitMap,
+    check,
+    compile_units,
+)
+from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import (
     Batch,
     PlannedProfile,
@@ -61,7 +73,7 @@ class _Unit:
 
 
 class ModbusDriver:
-    """Polls one Modbus TCP server or serial line, see `adapters.drivers.Driver`.
+    """Polls one Modbus TCP server or serial line, see `adapters.protocol.Driver`.
 
     Requests go out one at a time over one connection. A unit that does not answer is left out and
     tried again after growing waits: over a connection of its own where there can be one, so that

@@ -9,12 +9,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from adapters.can.config import CanChannel, CanSource
-from adapters.can.decoding import bind
 from adapters.configuration import ConfigurationError, suggestion
-from adapters.drivers import ChannelBinding, Clock, PlanBinding, SourceHealth
-from adapters.replay.config import ReplayChannel, ReplaySource
-from adapters.replay.tables import open_recording
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.decoding import bind
+from adapters.drivers.replay.config import ReplayChannel, ReplaySource
+from adapters.drivers.replay.tables import open_recording
+from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import Batch, Quality, Sample, is_good
 
 logger = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ Event = tuple[int, list[Sample]]
 
 
 class ReplayDriver:
-    """Plays a recorded file, see `adapters.drivers.Driver`."""
+    """Plays a recorded file, see `adapters.protocol.Driver`."""
 
     def __init__(
         self,

@@ -1,0 +1,1 @@
+"""The drivers: one folder each, and one line each in ``adapters/registry.py``."""
