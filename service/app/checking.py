@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from pydantic_settings import EnvSettingsSource
 
-from service.site.channels import missing_channels
+from service.domain.channels import missing_channels
 from service.site.configuration import SettingsError, read_toml
 from service.site.settings import Settings, load_settings
 from service.site.wiring import AssetTables, Wiring, wire_what_can_be

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.serve import ConfigFile
-from service.site.channels import unit_of
+from service.domain.channels import unit_of
 
 if TYPE_CHECKING:
     from service.app.checking import Examination

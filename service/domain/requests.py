@@ -12,13 +12,12 @@ from pydantic import (
     field_validator,
 )
 
+from service.domain.channels import NODES, RING_SENSORS
 from service.domain.times import Instant
 
 MAX_PROFILE_HOURS = 48
 MAX_PROFILE_STEPS = 200
 MAX_FORECAST_ROWS = 3000
-SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
-NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 PUSH_SOURCE = "push"
 
 
@@ -41,9 +40,9 @@ NodeName = Annotated[
     Field(
         pattern=r"^t_[a-z0-9_]+_c$",
         max_length=100,
-        description=f"{', '.join(SENSORS)}, {NODES[0]} to {NODES[-1]}, or a sensor or node of the "
-        "asset's own network.",
-        examples=["t_inner_ring_c"],
+        description=f"{', '.join(RING_SENSORS)}, {NODES[0]} to {NODES[-1]}, or a sensor or node "
+        "of the asset's own network.",
+        examples=[RING_SENSORS[0]],
     ),
 ]
 

@@ -15,6 +15,7 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter
 
 from adapters.samples import Quality, Sample, is_good
+from service.domain.channels import SPEED
 from service.site.check_limits import CheckLimits
 
 #: A level so far from the last one is taken once so many samples in a row agree on it.
@@ -25,7 +26,6 @@ RATE_WINDOW_S = 10.0
 FLAT_SAMPLES = 5
 #: Below so many revolutions per minute a machine is at rest, and its temperatures may stand still.
 AT_REST_RPM = 30.0
-SPEED_CHANNEL = "speed_rpm"
 
 _CLOCK_SET_BACK_US = 1_000_000
 _REMEMBERED = 1000
@@ -177,11 +177,10 @@ class QualityChecks:
         machines = {asset: _Machine() for asset, _ in checked}
         # The speed tells whether a machine is at rest, also where nothing else is checked of it.
         checked |= {
-            (asset, SPEED_CHANNEL): checked.get((asset, SPEED_CHANNEL), CheckLimits())
-            for asset in machines
+            (asset, SPEED): checked.get((asset, SPEED), CheckLimits()) for asset in machines
         }
         self._channels = {
-            (asset, channel): _Channel(of, machines[asset], channel == SPEED_CHANNEL)
+            (asset, channel): _Channel(of, machines[asset], channel == SPEED)
             for (asset, channel), of in checked.items()
         }
         self._counter = Counter(

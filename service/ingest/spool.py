@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self
 import structlog
 
 from adapters.samples import Sample, is_bad
+from service.domain.channels import importance
 from service.store import Mended, PageRow, QueueFile, QueueLayout, note_count
 
 FILE_NAME = "spool.db"
@@ -221,20 +222,6 @@ class Spool:
                 (portion,),
             ).rowcount
         return given_up
-
-
-def importance(channel: str) -> int:
-    """Rank a channel for a spool that must give something up; the lowest goes first.
-
-    What the twin computed can be computed again; a measured ring temperature cannot.
-    """
-    if "." in channel:
-        return 0
-    if channel in ("t_inner_ring_c", "t_outer_ring_c"):
-        return 3
-    if channel in ("speed_rpm", "load_n", "ambient_c"):
-        return 2
-    return 1
 
 
 def _count(connection: sqlite3.Connection) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from adapters.protocol import Clock
 from service.clock import rfc3339
+from service.domain.channels import AMBIENT, LOAD, OPERATING_CHANNELS, SPEED
 from service.offline.rows import row_step_s
 from service.site.machines.machine import Machine
 from service.site.settings import AssetSection
@@ -27,7 +28,6 @@ from twin_core.windows import (
 
 MINUTE_US = 60_000_000
 LOOK_BACK_US = 72 * 3600 * 1_000_000
-OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
 SHORTEST_WINDOW_S = 1800.0
 # How many good minutes there must be in them: of three in a row two may be missing.
 FEWEST_MINUTES = 10
@@ -63,7 +63,7 @@ class AssetHistory:
         self._inputs = settings.input_names
         self._machine = Machine(settings.model, settings.bearing, settings.network)
         self._fastest_s: float | None = None
-        self._has_ambient = "ambient_c" in settings.channels
+        self._has_ambient = AMBIENT in settings.channels
         self._store = store
         self._clock = clock
 
@@ -206,7 +206,7 @@ class AssetHistory:
             # Nothing on the machine is colder than the hall.
             known = [values[np.isfinite(values)] for values in temperatures.values()]
             coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
-            operating["ambient_c"] = np.full(time_us.size, coldest)
+            operating[AMBIENT] = np.full(time_us.size, coldest)
         good = np.isfinite(sum(operating.values()))
         for name in self._operating:
             good &= _spread(time_us, over.minute_us, _is_sound(over, name)) == 1.0
@@ -216,9 +216,9 @@ class AssetHistory:
                 good &= _spread(time_us, around_us, _is_sound(around, name)) == 1.0
         return MinuteData(
             time_s=time_us / 1e6,
-            speed_rpm=operating["speed_rpm"],
-            load_n=operating["load_n"],
-            ambient_c=operating["ambient_c"],
+            speed_rpm=operating[SPEED],
+            load_n=operating[LOAD],
+            ambient_c=operating[AMBIENT],
             temperatures_c=temperatures,
             good=good,
             inputs={name: operating[name] for name in self._inputs},

@@ -15,6 +15,7 @@ from service.alarms import SERVICE, AlarmBook
 from service.bus.stream import Bus
 from service.clock import rfc3339
 from service.documents.alarms import alarm_summary
+from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, unit_of
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.live import presentation
@@ -26,9 +27,7 @@ from service.live.judgement import Judgement
 from service.live.planning import Planning
 from service.live.readings import Readings
 from service.live.rules import allowed_age_s
-from service.live.verdict import AMBIENT
 from service.live.watch import AlarmWatch
-from service.site.channels import unit_of
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
@@ -220,11 +219,7 @@ class AssetRuntime:
 
     def _controller(self, now_us: int) -> dict[str, Any] | None:
         plan = self._forecasting.plan
-        names = [
-            name
-            for name in ("phase", "speed_setpoint_rpm", "load_setpoint_n")
-            if name in self.facts
-        ]
+        names = [name for name in CONTROLLER_CHANNELS if name in self.facts]
         if not names and plan is None:
             return None
         return {name: self.readings.usable_value(name, now_us) for name in names} | {

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import rfc3339
+from service.domain.channels import label
 from service.live.estimate import EstimatedState
-from service.live.rules import label
 from service.site.settings import AssetSection
 from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED

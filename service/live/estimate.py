@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
+from service.domain.channels import AMBIENT, LOAD, SPEED
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
@@ -165,7 +166,7 @@ class LiveEstimate:
                 )
         temperatures = {name: value for name, value in means.items() if name.startswith("t_")}
         self.innovations = {}
-        self._ambient_measured |= "ambient_c" in means
+        self._ambient_measured |= AMBIENT in means
         point = self._operating_point(means, temperatures)
         if point is None:
             return
@@ -209,9 +210,9 @@ class LiveEstimate:
         self, means: Mapping[str, float], temperatures: Mapping[str, float]
     ) -> OperatingPoint | None:
         last = self.point
-        speed_rpm = means.get("speed_rpm", last.speed_rpm if last else math.nan)
-        load_n = means.get("load_n", last.load_n if last else math.nan)
-        ambient_c = means.get("ambient_c", last.ambient_c if last else math.nan)
+        speed_rpm = means.get(SPEED, last.speed_rpm if last else math.nan)
+        load_n = means.get(LOAD, last.load_n if last else math.nan)
+        ambient_c = means.get(AMBIENT, last.ambient_c if last else math.nan)
         if not self._ambient_measured and temperatures:
             # No ambient sensor: nothing on the machine is colder than the hall.
             ambient_c = min([*temperatures.values(), *([last.ambient_c] if last else [])])

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from adapters.protocol import Clock
 from adapters.samples import PlannedProfile
 from service.clock import rfc3339
+from service.domain.channels import OPERATING_CHANNELS
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.live import presentation
@@ -173,9 +174,7 @@ class Forecasting:
             speed_rpm, load_n, ambient_c, *inputs = (
                 self._readings.usable_value(name, now_us) or 0.0
                 for name in (
-                    "speed_rpm",
-                    "load_n",
-                    "ambient_c",
+                    *OPERATING_CHANNELS,
                     *self._estimate.active.model.input_names,
                 )
             )

@@ -7,12 +7,13 @@ from adapters.protocol import Clock
 from adapters.samples import Quality
 from service.alarms import AlarmBook
 from service.clock import rfc3339
+from service.domain.channels import AMBIENT
 from service.live import presentation, rules
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
 from service.live.readings import Readings
-from service.live.verdict import AMBIENT, CODES, Evidence, judge, missing_operation
+from service.live.verdict import CODES, Evidence, judge, missing_operation
 from service.site.settings import AssetSection
 
 #: A verdict looks ahead with no older forecast; process s, and at least so many wall s.

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from adapters.samples import meaning
+from service.domain.channels import AMBIENT, LOAD, SPEED, label
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
-from service.live.rules import label
 from service.site.settings import AssetSection
 
 Word = Literal["safe", "not safe", "recovering", "unknown"]
@@ -29,8 +29,7 @@ _WHY = {
     FORECAST: "there is no recent forecast of the present model",
 }
 #: Operating channels that every verdict needs.
-OPERATION = ("speed_rpm", "load_n")
-AMBIENT = "ambient_c"
+OPERATION = (SPEED, LOAD)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.alarms import AlarmBook, AlarmKind
+from service.domain.channels import SPEED
 from service.live import rules
 from service.live.courses import Courses
 from service.live.estimate import LiveEstimate
@@ -202,7 +203,7 @@ class AlarmWatch:
         return self._book.is_present((self._settings.id, kind, channel, level))
 
     def _note_standstill(self, now_us: int) -> None:
-        speed_rpm = self._readings.good_value("speed_rpm", now_us)
+        speed_rpm = self._readings.good_value(SPEED, now_us)
         if speed_rpm is None:
             return  # what was last known holds
         if abs(speed_rpm) >= self._settings.alarms.standstill_rpm:

@@ -6,7 +6,6 @@ Every complaint names the file, the line, the column, the value and what was exp
 import csv
 import math
 import os
-import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,16 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.files import replacing
 from service.site.machines.networks import NetworkSection
 from service.spreadsheets import text_cell
 
 FloatArray = NDArray[np.float64]
 
-OPERATING_COLUMNS = ("speed_rpm", "load_n", "ambient_c")
-RING_COLUMNS = ("t_inner_ring_c", "t_outer_ring_c")
-_NODE_COLUMN = re.compile(r"t_node_([1-9]|1[0-3])_c")
-_RING_HEADER = f"{', '.join(OPERATING_COLUMNS + RING_COLUMNS)} and t_node_1_c to t_node_13_c"
+_RING_HEADER = f"{', '.join(OPERATING_CHANNELS + RING_SENSORS)} and {NODES[0]} to {NODES[-1]}"
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.
 _TEMPERATURE_RANGE = (-60.0, 400.0)
@@ -104,7 +101,7 @@ def read_recording(path: Path, network: NetworkSection | None = None) -> Recordi
     """
     temperatures = None if network is None else network.temperature_names
     needed = _operating_columns(network)
-    known = (*OPERATING_COLUMNS, *(() if network is None else network.inputs))
+    known = (*OPERATING_CHANNELS, *(() if network is None else network.inputs))
     expected = _RING_HEADER
     if temperatures is not None:
         expected = f"{', '.join(needed)} and some of {', '.join(temperatures)}"
@@ -117,7 +114,7 @@ def read_recording(path: Path, network: NetworkSection | None = None) -> Recordi
         for name in table.names:
             if name not in (clocks[0], *known) and not _is_known(name, temperatures):
                 raise table.error(1, f"unknown column {name!r}; expected {clocks[0]}, {expected}")
-        required = RING_COLUMNS if temperatures is None else ()
+        required = RING_SENSORS if temperatures is None else ()
         table.require((*needed, *required), f"{clocks[0]}, {expected}")
         if temperatures is not None and not set(temperatures) & set(table.names):
             raise table.error(1, f"no column with a temperature; expected {clocks[0]}, {expected}")
@@ -137,14 +134,14 @@ def read_recording(path: Path, network: NetworkSection | None = None) -> Recordi
 def _operating_columns(network: NetworkSection | None) -> tuple[str, ...]:
     """Columns that there must be: a network need not have a speed or a load."""
     if network is None:
-        return OPERATING_COLUMNS
-    used = (name for name in OPERATING_COLUMNS if name not in network.unused_channels)
+        return OPERATING_CHANNELS
+    used = (name for name in OPERATING_CHANNELS if name not in network.unused_channels)
     return (*used, *network.inputs)
 
 
 def _operating_point(columns: dict[str, FloatArray], size: int) -> list[FloatArray]:
     """Take speed, load and ambient out of the columns; what no law asks for may be missing."""
-    return [columns.pop(name, np.zeros(size)) for name in OPERATING_COLUMNS]
+    return [columns.pop(name, np.zeros(size)) for name in OPERATING_CHANNELS]
 
 
 def _drives(network: NetworkSection | None) -> Collection[str]:
@@ -158,7 +155,7 @@ def _is_known(name: str, temperatures: Sequence[str] | None) -> bool:
     """Whether a temperature may have this name."""
     if temperatures is not None:
         return name in temperatures
-    return name in RING_COLUMNS or _NODE_COLUMN.fullmatch(name) is not None
+    return name in RING_SENSORS + NODES
 
 
 def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRows:
@@ -181,7 +178,7 @@ def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRo
         table = _Table(path.name, file)
         table.require(expected, ", ".join(expected))
         for name in table.names:
-            if name not in (*expected, *OPERATING_COLUMNS):
+            if name not in (*expected, *OPERATING_CHANNELS):
                 raise table.error(1, f"unknown column {name!r}; expected {', '.join(expected)}")
         columns = table.read("time_s", may_be_empty=False, numbers=_drives(network))
     if columns["time_s"][0] < 0.0:

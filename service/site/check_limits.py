@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from adapters.configuration import MeasuredChannel, SourceConfig
+from service.domain.channels import AMBIENT
 from service.site.machines.operating_ranges import TEMPERATURE_C, Range, refused_beyond
 
 # A PT100 in a bearing of this size follows with a time constant of seconds, and all the friction
@@ -59,7 +60,7 @@ def limits_of(name: str, source: SourceConfig, channel: MeasuredChannel) -> Chec
     if name.endswith("_c") and source.speed_up <= 1.0:
         jump, rate = _TEMPERATURE_JUMP_K, _TEMPERATURE_RATE_K_PER_S
         is_coarse = channel.resolution > _FLAT_RESOLUTION_K
-        flat = 0.0 if name == "ambient_c" or is_coarse else _TEMPERATURE_FLAT_S
+        flat = 0.0 if name == AMBIENT or is_coarse else _TEMPERATURE_FLAT_S
     low, high = channel.valid_range or (-math.inf, math.inf)
     return CheckLimits(
         low,

@@ -29,6 +29,7 @@ from pydantic_settings import (
 )
 from pydantic_settings import SettingsError as UnreadableVariableError
 
+from service.domain.channels import AMBIENT, NODES, OPERATING_CHANNELS, RING_SENSORS, STANDARD
 from service.site.alarm_settings import AlarmsSection
 from service.site.configuration import Section, SettingsError, describe_all, read_toml
 from service.site.machines.bearings import BearingSection, bearing_table, with_designation
@@ -38,11 +39,6 @@ from service.site.machines.networks import (
     folder_of_files,
     network_table,
 )
-
-OPERATING_CHANNELS = ("speed_rpm", "load_n", "ambient_c")
-RING_SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
-SENSOR_CHANNELS = OPERATING_CHANNELS + RING_SENSORS
-PAPER_NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 
 
 def _network(text: str) -> str:
@@ -165,7 +161,7 @@ def _temperatures(asset: dict[str, Any]) -> tuple[str, ...] | None:
     if "network" not in asset:
         return None
     network = asset["network"]
-    return RING_SENSORS + PAPER_NODES if network is None else network.temperature_names
+    return RING_SENSORS + NODES if network is None else network.temperature_names
 
 
 def _inputs(asset: dict[str, Any]) -> tuple[str, ...]:
@@ -175,13 +171,14 @@ def _inputs(asset: dict[str, Any]) -> tuple[str, ...]:
 
 def _listed(asset: dict[str, Any]) -> str:
     if asset.get("network") is None:
-        return f"{', '.join(SENSOR_CHANNELS)}, {PAPER_NODES[0]} to {PAPER_NODES[-1]}"
+        return f"{', '.join(OPERATING_CHANNELS + RING_SENSORS)}, {NODES[0]} to {NODES[-1]}"
     return ", ".join((*OPERATING_CHANNELS, *_inputs(asset), *(_temperatures(asset) or ())))
 
 
 _RING_LIMITS = {
-    "t_inner_ring_c": {"warning": 90, "alarm": 105},
-    "t_outer_ring_c": {"warning": 80, "alarm": 95},
+    one.name: dict(zip(("warning", "alarm"), one.limits_c, strict=True))
+    for one in STANDARD
+    if one.limits_c is not None
 }
 
 
@@ -237,7 +234,7 @@ class AssetSection(Section):
         for name in self.alarms.above_ambient.limits:
             if not (name.startswith("t_") and name in self.channels):
                 raise ValueError(f"{where}.{name}: expected a temperature among the channels")
-        if self.alarms.above_ambient.limits and "ambient_c" not in self.channels:
+        if self.alarms.above_ambient.limits and AMBIENT not in self.channels:
             raise ValueError(f"{where}: the channel ambient_c is missing; expected it too")
         return self
 

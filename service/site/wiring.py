@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from adapters.configuration import ConfigurationError, MeasuredChannel, SourceConfig, suggestion
 from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBinding
 from adapters.registry import DRIVERS
+from service.domain.channels import CONTROLLER_CHANNELS
 from service.site.check_limits import CheckLimits, limits_of, within_machine
 from service.site.configuration import SettingsError, describe_all
 from service.site.machines.operating_ranges import operating_ranges
@@ -17,7 +18,6 @@ from service.site.settings import AssetSection, Settings
 
 PUSH = "push"
 _PUSHED = SourceConfig(name=PUSH, driver=PUSH)
-_CONTROLLED = ("phase", "speed_setpoint_rpm", "load_setpoint_n")
 _PLAN = "plan"
 _Model = TypeVar("_Model", bound=BaseModel)
 _LEAST_POLLED_AGE_S = 10.0
@@ -79,7 +79,9 @@ class AssetTables:
     @classmethod
     def of(cls, number: int, asset: AssetSection) -> "AssetTables":
         """Return those of a checked asset."""
-        controller = {name: getattr(asset.controller, name) for name in (*_CONTROLLED, _PLAN)}
+        controller = {
+            name: getattr(asset.controller, name) for name in (*CONTROLLER_CHANNELS, _PLAN)
+        }
         given = {name: table for name, table in controller.items() if table is not None}
         return cls(f"assets[{number}]", asset.id, asset.channels, given)
 
@@ -136,7 +138,7 @@ def wire_what_can_be(
         channels = {f"{asset.key}.channels.{name}": table for name, table in asset.channels.items()}
         channels |= {
             f"{asset.key}.controller.{name}": asset.controller[name]
-            for name in _CONTROLLED
+            for name in CONTROLLER_CHANNELS
             if name in asset.controller
         }
         for key, table in channels.items():

@@ -8,12 +8,11 @@ from typing import Any, BinaryIO, Self
 
 from adapters.tables import load_pyarrow
 from service.clock import rfc3339
+from service.domain.channels import OPERATING_CHANNELS, RING_SENSORS, is_temperature, unit_of
 from service.files import replacing
-from service.site.channels import unit_of
 from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
 from service.transfer.errors import TransferError
-from service.transfer.mapping import REQUIRED as ORDER
 from service.transfer.pages import RAW, Place, as_csv, csv_header, read_pages
 
 PAGE_ROWS = 20_000
@@ -149,9 +148,9 @@ def export_minutes(
     FileError
         If the file cannot be written.
     """
-    measured = [name for name in channels if _is_input(name) or _is_temperature(name)]
-    inputs = [name for name in measured if _is_input(name)]
-    temperatures = [name for name in measured if not _is_input(name)]
+    measured = [name for name in channels if name in OPERATING_CHANNELS or is_temperature(name)]
+    inputs = [name for name in measured if name in OPERATING_CHANNELS]
+    temperatures = [name for name in measured if name not in OPERATING_CHANNELS]
     over = store.minute_averages(asset, inputs, start_us, end_us)
     around = store.minute_averages(asset, temperatures, start_us, end_us, -MINUTE_US // 2)
     cells: dict[int, dict[str, float]] = {}
@@ -162,7 +161,7 @@ def export_minutes(
                 value = float(table.mean[name][at])
                 if math.isfinite(value):
                     row[name] = value
-    header = [name for name in ORDER if name in measured]
+    header = [name for name in OPERATING_CHANNELS + RING_SENSORS if name in measured]
     header += sorted(set(measured) - set(header))
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -173,11 +172,3 @@ def export_minutes(
                 [rfc3339(time_us), *("" if value is None else f"{value:.6g}" for value in values)]
             )
     return len(cells)
-
-
-def _is_input(name: str) -> bool:
-    return name in ("speed_rpm", "load_n", "ambient_c")
-
-
-def _is_temperature(name: str) -> bool:
-    return name.startswith("t_") and name.endswith("_c")

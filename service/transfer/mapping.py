@@ -9,13 +9,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from adapters.tables import RowError
 from service.clock import from_rfc3339
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS
 from service.site.configuration import describe
 from service.transfer.errors import TransferError
 
-REQUIRED = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
+REQUIRED = OPERATING_CHANNELS + RING_SENSORS
 _LONG = ("channel", "value")
-_HEADER = f"time or time_s, {', '.join(REQUIRED)} and t_node_1_c to t_node_13_c"
-_NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
+_HEADER = f"time or time_s, {', '.join(REQUIRED)} and {NODES[0]} to {NODES[-1]}"
 
 
 class _Model(BaseModel):
@@ -143,13 +143,13 @@ def layout_of(
     required = REQUIRED if own_channels is None else tuple(own_channels)
     expected = f"time or time_s, {', '.join(required)}"
     if own_channels is None:
-        expected += f" and {_NODES[0]} to {_NODES[-1]}"
+        expected += f" and {NODES[0]} to {NODES[-1]}"
     for name in required:
         if name not in columns:
             raise wrong(f"missing column {name!r}; expected {expected}, or a mapping")
     for name in columns:
         if name not in times:
-            if name not in required and (name not in _NODES or own_channels is not None):
+            if name not in required and (name not in NODES or own_channels is not None):
                 raise wrong(f"unknown column {name!r}; expected {expected}, or a mapping")
             layout.channels[name] = ChannelColumn(column=name)
     return layout

@@ -17,7 +17,8 @@ from adapters.virtual_bench.modbus_server import (
 )
 from adapters.virtual_bench.sensors import PT100_CHANNELS
 from service.app.start import LEAVE_S
-from service.site.settings import SENSOR_CHANNELS, Settings, load_settings
+from service.domain.channels import OPERATING_CHANNELS, RING_SENSORS
+from service.site.settings import Settings, load_settings
 from service.site.wiring import SourceWiring, wire
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -36,7 +37,8 @@ def sources(settings: Settings) -> dict[str, SourceWiring]:
 
 def test_the_example_wires_every_sensor_and_the_controller(settings: Settings) -> None:
     assert set(wire(settings).channels["bench-1"]) == {
-        *SENSOR_CHANNELS,
+        *OPERATING_CHANNELS,
+        *RING_SENSORS,
         "phase",
         "speed_setpoint_rpm",
         "load_setpoint_n",

@@ -7,7 +7,7 @@ is not good.
 
 from service.live.readings import allowed_age_s
 from service.live.rules.limits import above_ambient, forecast_limits, measured_limits
-from service.live.rules.scene import LEVELS, Scene, label
+from service.live.rules.scene import LEVELS, Scene
 from service.live.rules.sensors import sensor_faults, stale_data
 from service.live.rules.twin import rate_of_rise, twin_difference, twin_residual
 
@@ -17,7 +17,6 @@ __all__ = [
     "above_ambient",
     "allowed_age_s",
     "forecast_limits",
-    "label",
     "measured_limits",
     "rate_of_rise",
     "sensor_faults",

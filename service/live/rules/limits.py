@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping
 
 from service.alarms import AlarmCondition
+from service.domain.channels import AMBIENT, label
 from service.live.presentation import LimitCrossing
-from service.live.rules.scene import Scene, label
+from service.live.rules.scene import Scene
 
 
 def measured_limits(scene: Scene) -> Iterator[AlarmCondition]:
@@ -26,7 +27,7 @@ def measured_limits(scene: Scene) -> Iterator[AlarmCondition]:
 def above_ambient(scene: Scene) -> Iterator[AlarmCondition]:
     """Measured temperature too far above the measured ambient temperature."""
     rule = scene.rules.above_ambient
-    ambient_c = scene.good_value("ambient_c")
+    ambient_c = scene.good_value(AMBIENT)
     for channel, limits in rule.limits.items():
         value = scene.good_value(channel)
         yield from scene.over_limits(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.alarms import AlarmCondition, AlarmKind
+from service.domain.channels import OPERATING_CHANNELS, label
 from service.live.readings import Readings
 from service.live.sources import Sources
 from service.site.alarm_settings import AlarmsSection, LevelRule, Levels, PlainRule
@@ -12,23 +13,7 @@ from service.site.settings import Limits
 from service.site.wiring import ChannelFacts
 
 LEVELS = ("warning", "alarm")
-_LABELS = {
-    "t_inner_ring_c": "Inner ring",
-    "t_outer_ring_c": "Outer ring",
-    "ambient_c": "Ambient",
-    "speed_rpm": "Speed",
-    "load_n": "Load",
-    "speed_setpoint_rpm": "Speed set-point",
-    "load_setpoint_n": "Load set-point",
-}
 _RUNNING_KINDS = frozenset({"rate of rise", "twin difference", "twin residual"})
-
-
-def label(channel: str) -> str:
-    """Name of a channel as an operator says it."""
-    if channel in _LABELS:
-        return _LABELS[channel]
-    return channel.removeprefix("t_").removesuffix("_c").replace("_", " ").capitalize()
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +148,7 @@ class Scene:
 
     def _blind(self) -> str | None:
         """Name what the twin would have to know of the operation and does not."""
-        for channel in ("speed_rpm", "load_n", "ambient_c", *self.inputs):
+        for channel in (*OPERATING_CHANNELS, *self.inputs):
             if channel in self.channels and (
                 self._has_no_data(channel) or self.is_present("sensor fault", channel, "")
             ):

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from adapters.samples import is_good
 from service.alarms import AlarmCondition
-from service.live.rules.scene import Scene, label, source_channel
+from service.domain.channels import label
+from service.live.rules.scene import Scene, source_channel
 
 
 def sensor_faults(scene: Scene) -> Iterator[AlarmCondition]:

@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping
 
 from service.alarms import AlarmCondition
+from service.domain.channels import label
 from service.live.residuals import ResidualChart
-from service.live.rules.scene import Scene, label
+from service.live.rules.scene import Scene
 
 
 def twin_difference(

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, PositiveFloat, model_validator
 
+from service.domain.channels import OPERATING_CHANNELS
 from service.site.configuration import Section
 from twin_core.network import AMBIENT, Coefficient
 from twin_core.parameters import Parameter
@@ -13,7 +14,6 @@ from twin_core.parameters import Parameter
 _CHANNEL = re.compile(r"t_[a-z0-9]+(_[a-z0-9]+)*_c")
 _BOUNDARY = re.compile(r"(?!t_)[a-z][a-z0-9]*(_[a-z0-9]+)*_c")
 _INPUT = re.compile(r"(?!t_)[a-z][a-z0-9]*(_[a-z0-9]+)*")
-_TAKEN = ("speed_rpm", "load_n", "ambient_c")
 _PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -30,7 +30,7 @@ def _parameter_name(name: str) -> str:
 
 
 def _end_of_edge(name: str) -> str:
-    if name == AMBIENT or (_BOUNDARY.fullmatch(name) and name not in _TAKEN):
+    if name == AMBIENT or (_BOUNDARY.fullmatch(name) and name not in OPERATING_CHANNELS):
         return name
     try:
         return _temperature_name(name)
@@ -42,7 +42,7 @@ def _end_of_edge(name: str) -> str:
 
 
 def _input_name(name: str) -> str:
-    if not _INPUT.fullmatch(name) or name in _TAKEN:
+    if not _INPUT.fullmatch(name) or name in OPERATING_CHANNELS:
         raise ValueError("expected the name of a channel of its own, such as current_a or power_w")
     return name
 

@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from service.domain.channels import LOAD, SPEED
 from service.site.configuration import Section, SettingsError, describe_all, read_toml
 from service.site.machines.network_edges import EdgeSection, is_boundary
 from service.site.machines.network_heat import LinearSource, ShareSection, SourceSection
@@ -203,9 +204,7 @@ class NetworkSection(Section):
         by_speed |= linear is None or linear.per_rpm_w.factor != 0.0
         by_load = any(edge.kind == "contact" for edge in self.edges)
         by_load |= linear is None or linear.per_n_w.factor != 0.0
-        return tuple(
-            name for name, used in (("speed_rpm", by_speed), ("load_n", by_load)) if not used
-        )
+        return tuple(name for name, used in ((SPEED, by_speed), (LOAD, by_load)) if not used)
 
     def network(self) -> Network:
         """Return the network as data.

@@ -7,6 +7,7 @@ from its static load rating C0 on (ISO 76). Twice these figures no machine reach
 
 from collections.abc import Mapping
 
+from service.domain.channels import AMBIENT, LOAD, SPEED
 from service.site.machines.bearings import BearingSection
 
 SPEED_FACTOR_MM_RPM = 1.0e6
@@ -41,9 +42,9 @@ def operating_ranges(bearing: BearingSection | None) -> Mapping[str, Range]:
         load_n = GENEROUS * known.static_load_rating_n
         unloaded_n = -_UNLOADED * known.static_load_rating_n
     return {
-        "speed_rpm": (-speed_rpm, speed_rpm),
-        "load_n": (unloaded_n, load_n),
-        "ambient_c": _AMBIENT_C,
+        SPEED: (-speed_rpm, speed_rpm),
+        LOAD: (unloaded_n, load_n),
+        AMBIENT: _AMBIENT_C,
     }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.app.checking import examine
-from service.site.channels import CHANNEL_NEEDS
+from service.domain.channels import CHANNEL_NEEDS
 
 from .conftest import ASSET
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from adapters.samples import Quality, Sample
-from service.ingest.spool import FILE_NAME, Spool, importance
+from service.domain.channels import importance
+from service.ingest.spool import FILE_NAME, Spool
 from service.store import QueueUnavailableError, StoreError
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from adapters.samples import Quality, Sample
+from service.domain.channels import NODES
 from service.domain.errors import NotReadyError
-from service.domain.requests import NODES, ProfileStep
+from service.domain.requests import ProfileStep
 
 WARM = {
     "speed_rpm": 2400.0,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from adapters.samples import Quality
+from service.domain.channels import unit_of
 from service.live import presentation
 from service.live.ahead import Step, operating_profile
 from service.live.estimate import LiveEstimate
 from service.live.presentation import LimitCrossing
-from service.site.channels import unit_of
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.machine_state import MachineState

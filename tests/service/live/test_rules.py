@@ -396,11 +396,3 @@ def test_ages_are_never_judged_tighter_than_a_wall_moment() -> None:
     assert rules.allowed_age_s(10.0, 1.0) == 10.0
     assert rules.allowed_age_s(0.2, 1.0) == 1.5
     assert rules.allowed_age_s(10.0, 120.0) == 600.0
-
-
-@pytest.mark.parametrize(
-    ("channel", "name"),
-    [("t_outer_ring_c", "Outer ring"), ("t_node_7_c", "Node 7"), ("load_n", "Load")],
-)
-def test_channels_have_names_for_people(channel: str, name: str) -> None:
-    assert rules.label(channel) == name

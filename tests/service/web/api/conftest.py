@@ -21,13 +21,14 @@ from service.alarms import AlarmBook, AlarmCondition
 from service.bus.stream import Bus
 from service.clock import ProcessClock, rfc3339
 from service.documents.alarms import alarm_document
+from service.domain.channels import NODES, RING_SENSORS
 from service.domain.errors import (
     ActivationRefusedError,
     JobConflictError,
     NotIdentifiedError,
     NotReadyError,
 )
-from service.domain.requests import NODES, SENSORS, IdentificationRequest, ProfileStep
+from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
 from service.security import create_key
 from service.site.settings import Settings
@@ -51,7 +52,7 @@ class MemoryTwin:
     def __init__(self, asset_id: str, channels: Mapping[str, str], time_us: int) -> None:
         self.id = asset_id
         self.running = True
-        self.temperature_names = SENSORS + NODES
+        self.temperature_names = RING_SENSORS + NODES
         self.channels = channels
         self.time_us = time_us
         self.ready = True
@@ -111,7 +112,7 @@ class MemoryTwin:
             "time_s": time_s,
             "nodes": {
                 name: {quantile: [60.0] * len(time_s) for quantile in QUANTILES}
-                for name in nodes or SENSORS + NODES
+                for name in nodes or RING_SENSORS + NODES
             },
             "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
             "time_to_limit": {"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},

@@ -1,6 +1,7 @@
 // What the page knows of one asset: its store, its history, and how messages change them.
 import { applyAlarm, isShown } from './alarms.js';
 import { assetPath, call, callOptional, callPages } from './api.js';
+import { OPERATION } from './channels.js';
 import { isNumber, milliseconds } from './format.js';
 import { History } from './history.js';
 import { GOOD } from './readings.js';
@@ -221,7 +222,7 @@ export class AssetFeed {
 /** Measured and estimated channels of the charts. */
 function pastChannels(asset) {
   const sensors = chartSensors(asset);
-  const others = ['speed_rpm', 'load_n', 'ambient_c'].filter((name) =>
+  const others = OPERATION.filter((name) =>
     channelNames(asset).includes(name));
   return [...others, ...sensors, ...sensors.map((sensor) => `${sensor}.twin`)];
 }

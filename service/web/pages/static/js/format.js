@@ -1,4 +1,5 @@
 // Figures, times and names as the operator reads them. Minus is U+2212, no value is an en dash.
+import { LABELS } from './channels.js';
 import { h, unit } from './dom.js';
 
 export const NODE_NAMES = [
@@ -6,21 +7,10 @@ export const NODE_NAMES = [
   'End cap L', 'End cap R', 'Sleeve L', 'Sleeve R', 'Shaft centre', 'Bench', 'Air',
 ];
 
-const CHANNEL_NAMES = {
-  speed_rpm: 'Speed',
-  load_n: 'Load',
-  ambient_c: 'Ambient',
-  phase: 'Phase',
-  speed_setpoint_rpm: 'Speed set-point',
-  load_setpoint_n: 'Load set-point',
-  t_inner_ring_c: 'Inner ring',
-  t_outer_ring_c: 'Outer ring',
-};
-
 /** What a channel or node is called on screen. */
 export function channelName(channel) {
   const node = /^t_node_(\d+)_c$/.exec(channel);
-  return (node && NODE_NAMES[node[1] - 1]) ?? CHANNEL_NAMES[channel] ?? ownName(channel);
+  return (node && NODE_NAMES[node[1] - 1]) ?? LABELS[channel] ?? ownName(channel);
 }
 
 /** The name of a temperature of one's own network: t_gearbox_oil_c is Gearbox oil. */

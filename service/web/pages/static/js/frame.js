@@ -1,4 +1,5 @@
 // What surrounds every view: header, lost-data strip, job strip (the banner: banner.js).
+import { OPERATION } from './channels.js';
 import { h, put, setText } from './dom.js';
 import {
   ageText, channelName, dayTime, fixed, hourMinuteSecond, milliseconds, shortAge,
@@ -202,8 +203,6 @@ function lostNames(state, clock, lost) {
   const named = all ? names.filter((name) => !/^t_.*_c$/.test(name)) : names;
   return [...(all ? ['temperature'] : []), ...named.map((name) => channelName(name).toLowerCase())];
 }
-
-const OPERATION = ['speed_rpm', 'load_n', 'ambient_c'];
 
 /** What follows from it for the twin. */
 function consequence(state, clock, lost) {

@@ -2,7 +2,7 @@
 import { call, callPages } from './api.js';
 import { AssetFeed } from './feed.js';
 import { milliseconds } from './format.js';
-import { RINGS } from './sensors.js';
+import { RINGS } from './channels.js';
 import { Stream } from './stream.js';
 
 export const SENSORS = RINGS;

@@ -1,5 +1,6 @@
 // Which temperatures of an asset the charts show: its rings, or those of its own network.
-export const RINGS = ['t_inner_ring_c', 't_outer_ring_c'];
+import { RINGS } from './channels.js';
+
 const MOST_LINES = 3;
 const NOT_SHOWN = 'ambient_c';
 

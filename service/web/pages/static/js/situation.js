@@ -1,5 +1,6 @@
 // From the store to what the views draw: readings, what lies ahead, the service's answers.
 import { isStanding } from './alarms.js';
+import { OPERATION } from './channels.js';
 import { distinctSteps, fanFrom, stepsFrom, timeToLimit } from './forecast.js';
 import { ageText, milliseconds } from './format.js';
 import { currentVerdict, missingChannels, missingText } from './live_verdict.js';
@@ -10,7 +11,6 @@ export const LOADING = 'asking for the forecast';
 
 const OLDEST_FORECAST_S = 900;
 const OLDEST_FORECAST_WALL_S = 30;
-const OPERATION = ['speed_rpm', 'load_n', 'ambient_c'];
 const COLD_C = 20;
 
 /** Why there is no forecast to be shown, or null when there is one. */

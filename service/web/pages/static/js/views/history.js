@@ -1,5 +1,6 @@
 // The past at any scale: choose a span, draw a part of it out, down to the raw samples; save it.
 import { assetPath, callPages, fetchFile } from '../api.js';
+import { OPERATION, UNITS } from '../channels.js';
 import { h, put, setText, unit } from '../dom.js';
 import { fixed, timeZone, wholeSpan } from '../format.js';
 import { saveBlob } from '../files.js';
@@ -284,7 +285,6 @@ const defaults = (asset) => [...chartSensors(asset), 'speed_rpm', 'load_n']
   .filter((name) => channelNames(asset).includes(name));
 
 function unitOf(name) {
-  if (name === 'speed_rpm') return 'rpm';
-  if (name === 'load_n') return 'N';
+  if (OPERATION.includes(name)) return UNITS[name];
   return /_c(\.twin)?$/.test(name) ? '°C' : null;
 }
