@@ -12,7 +12,6 @@ from typing import Any
 
 from anyio import to_thread
 
-from service.app.supervision import Supervisor
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Service
 from service.clock import ProcessClock
@@ -21,6 +20,7 @@ from service.kernels import compile_kernels
 from service.plant.publishers import check_extras, check_ports, open_outlets
 from service.security.loopback import is_loopback
 from service.security.tls import tls_context
+from service.service_manager import ServiceManager
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.site.wiring import wire
@@ -36,7 +36,8 @@ from service.store import (
 from service.store.errors import opening_error
 from service.tasks import INGEST, background
 from service.waiting import StoppedError, Waiting
-from service.web.side import WebSide, bind
+from service.web.listening import bind
+from service.web.side import WebSide
 
 #: Wall seconds that another service is given to leave the data directory or the port. A service
 #: that is stopped needs ten at most.
@@ -96,14 +97,14 @@ class _Start:
             self._tls = tls_context(settings.path(tls.certificate), settings.path(tls.key))
         self._port = settings.service.port
         self._web = WebSide()
-        self._supervisor = Supervisor()
+        self._manager = ServiceManager()
         self._waiting = Waiting(stop, self._waits_for)
         # What is open until the last sample has been written.
         self._open = contextlib.ExitStack()
 
     def _waits_for(self, what: str, why: str) -> None:
         self._web.waits_for = what
-        self._supervisor.status(f"waits for {what}: {why}" if what else "starts")
+        self._manager.status(f"waits for {what}: {why}" if what else "starts")
 
     async def run(self) -> None:
         data_dir = self._settings.data_dir
@@ -129,14 +130,14 @@ class _Start:
                 )
                 await running.enter_async_context(
                     background(
-                        self._supervisor.watch(acquisition.ingest.has_gone_on),
+                        self._manager.watch(acquisition.ingest.has_gone_on),
                         "supervision",
                         self._stop,
                     )
                 )
-                running.callback(self._supervisor.stopping)
+                running.callback(self._manager.stopping)
                 # Devices are read and what they say is kept, whatever is waited for.
-                self._supervisor.ready()
+                self._manager.ready()
                 store, database_lock = await opening
                 await self._work(store, acquisition, clock)
                 lost = database_lock.lost
@@ -201,7 +202,7 @@ class _Start:
     def _ready(self) -> None:
         host = self._settings.service.host
         scheme = "http" if self._tls is None else "https"
-        self._supervisor.status("runs")
+        self._manager.status("runs")
         self._announce(f"{scheme}://{f'[{host}]' if ':' in host else host}:{self._port}/")
 
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.errors import BadInputError
-from service.cli.signals import stop_on_signals
 from service.logs import configure_logging
+from service.signals import stop_on_signals
 
 # The bench itself is imported later, see below; a test holds the two together.
 SCENARIO_NAMES = (

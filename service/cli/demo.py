@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.signals import stop_on_signals
+from service.signals import stop_on_signals
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,7 +55,7 @@ def demo(
 
     from service.cli.consoles import make_console
     from service.lab.demo.processes import DemoError
-    from service.web.side import bind
+    from service.web.listening import bind
 
     # Now, not after the minute that the preparation may take.
     with contextlib.closing(bind("127.0.0.1", port)):
@@ -98,7 +98,7 @@ async def _demo(
     from service.lab.demo.table import print_account
 
     # The terminal that goes away hangs up: the processes of the demo must not stay behind.
-    stop = stop_on_signals(signal.SIGHUP)
+    stop = stop_on_signals((signal.SIGTERM, signal.SIGINT, signal.SIGHUP))
     began = time.monotonic()
 
     def tell(line: str) -> None:

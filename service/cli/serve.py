@@ -9,8 +9,8 @@ from typing import Annotated
 import structlog
 import typer
 
-from service.cli.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.logs import configure_logging
+from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.site.settings import Settings
 
 ConfigFile = Annotated[

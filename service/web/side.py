@@ -1,7 +1,6 @@
 """The web server: it answers from the first moment on, also while the rest is not there yet."""
 
 import asyncio
-import errno
 import socket
 import ssl
 
@@ -9,43 +8,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.domain.errors import TemporaryError
-from service.site.configuration import SettingsError
 from service.web.api.deps import json_response
 from service.web.api.problems import RETRY_AFTER_S, problem_response
 from service.web.server import WebServer, serve_web
-
-#: What may change without a change of the configuration: another program ends, a network comes up.
-_PASSING = (errno.EADDRINUSE, errno.EADDRNOTAVAIL, socket.EAI_AGAIN)
-
-
-def bind(host: str, port: int) -> socket.socket:
-    """Bind the address of the web side.
-
-    Raises
-    ------
-    TemporaryError
-        If the port is taken, or the machine does not have the address yet; names it.
-    SettingsError
-        If the address cannot be used at all; names it.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # The protocol is named so that asyncio switches Nagle's algorithm off: without it every
-    # request on a kept connection waits some 40 ms.
-    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-        # From now on a client waits for the service to come up instead of being refused.
-        listener.listen(256)
-    except (OSError, OverflowError) as error:
-        listener.close()
-        kind = TemporaryError if getattr(error, "errno", None) in _PASSING else SettingsError
-        raise kind(
-            f"service.host = {host!r}, service.port = {port}: cannot listen there "
-            f"({getattr(error, 'strerror', None) or error}); expected a free port"
-        ) from error
-    return listener
 
 
 class WebSide:

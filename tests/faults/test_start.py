@@ -23,7 +23,7 @@ from service.app.start import LEAVE_S
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.store import lock_data_directory
 from service.store.opening import FILE_NAME
-from service.web.side import bind
+from service.web.listening import bind
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
 PATIENCE_S = 120.0

@@ -99,7 +99,7 @@ def test_the_unit_watches_over_the_service_and_bounds_it() -> None:
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read(DEPLOY / "systemd" / "bearing-twin.service")
     service = unit["Service"]
-    # `service.app.supervision` speaks to it.
+    # `service.service_manager` speaks to it.
     assert (service["Type"], service["WatchdogSec"]) == ("notify", "30")
     # What passes by itself is tried again, without limit; what a person must mend is not.
     assert service["Restart"] == "on-failure"

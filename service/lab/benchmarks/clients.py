@@ -296,7 +296,7 @@ def _serve_empty() -> None:
     import uvicorn
     from fastapi import FastAPI
 
-    from service.web.side import bind
+    from service.web.listening import bind
 
     app = FastAPI()
 

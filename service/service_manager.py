@@ -15,7 +15,7 @@ _SIGNS_PER_WATCHDOG = 4
 _MICROSECONDS = 1e6
 
 
-class Supervisor:
+class ServiceManager:
     """The service manager that started this process; without one nothing is sent.
 
     Parameters

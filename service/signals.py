@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterable
 
 import structlog
 
@@ -14,11 +15,13 @@ _THREADS_WALL_S = 0.5
 _log = structlog.get_logger(__name__)
 
 
-def stop_on_signals(*more: signal.Signals) -> asyncio.Event:
-    """Return an event that SIGTERM, SIGINT and more set; to be called in the running loop."""
+def stop_on_signals(
+    signals: Iterable[signal.Signals] = (signal.SIGTERM, signal.SIGINT),
+) -> asyncio.Event:
+    """Return an event that the signals set; to be called in the running loop."""
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT, *more):
+    for number in signals:
         loop.add_signal_handler(number, stop.set)
     return stop
 

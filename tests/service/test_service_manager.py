@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.app.start import serve
-from service.app.supervision import Supervisor
+from service.service_manager import ServiceManager
 from service.site.settings import ServiceSection, Settings
 
 PATIENCE_S = 90.0
@@ -122,7 +122,7 @@ def test_it_gives_no_sign_of_life_when_its_work_does_not_go_on(manager: socket.s
             looks += 1
             return looks == 1
 
-        watching = asyncio.create_task(Supervisor().watch(is_alive))
+        watching = asyncio.create_task(ServiceManager().watch(is_alive))
         async with asyncio.timeout(PATIENCE_S):
             while looks < 4:  # noqa: ASYNC110 - there is nothing to wait for
                 await asyncio.sleep(0.01)
@@ -133,14 +133,14 @@ def test_it_gives_no_sign_of_life_when_its_work_does_not_go_on(manager: socket.s
 
 
 def test_without_a_manager_nothing_is_sent_and_nothing_fails() -> None:
-    supervisor = Supervisor({})
-    supervisor.ready()
-    Supervisor({"NOTIFY_SOCKET": "/nowhere/at/all"}).ready()
+    manager = ServiceManager({})
+    manager.ready()
+    ServiceManager({"NOTIFY_SOCKET": "/nowhere/at/all"}).ready()
 
 
 def test_an_abstract_address_is_understood() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(f"\0bearing-twin-test-{id(manager)}")
         manager.settimeout(PATIENCE_S)
-        Supervisor({"NOTIFY_SOCKET": f"@bearing-twin-test-{id(manager)}"}).status("two\nlines")
+        ServiceManager({"NOTIFY_SOCKET": f"@bearing-twin-test-{id(manager)}"}).status("two\nlines")
         assert manager.recv(4096) == b"STATUS=two lines"
