@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from adapters.protocol import Clock
 from service.clock import rfc3339
-from service.domain.channels import AMBIENT, LOAD, OPERATING_CHANNELS, SPEED
-from service.offline.rows import row_step_s
+from service.domain.channels import AMBIENT, OPERATING_CHANNELS
 from service.site.machines.machine import Machine
 from service.site.settings import AssetSection
 from service.store import MinuteTable, Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.minute_rows import StepMeans, minute_rows, row_step_s
 from twin_core.time_constants import fastest_time_s
 from twin_core.windows import (
     STANDING_RPM,
@@ -192,40 +192,27 @@ class AssetHistory:
             -step_us // 2,
             step_us,
         )
-        around_us = around.minute_us + step_us // 2
-        time_us = np.union1d(over.minute_us, around_us)
-        if not time_us.size:
+        if not over.minute_us.size and not around.minute_us.size:
             return None
-        temperatures = {
-            name: _spread(time_us, around_us, around.mean[name]) for name in self._temperatures
-        }
-        operating = {
-            name: _spread(time_us, over.minute_us, over.mean[name]) for name in self._operating
-        }
+        operating = dict(over.mean)
         if not self._has_ambient:
             # Nothing on the machine is colder than the hall.
-            known = [values[np.isfinite(values)] for values in temperatures.values()]
+            known = [values[np.isfinite(values)] for values in around.mean.values()]
             coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
-            operating[AMBIENT] = np.full(time_us.size, coldest)
-        good = np.isfinite(sum(operating.values()))
-        for name in self._operating:
-            good &= _spread(time_us, over.minute_us, _is_sound(over, name)) == 1.0
-        for name in self._sensors:
-            if name in temperatures:
-                good &= np.isfinite(temperatures[name])
-                good &= _spread(time_us, around_us, _is_sound(around, name)) == 1.0
-        return MinuteData(
-            time_s=time_us / 1e6,
-            speed_rpm=operating[SPEED],
-            load_n=operating[LOAD],
-            ambient_c=operating[AMBIENT],
-            temperatures_c=temperatures,
-            good=good,
-            inputs={name: operating[name] for name in self._inputs},
+            operating[AMBIENT] = np.full(over.minute_us.size, coldest)
+        return minute_rows(
+            StepMeans(over.minute_us / 1e6, operating, _soundness(over)),
+            StepMeans((around.minute_us + step_us // 2) / 1e6, around.mean, _soundness(around)),
+            needed=self._sensors,
         )
 
     def _find(self, minutes: MinuteData) -> list[Window]:
         return list(find_windows(minutes, self._region, SHORTEST_WINDOW_S))
+
+
+def _soundness(table: MinuteTable) -> dict[str, NDArray[np.bool_]]:
+    """Whether the means of a table stand for their minutes, by channel."""
+    return {name: _is_sound(table, name) for name in table.mean}
 
 
 def _is_sound(table: MinuteTable, channel: str) -> NDArray[np.bool_]:
@@ -240,15 +227,6 @@ def _is_sound(table: MinuteTable, channel: str) -> NDArray[np.bool_]:
     usual = float(np.median(count[count > 0])) if count.any() else 0.0
     enough = np.maximum(GOOD_FOR_EACH_DOUBTFUL * doubtful, FEWEST_OF_USUAL * usual)
     return np.asarray((doubtful == 0) | (good >= enough), np.bool_)
-
-
-def _spread(
-    onto_us: NDArray[np.int64], time_us: NDArray[np.int64], values: NDArray[np.generic]
-) -> NDArray[np.float64]:
-    """Values on a longer time axis, NaN where there are none."""
-    spread = np.full(onto_us.size, np.nan)
-    spread[np.searchsorted(onto_us, time_us)] = values
-    return spread
 
 
 def _span_us(window: Window) -> tuple[int, int]:

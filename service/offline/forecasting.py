@@ -7,11 +7,9 @@ import numpy as np
 
 from service.offline.model_file import IdentifiedModel
 from service.offline.rows import (
-    MOST_ROWS,
     longest_step_s,
     mean_input,
-    minute_rows,
-    row_step_s,
+    rows_of_recording,
     step_ahead,
     step_of,
 )
@@ -19,6 +17,7 @@ from service.offline.tables import FloatArray, PlannedRows, Recording
 from service.site.machines.machine import Machine
 from twin_core.forecasting import forecast
 from twin_core.machine_state import MachineState
+from twin_core.minute_rows import MOST_ROWS, row_step_s
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import usual_levels
@@ -103,7 +102,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
         If the model runs away on the way.
     """
     model = identified.model
-    minutes = minute_rows(history, _step_followed(history, identified.machine, model))
+    minutes = rows_of_recording(history, _step_followed(history, identified.machine, model))
     good = minutes.take(minutes.good)
     run_in = identified.run_in
     try:

@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any, get_args
 
 import numpy as np
 
-from service.lab.studies import methods
-from service.lab.studies.common import StudyError, require
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
-from service.offline.rows import contiguous, minute_rows, revolutions_at, step_of
+from service.offline.rows import contiguous, revolutions_at, rows_of_recording, step_of
+from service.offline.searches import OTHER_SEARCHES
 from service.offline.tables import Recording
 from service.site.machines.machine import Machine
 from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
@@ -165,14 +165,6 @@ class Procedure:
     loss: Loss = "linear"
 
 
-OTHER_SEARCHES: dict[str, tuple[Search, str | None]] = {
-    "pso": (methods.particle_swarm, "pymoo"),
-    "de": (methods.differential_evolution, None),
-    "cma-es": (methods.cma_es, "cma"),
-    "trf": (methods.trust_region, None),
-}
-"""Searches of well-kept libraries, and the library of the extra ``bench`` that each needs."""
-
 REFINED = "+refine"
 METHOD_NAMES: tuple[str, ...] = (
     *get_args(Method),
@@ -202,10 +194,10 @@ def check_options(method: str, budget: int | None, seed: int, loss: str = "linea
         if known == method:
             return Procedure(method, known, None, budget, robust)
     search, module = OTHER_SEARCHES[method.removesuffix(REFINED)]
-    try:
-        require(*([] if module is None else [module]))
-    except StudyError as error:
-        raise UnusableDataError(f"--method {method!r}: {error}") from error
+    if module is not None and find_spec(module) is None:
+        raise UnusableDataError(
+            f"--method {method!r}: {module} is not installed: pip install 'bearing-twin[bench]'"
+        )
     parts: Method = "noa+refine" if method.endswith(REFINED) else "noa"
     return Procedure(method, parts, search, budget, robust)
 
@@ -247,7 +239,7 @@ def identify_recording(
         If the model does not follow the data.
     """
     model = machine.build()
-    minutes = minute_rows(recording, step_of(recording, machine, model))
+    minutes = rows_of_recording(recording, step_of(recording, machine, model))
     data = data_set(recording, minutes, at_rest)
     try:
         result = identify(

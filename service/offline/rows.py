@@ -13,44 +13,18 @@ from numpy.typing import NDArray
 
 from service.offline.tables import FloatArray, Recording
 from service.site.machines.machine import Machine
+from twin_core.minute_rows import MINUTE_S, StepMeans, minute_rows, row_step_s
 from twin_core.models import ThermalModel
 from twin_core.time_constants import fastest_time_s
 from twin_core.windows import MinuteData
 
-MINUTE_S = 60.0
 # Rows that come faster than this part of a step are averaged; a little jitter is not faster.
 _FAST = 50.0 / 60.0
-# Steps there are, and how many of them a time constant should have at least.
-ROW_STEPS_S = (60.0, 30.0, 20.0, 15.0, 10.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0)
-_STEPS_PER_TIME_CONSTANT = 5.0
-# More rows than this take a longer step: time and memory grow with them.
-MOST_ROWS = 20_000
 # Readings further apart than this say nothing about the time between them.
 _LONGEST_STEP_S = 3.0 * MINUTE_S
 _LEAST_KNOWN = 0.5
 _AMBIENT_GAP_S = 3600.0
 _MISSING_ROWS = 3
-
-
-def row_step_s(fastest_s: float, spacing_s: float, duration_s: float) -> float:
-    """Choose the step that data are averaged to, in s.
-
-    The longest of `ROW_STEPS_S` of which a time constant has five, but no shorter one than the
-    data's own spacing, and none that makes more than `MOST_ROWS` rows.
-
-    Parameters
-    ----------
-    fastest_s
-        Shortest time constant that matters.
-    spacing_s
-        Usual time between two rows of the data.
-    duration_s
-        From the first row to the last.
-    """
-    least_s = max(spacing_s, duration_s / MOST_ROWS)
-    fitting = [step for step in ROW_STEPS_S if step * _STEPS_PER_TIME_CONSTANT <= fastest_s]
-    wanted_s = fitting[0] if fitting else ROW_STEPS_S[-1]
-    return min((step for step in ROW_STEPS_S if step >= max(wanted_s, least_s)), default=MINUTE_S)
 
 
 def step_of(recording: Recording, machine: Machine, model: ThermalModel) -> float:
@@ -67,7 +41,7 @@ def step_ahead(machine: Machine, model: ThermalModel) -> float:
     return MINUTE_S if machine.network is None else row_step_s(fastest_time_s(model), 0.0, 0.0)
 
 
-def minute_rows(recording: Recording, step_s: float = MINUTE_S) -> MinuteData:
+def rows_of_recording(recording: Recording, step_s: float = MINUTE_S) -> MinuteData:
     """Rows of a recording at the twin's spacing; slow or irregular ones stay as they are.
 
     The last row is always that of the recording's last time.
@@ -81,33 +55,28 @@ def minute_rows(recording: Recording, step_s: float = MINUTE_S) -> MinuteData:
     """
     time_s = recording.time_s
     fast = time_s.size > 2 and float(np.median(np.diff(time_s))) < _FAST * step_s
-    inputs = recording.inputs
-    operating = [recording.speed_rpm, recording.load_n]
-    ambient_c = _bridged(time_s, recording.ambient_c)
+    operating = {
+        "speed_rpm": recording.speed_rpm,
+        "load_n": recording.load_n,
+        "ambient_c": _bridged(time_s, recording.ambient_c),
+        **recording.inputs,
+    }
     temperatures = recording.temperatures_c
     if fast:
         marks = np.arange(time_s[0], time_s[-1] + 1e-6, step_s)
         if time_s[-1] - marks[-1] > 1.0:
             marks = np.append(marks, time_s[-1])
         marks[-1] = time_s[-1]
-        speed, load, ambient = (
-            mean_from(time_s, values, marks) for values in (*operating, ambient_c)
-        )
+        operating = {
+            name: mean_input(time_s, values, marks, name in recording.mean_square)
+            for name, values in operating.items()
+        }
         temperatures = {
             name: mean_around(time_s, values, marks, step_s / 2.0)
             for name, values in temperatures.items()
         }
-        inputs = {
-            name: mean_input(time_s, values, marks, name in recording.mean_square)
-            for name, values in inputs.items()
-        }
         time_s = marks
-    else:
-        speed, load, ambient = (*operating, ambient_c)
-    good = np.isfinite(speed) & np.isfinite(load) & np.isfinite(ambient)
-    for values in inputs.values():
-        good &= np.isfinite(values)
-    return MinuteData(time_s, speed, load, ambient, temperatures, good, inputs)
+    return minute_rows(StepMeans(time_s, operating), StepMeans(time_s, temperatures))
 
 
 def mean_input(

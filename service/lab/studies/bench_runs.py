@@ -32,6 +32,7 @@ from twin_core.identification import (
     Posterior,
     identify,
 )
+from twin_core.minute_rows import rows_of_samples
 from twin_core.models import ThermalModel, build_model
 from twin_core.observer import Observer, initial_state
 from twin_core.simulation import OperatingProfile, hold_operating_point
@@ -173,31 +174,14 @@ def run_bench(
             chain = Pt100(seed, channel, float(truth[name][0]), SensorParameters())
             readings[name] = chain.convert(truth[name])
     count = sum(one.minutes for one in stages)
-    minutes = MinuteData(
-        MINUTE_S * np.arange(count, dtype=np.float64),
-        _over(seen.speed_rpm, count),
-        _over(seen.load_n, count),
-        _over(seen.ambient_c, count),
-        {name: _around(values, count) for name, values in readings.items()},
-        np.ones(count, dtype=np.bool_),
-    )
+    operating = {name: getattr(seen, name) for name in ("speed_rpm", "load_n", "ambient_c")}
+    minutes = rows_of_samples(seen.time_s, operating, readings).take(slice(0, count))
     rows = slice(0, SECONDS * count, SECONDS)
     return BenchRun(
         parameters.bearing,
         tuple(stages),
         minutes,
         {name: values[rows].copy() for name, values in truth.items()},
-    )
-
-
-def _over(values: FloatArray, count: int) -> FloatArray:
-    return np.asarray(values[: SECONDS * count].reshape(count, SECONDS).mean(axis=1))
-
-
-def _around(values: FloatArray, count: int) -> FloatArray:
-    half = SECONDS // 2
-    return np.array(
-        [values[max(SECONDS * k - half, 0) : SECONDS * k + half].mean() for k in range(count)]
     )
 
 

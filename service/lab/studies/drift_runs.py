@@ -21,6 +21,7 @@ from twin_core.bearings import bearing
 from twin_core.drift import usual_point
 from twin_core.drift_series import follow
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior, identify
+from twin_core.minute_rows import rows_of_samples
 from twin_core.models import ThermalModel, build_model
 from twin_core.quantities import ReferencePoint
 from twin_core.windows import LowRiskRegion, MinuteData, find_windows
@@ -209,29 +210,13 @@ def scenario_of(case: str, seed: int) -> Scenario:
 
 
 def minute_rows(seen: Measured) -> MinuteData:
-    """Rows of minutes as the service makes them, from rows of 10 s."""
-    per_minute = round(60.0 / _ROW_S)
-    count = (seen.time_s.size - 1) // per_minute
-
-    def over(values: FloatArray) -> FloatArray:
-        return np.asarray(values[: per_minute * count].reshape(count, per_minute).mean(axis=1))
-
-    def around(values: FloatArray) -> FloatArray:
-        half = per_minute // 2
-        before = np.concatenate((np.full(half, values[0]), values))
-        return over(before)
-
-    return MinuteData(
-        60.0 * np.arange(count, dtype=np.float64),
-        over(seen.speed_rpm),
-        over(seen.load_n),
-        over(seen.ambient_c),
-        {
-            "t_inner_ring_c": around(seen.t_inner_ring_c),
-            "t_outer_ring_c": around(seen.t_outer_ring_c),
-        },
-        np.ones(count, dtype=np.bool_),
+    """Rows of the whole minutes, as the service makes them, from rows of 10 s."""
+    rows = rows_of_samples(
+        seen.time_s,
+        {"speed_rpm": seen.speed_rpm, "load_n": seen.load_n, "ambient_c": seen.ambient_c},
+        {name: getattr(seen, name) for name in RINGS},
     )
+    return rows.take(slice(0, int(seen.time_s[-1] // 60.0)))
 
 
 def _identified(

@@ -12,6 +12,7 @@ from adapters.samples import Quality, Sample
 from service.jobs.history import AssetHistory
 from service.site.machines.networks import read_network
 from service.store import Store
+from twin_core.minute_rows import rows_of_samples
 from twin_core.windows import MinuteData
 
 MINUTE_US = 60_000_000
@@ -72,6 +73,37 @@ async def test_a_row_holds_the_point_over_its_minute_and_the_temperature_at_its_
     # From half a minute before to half a minute after it: at its very time.
     assert minutes.temperatures_c[LOW][row] == pytest.approx(20.0 + row, abs=0.01)
     assert minutes.good[row]
+
+
+async def test_rows_are_those_that_the_studies_make_of_the_same_samples(
+    store: Store, clock: Any, make_history: Any, make_sample: Any, start_us: int
+) -> None:
+    """What is studied is what runs: means out of SQL and means of arrays are the same rows."""
+    time_s = np.arange(600.0)
+    noise = np.random.default_rng(5).normal(size=(5, time_s.size))
+    names = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_c")
+    columns = {name: 50.0 + values for name, values in zip(names, noise, strict=True)}
+
+    def values(name: str, second: float) -> float:
+        return float(columns[name][int(second)])
+
+    write(store, make_sample, start_us, time_s.size, values)
+    stored = await minutes_of(make_history(store, clock), start_us, start_us + 10 * MINUTE_US)
+    studied = rows_of_samples(
+        time_s,
+        {name: columns[name] for name in names[:3]},
+        {name: columns[name] for name in names[3:]},
+    )
+    # The end of the run lies before its last mark: half a minute of temperatures, no more.
+    rows = slice(0, 10)
+    assert stored.good[rows].all()
+    assert stored.time_s[rows] - start_us / 1e6 == pytest.approx(studied.time_s[rows], abs=1e-6)
+    for name in names[:3]:
+        expected = getattr(studied, name)[rows]
+        assert getattr(stored, name)[rows] == pytest.approx(expected, rel=1e-12)
+    for name in names[3:]:
+        expected = studied.temperatures_c[name][rows]
+        assert stored.temperatures_c[name][rows] == pytest.approx(expected, rel=1e-12)
 
 
 async def test_a_few_doubtful_samples_are_left_out_and_many_make_their_minute_bad(

@@ -10,12 +10,12 @@ import pytest
 from service.cli.identify import MODELS
 from service.offline.identification import (
     METHOD_NAMES,
-    OTHER_SEARCHES,
     FailedFitError,
     UnusableDataError,
     check_options,
     identify_recording,
 )
+from service.offline.searches import OTHER_SEARCHES
 from service.offline.tables import read_recording
 from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine

@@ -4,8 +4,8 @@ from service.offline.rows import (
     contiguous,
     mean_around,
     mean_from,
-    minute_rows,
     revolutions_at,
+    rows_of_recording,
 )
 from service.offline.tables import Recording
 
@@ -24,7 +24,7 @@ def recording(time_s: np.ndarray, **columns: np.ndarray) -> Recording:
 def test_seconds_become_minutes_with_temperatures_at_their_times() -> None:
     for every_s in (1.0, 10.0, 37.0):
         time_s = np.arange(0.0, 601.0, every_s)
-        minutes = minute_rows(recording(time_s))
+        minutes = rows_of_recording(recording(time_s))
         last = time_s[-1]
         np.testing.assert_allclose(np.diff(minutes.time_s)[:-1], 60.0)
         assert minutes.time_s[-1] == last
@@ -39,14 +39,16 @@ def test_noise_is_averaged_out_around_the_minute() -> None:
     rng = np.random.default_rng(1)
     time_s = np.arange(0.0, 36001.0)
     noisy = 40.0 + rng.normal(0.0, 0.3, time_s.size)
-    inner = minute_rows(recording(time_s, t_inner_ring_c=noisy)).temperatures_c["t_inner_ring_c"]
+    inner = rows_of_recording(recording(time_s, t_inner_ring_c=noisy)).temperatures_c[
+        "t_inner_ring_c"
+    ]
     assert np.std(inner[1:-1]) < 0.3 / np.sqrt(60.0) * 1.2
 
 
 def test_the_operating_point_is_the_mean_over_the_minute_that_begins() -> None:
     time_s = np.arange(0.0, 181.0, 10.0)
     speed = np.where(time_s < 90.0, 1000.0, 2000.0)
-    minutes = minute_rows(recording(time_s, speed_rpm=speed))
+    minutes = rows_of_recording(recording(time_s, speed_rpm=speed))
     np.testing.assert_allclose(minutes.speed_rpm, [1000.0, 1500.0, 2000.0, 2000.0])
 
 
@@ -77,7 +79,7 @@ def test_no_temperature_is_made_up_in_a_long_gap() -> None:
 
 def test_slow_and_irregular_rows_stay_as_they_are() -> None:
     for time_s in (np.arange(0.0, 3601.0, 300.0), np.array([0.0, 61.0, 118.0, 400.0, 460.0])):
-        minutes = minute_rows(recording(time_s))
+        minutes = rows_of_recording(recording(time_s))
         np.testing.assert_array_equal(minutes.time_s, time_s)
         np.testing.assert_array_equal(
             minutes.temperatures_c["t_inner_ring_c"], 22.0 + time_s / 60.0
@@ -87,8 +89,8 @@ def test_slow_and_irregular_rows_stay_as_they_are() -> None:
 
 def test_more_than_three_missing_rows_split_the_data() -> None:
     every = np.arange(0.0, 7201.0, 60.0)
-    three = minute_rows(recording(np.delete(every, slice(50, 53))))
-    four = minute_rows(recording(np.delete(every, slice(50, 54))))
+    three = rows_of_recording(recording(np.delete(every, slice(50, 53))))
+    four = rows_of_recording(recording(np.delete(every, slice(50, 54))))
     assert [span.size for span in contiguous(three)] == [118]
     assert [span.size for span in contiguous(four)] == [50, 67]
 
@@ -97,20 +99,23 @@ def test_bad_rows_split_like_missing_ones_but_ambient_may_be_bridged() -> None:
     time_s = np.arange(0.0, 7201.0, 60.0)
     hole = np.full(time_s.size, 1500.0)
     hole[50:54] = np.nan
-    assert [w.size for w in contiguous(minute_rows(recording(time_s, speed_rpm=hole)))] == [50, 67]
+    assert [w.size for w in contiguous(rows_of_recording(recording(time_s, speed_rpm=hole)))] == [
+        50,
+        67,
+    ]
     ambient = np.linspace(20.0, 24.0, time_s.size)
     broken = ambient.copy()
     broken[50:80] = np.nan
-    minutes = minute_rows(recording(time_s, ambient_c=broken))
+    minutes = rows_of_recording(recording(time_s, ambient_c=broken))
     np.testing.assert_allclose(minutes.ambient_c, ambient)
     assert minutes.good.all()
     broken[20:110] = np.nan
-    assert int(minute_rows(recording(time_s, ambient_c=broken)).good.sum()) == 31
+    assert int(rows_of_recording(recording(time_s, ambient_c=broken)).good.sum()) == 31
 
 
 def test_revolutions_count_what_was_recorded() -> None:
     time_s = np.concatenate((np.arange(0.0, 601.0, 60.0), np.arange(90000.0, 90601.0, 60.0)))
-    turned = revolutions_at(minute_rows(recording(time_s)))
+    turned = revolutions_at(rows_of_recording(recording(time_s)))
     assert turned[0] == 0.0
     assert turned[10] == 1500.0 * 10
     # Of the day without rows only as long counts as a row may hold.

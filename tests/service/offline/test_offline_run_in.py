@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.offline.model_file import IdentifiedModel, ModelFileError, RunIn
-from service.offline.rows import minute_rows
+from service.offline.rows import rows_of_recording
 from service.offline.tables import Recording
 
 DATED_US = 1_795_248_000_000_000
@@ -29,7 +29,7 @@ def recording(start_h: float, end_h: float, dated: bool, shift_k: float = 0.0) -
 def run_in(dated: bool) -> RunIn:
     data = recording(2.0, 6.0, dated)
     return RunIn.from_dict(
-        json.loads(json.dumps(RunIn.of(data, minute_rows(data), True).to_dict()))
+        json.loads(json.dumps(RunIn.of(data, rows_of_recording(data), True).to_dict()))
     )
 
 
@@ -48,29 +48,31 @@ def test_a_history_of_the_same_run_takes_its_place_in_it(
     dated: bool, start_h: float, end_h: float, hours: float
 ) -> None:
     history = recording(start_h, end_h, dated)
-    turned = run_in(dated).at_start_of(history, minute_rows(history))
+    turned = run_in(dated).at_start_of(history, rows_of_recording(history))
     assert turned == pytest.approx(hours * PER_HOUR)
 
 
 def test_another_run_without_dates_is_a_later_one() -> None:
     history = recording(2.0, 6.0, dated=False, shift_k=3.0)
-    minutes = minute_rows(history)
+    minutes = rows_of_recording(history)
     assert run_in(False).at_start_of(history, minutes) == pytest.approx(4.0 * PER_HOUR)
     assert not run_in(False).begins_with(history, minutes)
     same = recording(2.0, 6.0, dated=False, shift_k=0.1)
-    assert run_in(False).begins_with(same, minute_rows(same))
+    assert run_in(False).begins_with(same, rows_of_recording(same))
 
 
 def test_dates_decide_alone_and_an_earlier_run_found_the_grease_as_the_data_did() -> None:
     later = recording(30.0, 33.0, dated=True)
-    assert run_in(True).at_start_of(later, minute_rows(later)) == pytest.approx(4.0 * PER_HOUR)
+    assert run_in(True).at_start_of(later, rows_of_recording(later)) == pytest.approx(
+        4.0 * PER_HOUR
+    )
     earlier = recording(-9.0, -5.0, dated=True)
-    assert run_in(True).at_start_of(earlier, minute_rows(earlier)) == 0.0
+    assert run_in(True).at_start_of(earlier, rows_of_recording(earlier)) == 0.0
 
 
 def test_the_past_before_the_data_is_bounded() -> None:
     history = recording(-40.0, 6.0, dated=True)
-    assert run_in(True).at_start_of(history, minute_rows(history)) == -5.0e5
+    assert run_in(True).at_start_of(history, rows_of_recording(history)) == -5.0e5
 
 
 def test_a_model_file_comes_back_as_it_was(prior_model: Path, tmp_path: Path) -> None:

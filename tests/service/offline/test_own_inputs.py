@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.offline.rows import minute_rows, row_step_s, step_of
+from service.offline.rows import rows_of_recording, step_of
 from service.offline.tables import TableError, read_profile, read_recording
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
+from twin_core.minute_rows import row_step_s
 
 FloatArray = NDArray[np.float64]
 
@@ -162,7 +163,7 @@ def test_rows_are_as_fine_as_the_winding_is_fast(folder: Path) -> None:
     step_s = step_of(recording, machine, machine.build())
     # The winding's time constant is some 25 s at the prior's centre: five rows each.
     assert step_s == 5.0
-    rows = minute_rows(recording, step_s)
+    rows = rows_of_recording(recording, step_s)
     assert rows.size == 121
     assert list(rows.inputs) == ["coolant_c", "current_a"]
     # A current counts by its square: the heat of a step is that of its rows.
