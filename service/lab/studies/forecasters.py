@@ -108,7 +108,7 @@ def rivals(training: Sequence[MinuteData]) -> dict[str, Forecaster]:
     """
     found = naive_forecasters(training)
     if find_spec("sklearn") is not None:
-        from twin_core.surrogates import surrogate_forecasters
+        from service.lab.surrogates import surrogate_forecasters
 
         with suppress(ValueError):
             found |= surrogate_forecasters(training)

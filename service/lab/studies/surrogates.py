@@ -183,7 +183,7 @@ def hybrid(
     twin: Twin, bench: BenchRun, made: SensorForecast, begun: int, end: int
 ) -> SensorForecast:
     """The twin's forecast with a Gaussian process on its residual in its training rows."""
-    from twin_core.surrogates import fit_residual, with_residual
+    from service.lab.surrogates import fit_residual, with_residual
 
     training = bench.minutes.take(slice(0, twin.rows))
     residual = fit_residual([training], [twin_path(twin, bench)])

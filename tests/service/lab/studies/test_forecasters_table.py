@@ -15,9 +15,9 @@ from service.lab.studies.forecasters import (
     score_document,
     score_table,
 )
+from service.lab.surrogates import SURROGATE_KINDS
 from twin_core.forecasting import NAIVE_KINDS, SensorForecast, with_normal_band
 from twin_core.simulation.profile import OperatingProfile
-from twin_core.surrogates import SURROGATE_KINDS
 from twin_core.windows import MinuteData
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from service.lab.surrogates import ResidualModel, fit_residual, with_residual
 from twin_core.forecasting import SensorForecast, with_normal_band
 from twin_core.simulation.profile import OperatingProfile
-from twin_core.surrogates import ResidualModel, fit_residual, with_residual
 from twin_core.windows import MinuteData
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from twin_core.forecasting.calibration import (
+from service.lab.calibration import (
     LEAST_FACTOR,
     calibrated,
     conformal_factor,

@@ -29,7 +29,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.svm import SVR
 
-from twin_core.surrogates.process import predicted, unsettled_fits
+from service.lab.surrogates.gaussian_process import predicted, unsettled_fits
 
 FloatArray = NDArray[np.float64]
 

@@ -1,16 +1,18 @@
 """Surrogates recover a machine of their own kind, stay bounded, and know when they know nothing."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from service.lab.surrogates import SURROGATE_KINDS, fit_surrogate, surrogate_forecasters
+from service.lab.surrogates.forecasters import Surrogate
+from service.lab.surrogates.lag import fit_lag
+from service.lab.surrogates.maps import SurrogateKind, fit_map
 from twin_core.simulation.profile import OperatingProfile
-from twin_core.surrogates import SURROGATE_KINDS, fit_surrogate, surrogate_forecasters
-from twin_core.surrogates.forecasters import Surrogate
-from twin_core.surrogates.lag import fit_lag
-from twin_core.surrogates.maps import SurrogateKind, fit_map
 from twin_core.windows import MinuteData
 
 SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
@@ -183,3 +185,13 @@ def test_what_cannot_be_learned_from_is_refused() -> None:
         fit_surrogate("mlp", [ramp])
     with pytest.raises(ValueError, match="surrogate 'lasso', expected one of response_surface"):
         fit_surrogate("lasso", [rows])  # type: ignore[arg-type]
+
+
+def test_without_scikit_learn_one_line_says_what_to_install() -> None:
+    script = "import sys; sys.modules['sklearn'] = None; import service.lab.surrogates"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=280
+    )
+    assert done.returncode == 1
+    expected = "scikit-learn is not installed: pip install 'bearing-twin[surrogates]'"
+    assert done.stderr.splitlines()[-1] == f"ImportError: {expected}"

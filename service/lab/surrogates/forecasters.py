@@ -7,10 +7,10 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from service.lab.surrogates.lag import LaggedPoints, approach, fit_lag, inputs_of
+from service.lab.surrogates.maps import SteadyMap, SurrogateKind, fit_map
 from twin_core.forecasting.forecasters import Forecaster, SensorForecast, with_normal_band
 from twin_core.simulation.profile import OperatingProfile
-from twin_core.surrogates.lag import LaggedPoints, approach, fit_lag, inputs_of
-from twin_core.surrogates.maps import SteadyMap, SurrogateKind, fit_map
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
