@@ -7,7 +7,6 @@ from service.alarms.book import (
     NotAllowedError,
     UnknownAlarmError,
 )
-from service.alarms.conditions import AlarmCondition, AlarmKind, EventKind, Priority
 from service.alarms.states import (
     ACTIVE_STATES,
     SET_ASIDE_STATES,
@@ -18,6 +17,7 @@ from service.alarms.states import (
     Transition,
     next_state,
 )
+from service.domain.alarm_condition import AlarmCondition, EventKind, Priority
 
 __all__ = [
     "ACTIVE_STATES",
@@ -29,7 +29,6 @@ __all__ = [
     "AlarmBook",
     "AlarmCondition",
     "AlarmEvent",
-    "AlarmKind",
     "AlarmState",
     "EventKind",
     "NotAllowedError",

@@ -6,8 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from adapters.protocol import Clock
-from service.alarms.conditions import AlarmCondition, EventKind
-from service.alarms.lives import (
+from service.alarms.records import (
     AlarmKey,
     following,
     journal_line,
@@ -19,6 +18,7 @@ from service.alarms.lives import (
 )
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
+from service.domain.alarm_condition import AlarmCondition, EventKind
 from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
 
 #: Who the journal names for what happens without a person.

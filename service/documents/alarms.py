@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from service.alarms.lives import duration_s
+from service.alarms.records import duration_s
 from service.alarms.states import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
 from service.clock import rfc3339
 from service.documents.base import Document, Number, Page, Time, time_or_none

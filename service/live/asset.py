@@ -25,8 +25,7 @@ from service.live.forecasting import Forecasting
 from service.live.guard import Guard
 from service.live.judgement import Judgement
 from service.live.planning import Planning
-from service.live.readings import Readings
-from service.live.rules import allowed_age_s
+from service.live.readings import Readings, allowed_age_s
 from service.live.watch import AlarmWatch
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
 from service.site.settings import AssetSection

@@ -18,8 +18,7 @@ from service.live.ahead import Step, held, operating_profile, planned
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import LimitCrossing
-from service.live.readings import Readings
-from service.live.rules import allowed_age_s
+from service.live.readings import Readings, allowed_age_s
 from service.site.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.profiles import OperatingPoint

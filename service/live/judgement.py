@@ -7,8 +7,9 @@ from adapters.protocol import Clock
 from adapters.samples import Quality
 from service.alarms import AlarmBook
 from service.clock import rfc3339
+from service.domain.alarm_kind import LEVELS
 from service.domain.channels import AMBIENT
-from service.live import presentation, rules
+from service.live import presentation
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
@@ -105,7 +106,7 @@ class Judgement:
             returning=frozenset(
                 channel
                 for channel in self._settings.limits
-                for level in rules.LEVELS
+                for level in LEVELS
                 if self._book.is_present((self._settings.id, "measured limit", channel, level))
             ),
             assumed_ambient_c=self.assumed_ambient_c,

@@ -4,7 +4,7 @@ The observer's innovations, each divided by its expected spread, are summed up o
 operation and divided by the root of their number: standard normal while nothing has changed, and
 hardly dependent on each other. `Cusum` adds these sums up in turn. On a machine that is known well
 the innovations are far smaller than the observer allows for; inside the low-risk region, from which
-the model was identified, they are held against what they usually are.
+the model was identified, they are compared with what they usually are.
 """
 
 import math
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from service.alarms.cusum import Cusum, threshold_for
+from twin_core.cusum import Cusum, threshold_for
 from twin_core.observer import Innovation
 
 BLOCK_S = 600.0

@@ -1,25 +1,26 @@
-"""Watches over one asset: brings readings, twin and rules together for the alarm book."""
+"""Watches over one asset: brings readings, twin and alarm kinds together for the alarm book."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
-from service.alarms import AlarmBook, AlarmKind
+from service.alarm_kinds import KINDS, rate_of_rise, twin_residual
+from service.alarms import AlarmBook, AlarmCondition
+from service.domain.alarm_kind import AlarmContext
 from service.domain.channels import SPEED
-from service.live import rules
-from service.live.courses import Courses
 from service.live.estimate import LiveEstimate
 from service.live.presentation import LimitCrossing
+from service.live.rates import RatesOfRise
 from service.live.readings import Readings
 from service.live.reference import Reference
 from service.live.residuals import Residuals, residual_threshold
-from service.live.rules import Scene
 from service.live.sources import Sources
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
 from twin_core.observer import Innovation
 
-# A machine stands when it has stood for so long.
-_STANDS_AFTER_S = 60.0
+# A machine is at standstill when it has been slow for so long.
+_STANDSTILL_AFTER_S = 60.0
 # A point on the edge of the low-risk region wavers.
 _NEARLY = 1.02
 _NOT_TRUSTED = "the model is not trusted"
@@ -56,12 +57,13 @@ class AlarmWatch:
         self._estimate = estimate
         self._book = book
         self._sources = Sources(channels, readings)
-        self._temperatures = [name for name in channels if name.startswith("t_")]
-        self._courses = Courses(settings.alarms.rate_of_rise.window_s)
+        self._temperatures = tuple(name for name in channels if name.startswith("t_"))
+        alarms = settings.alarms
+        self._rates_of_rise = RatesOfRise(alarms.rule(rate_of_rise.KIND).window_s)
         self._reference = Reference()
         self._residuals = Residuals(
             residual_threshold(
-                settings.alarms.twin_residual.false_alarms_per_1000_h, len(self._temperatures)
+                alarms.rule(twin_residual.KIND).false_alarms_per_1000_h, len(self._temperatures)
             )
         )
         self._version = estimate.active.version
@@ -93,41 +95,29 @@ class AlarmWatch:
         """
         self._tell_trust(trusted)
         self._note_standstill(now_us)
-        self._courses.add(
+        self._rates_of_rise.add(
             now_us, {name: means[name] for name in self._temperatures if name in means}
         )
         self._follow_the_model(now_us, innovations)
         self._sources.look(now_us)
-        scene = self._scene(now_us)
-        alarms = self._settings.alarms
-        residuals = self._residuals
-        conditions = [
-            condition
-            for rule, found in (
-                (alarms.stale_data, rules.stale_data(scene)),
-                (alarms.sensor_fault, rules.sensor_faults(scene)),
-                (alarms.measured_limit, rules.measured_limits(scene)),
-                (alarms.above_ambient, rules.above_ambient(scene)),
-                (alarms.rate_of_rise, rules.rate_of_rise(scene, self._rates(scene))),
-                (alarms.twin_difference, rules.twin_difference(scene, self._differences_k(scene))),
-                (
-                    alarms.twin_residual,
-                    rules.twin_residual(scene, residuals.charts, residuals.threshold),
-                ),
-            )
-            if rule.enabled
-            for condition in found
-        ]
-        for condition in conditions:
-            self._book.evaluate(condition)
+        context = self._context(now_us)
+        conditions = self._evaluate(context, "step")
         if not self._withdrawn:
-            self._withdraw({condition.key for condition in conditions})
+            self._withdraw(context, {condition.key for condition in conditions})
 
     def forecast(self, now_us: int, crossings: Mapping[str, Mapping[str, LimitCrossing]]) -> None:
         """Evaluate what a new forecast says about the limits."""
-        if self._settings.alarms.forecast_limit.enabled:
-            for condition in rules.forecast_limits(self._scene(now_us), crossings):
-                self._book.evaluate(condition)
+        self._evaluate(self._context(now_us, crossings), "forecast")
+
+    def _evaluate(self, context: AlarmContext, judged: str) -> list[AlarmCondition]:
+        conditions: list[AlarmCondition] = []
+        for kind in KINDS.values():
+            rule = self._settings.alarms.rule(kind)
+            if rule.enabled and kind.judged == judged:
+                conditions += kind.conditions(context, rule)
+        for condition in conditions:
+            self._book.evaluate(condition)
+        return conditions
 
     def switched(self, before: int, who: str, comment: str) -> None:
         """Write into the journal that the twin runs on another model version.
@@ -182,24 +172,34 @@ class AlarmWatch:
         if isinstance(residuals, Mapping):
             self._residuals.restore(residuals)
 
-    # ------------------------------------------------------------------ what the rules look at
-    def _scene(self, now_us: int) -> Scene:
+    # ------------------------------------------------------------------ what the kinds look at
+    def _context(
+        self,
+        now_us: int,
+        crossings: Mapping[str, Mapping[str, LimitCrossing]] = MappingProxyType({}),
+    ) -> AlarmContext:
         since_us = self._standing_since_us
-        return Scene(
+        residuals = self._residuals
+        return AlarmContext(
             asset=self._settings.id,
-            rules=self._settings.alarms,
             limits=self._settings.limits,
             channels=self._channels,
             readings=self._readings,
             sources=self._sources,
             now_us=now_us,
             is_present=self._is_present,
-            stands=since_us is not None and now_us - since_us >= _STANDS_AFTER_S * 1e6,
+            at_standstill=since_us is not None and now_us - since_us >= _STANDSTILL_AFTER_S * 1e6,
             inputs=self._settings.input_names,
             distrust=None if self._trusted else _NOT_TRUSTED,
+            temperatures=self._temperatures,
+            rates_k_per_min=self._rates(now_us),
+            differences_k=self._differences_k(now_us),
+            residual_tests={name: chart.cusum for name, chart in residuals.charts.items()},
+            residual_threshold=residuals.threshold,
+            crossings=crossings,
         )
 
-    def _is_present(self, kind: AlarmKind, channel: str, level: str) -> bool:
+    def _is_present(self, kind: str, channel: str, level: str) -> bool:
         return self._book.is_present((self._settings.id, kind, channel, level))
 
     def _note_standstill(self, now_us: int) -> None:
@@ -248,20 +248,20 @@ class AlarmWatch:
         model = self._estimate.active.model
         return channel in model.sensor_names or channel in model.node_names
 
-    def _rates(self, scene: Scene) -> dict[str, float | None]:
+    def _rates(self, now_us: int) -> dict[str, float | None]:
         return {
             channel: None
-            if scene.good_value(channel) is None
-            else self._courses.rate_k_per_min(channel)
+            if self._readings.good_value(channel, now_us) is None
+            else self._rates_of_rise.rate_k_per_min(channel)
             for channel in self._temperatures
         }
 
-    def _differences_k(self, scene: Scene) -> dict[str, float | None]:
+    def _differences_k(self, now_us: int) -> dict[str, float | None]:
         """Measured minus the model alone, for every sensor that the model knows."""
         model = self._estimate.active.model
         differences: dict[str, float | None] = {}
         for channel in filter(self._is_sensor, self._temperatures):
-            value = scene.good_value(channel)
+            value = self._readings.good_value(channel, now_us)
             expected_c = self._reference.expected_c(model, channel)
             if value is None or expected_c is None or not (self._identified and self._comparable):
                 differences[channel] = None
@@ -281,17 +281,13 @@ class AlarmWatch:
                 message = f"Model version {version} failed on the data of this machine"
                 self._book.record_event(self._settings.id, "model not trusted", message)
 
-    def _withdraw(self, known: set[tuple[str, str, str, str]]) -> None:
+    def _withdraw(self, context: AlarmContext, known: set[tuple[str, str, str, str]]) -> None:
         """End what an earlier configuration left behind, once."""
         self._withdrawn = True
         asset = self._settings.id
-        if self._settings.alarms.forecast_limit.enabled:
-            known |= {
-                (asset, "forecast limit", channel, level)
-                for channel in self._settings.limits
-                for level in rules.LEVELS
-            }
-        # The tests of the residuals begin when there is an identified model.
-        if self._settings.alarms.twin_residual.enabled:
-            known |= {(asset, "twin residual", channel, "") for channel in self._temperatures}
+        for kind in KINDS.values():
+            if self._settings.alarms.rule(kind).enabled:
+                known |= {
+                    (asset, kind.name, channel, level) for channel, level in kind.kept(context)
+                }
         self._book.withdraw(asset, known)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 EDGE_KINDS = (
@@ -37,14 +37,6 @@ class SettingsError(ValueError):
     def __init__(self, *lines: str) -> None:
         self.lines = tuple(" ".join(line.split()) for line in lines)
         super().__init__("\n".join(self.lines))
-
-
-class Section(BaseModel):
-    """A table of the configuration: no unknown keys, finite numbers, unchangeable."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, hide_input_in_errors=True
-    )
 
 
 def describe(error: ValidationError, prefix: str = "") -> str:

@@ -29,9 +29,10 @@ from pydantic_settings import (
 )
 from pydantic_settings import SettingsError as UnreadableVariableError
 
+from service.alarm_kinds import AlarmsSection, above_ambient
 from service.domain.channels import AMBIENT, NODES, OPERATING_CHANNELS, RING_SENSORS, STANDARD
-from service.site.alarm_settings import AlarmsSection
-from service.site.configuration import Section, SettingsError, describe_all, read_toml
+from service.domain.section import Section
+from service.site.configuration import SettingsError, describe_all, read_toml
 from service.site.machines.bearings import BearingSection, bearing_table, with_designation
 from service.site.machines.networks import (
     BEARING_14,
@@ -231,10 +232,11 @@ class AssetSection(Section):
     @model_validator(mode="after")
     def _above_ambient_is_measured(self) -> Self:
         where = "alarms.above_ambient.limits"
-        for name in self.alarms.above_ambient.limits:
+        limits = self.alarms.rule(above_ambient.KIND).limits
+        for name in limits:
             if not (name.startswith("t_") and name in self.channels):
                 raise ValueError(f"{where}.{name}: expected a temperature among the channels")
-        if self.alarms.above_ambient.limits and AMBIENT not in self.channels:
+        if limits and AMBIENT not in self.channels:
             raise ValueError(f"{where}: the channel ambient_c is missing; expected it too")
         return self
 

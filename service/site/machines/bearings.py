@@ -7,7 +7,8 @@ from typing import Any, Self
 
 from pydantic import Field, PositiveFloat, ValidationError, model_validator
 
-from service.site.configuration import Section, SettingsError, describe_all, read_toml
+from service.domain.section import Section
+from service.site.configuration import SettingsError, describe_all, read_toml
 from twin_core.bearings import Bearing, bearing, bearing_from_dimensions
 
 _LONGEST_NAME = 64

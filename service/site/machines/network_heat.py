@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, model_validator
 
-from service.site.configuration import Section
+from service.domain.section import Section
 from service.site.machines.network_values import (
     ZERO,
     CoefficientSection,

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, PositiveFloat
 
-from service.site.configuration import Section
+from service.domain.section import Section
 from service.site.machines.network_values import (
     CoefficientSection,
     InputName,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, PositiveFloat, model_validator
 
 from service.domain.channels import OPERATING_CHANNELS
-from service.site.configuration import Section
+from service.domain.section import Section
 from twin_core.network import AMBIENT, Coefficient
 from twin_core.parameters import Parameter
 

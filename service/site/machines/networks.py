@@ -18,7 +18,8 @@ from pydantic import (
 )
 
 from service.domain.channels import LOAD, SPEED
-from service.site.configuration import Section, SettingsError, describe_all, read_toml
+from service.domain.section import Section
+from service.site.configuration import SettingsError, describe_all, read_toml
 from service.site.machines.network_edges import EdgeSection, is_boundary
 from service.site.machines.network_heat import LinearSource, ShareSection, SourceSection
 from service.site.machines.network_losses import CopperLoss, LossSection, SpeedLoss

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.live.courses import Courses
+from service.live.rates import RatesOfRise
 from service.live.residuals import MOST_BLOCKS, Residuals, residual_threshold
 from twin_core.observer import Innovation
 
@@ -83,7 +83,7 @@ def test_residuals_survive_a_restart_and_begin_anew_with_another_model() -> None
 
 # ---------------------------------------------------------------------------- rate of rise
 def test_the_rate_is_the_slope_over_the_window() -> None:
-    courses = Courses(300.0)
+    courses = RatesOfRise(300.0)
     rng = np.random.default_rng(5)
     assert courses.rate_k_per_min(RING) is None
     for second in range(0, 901, 5):
@@ -95,7 +95,7 @@ def test_the_rate_is_the_slope_over_the_window() -> None:
 
 
 def test_a_gap_or_a_clock_set_back_gives_no_rate() -> None:
-    courses = Courses(300.0)
+    courses = RatesOfRise(300.0)
     for second in range(0, 600, 5):
         courses.add(second * 1_000_000, {RING: 20.0})
     assert courses.rate_k_per_min(RING) == pytest.approx(0.0, abs=1e-9)

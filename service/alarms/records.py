@@ -1,9 +1,8 @@
-"""One alarm's life: how it begins, what renews it, where an event leads, what is journaled."""
+"""The record of one alarm: how it begins and changes, where an event leads, its journal lines."""
 
 from dataclasses import replace
 from uuid import uuid4
 
-from service.alarms.conditions import AlarmCondition
 from service.alarms.states import (
     SET_ASIDE_STATES,
     UNACKNOWLEDGED_STATES,
@@ -11,6 +10,7 @@ from service.alarms.states import (
     AlarmState,
     next_state,
 )
+from service.domain.alarm_condition import AlarmCondition
 from service.store import Alarm, AlarmTransition
 
 AlarmKey = tuple[str, str, str, str]
@@ -82,7 +82,7 @@ def duration_s(alarm: Alarm) -> float | None:
 
 
 def with_peak(alarm: Alarm, now_us: int) -> Alarm:
-    """Note the value of an alarm whose condition is there, if it is the highest of its life."""
+    """Note the value of an alarm whose condition is there, if it is its highest so far."""
     value, peak = alarm.value, alarm.peak_value
     if not alarm.present or value is None or (peak is not None and value <= peak):
         return alarm
@@ -90,7 +90,7 @@ def with_peak(alarm: Alarm, now_us: int) -> Alarm:
 
 
 def normal_alarm(condition: AlarmCondition, now_us: int) -> Alarm:
-    """Begin a life: a condition that is watched and not there."""
+    """Begin a record: a condition that is watched and not there."""
     alarm = Alarm(
         id=uuid4().hex,
         asset=condition.asset,

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-_FEWEST = 3
-_COVERED = 0.7
-"""A rate is told when readings cover this much of the window."""
+_LEAST_POINTS = 3
+_LEAST_COVERAGE = 0.7
+"""A rate is known when readings cover this share of the window."""
 
 
-class Courses:
-    """The last minutes of every temperature.
+class RatesOfRise:
+    """How fast each temperature rises, over the last minutes.
 
     Parameters
     ----------
@@ -37,7 +37,10 @@ class Courses:
     def rate_k_per_min(self, channel: str) -> float | None:
         """Slope of the straight line through the window; None where too little of it is known."""
         points = self._points.get(channel, deque())
-        if len(points) < _FEWEST or points[-1][0] - points[0][0] < _COVERED * self._window_us:
+        if (
+            len(points) < _LEAST_POINTS
+            or points[-1][0] - points[0][0] < _LEAST_COVERAGE * self._window_us
+        ):
             return None
         minutes = np.array([(time_us - points[0][0]) / 60e6 for time_us, _ in points])
         values = np.array([value for _, value in points])

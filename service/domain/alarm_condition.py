@@ -1,19 +1,8 @@
-"""What the rules of the twin tell the alarm book."""
+"""The present state of one alarm condition, as alarm kinds report it."""
 
 from dataclasses import dataclass
 from typing import Literal
 
-AlarmKind = Literal[
-    "measured limit",
-    "above ambient",
-    "twin difference",
-    "forecast limit",
-    "rate of rise",
-    "twin residual",
-    "sensor fault",
-    "stale data",
-    "history not kept",
-]
 EventKind = Literal[
     "model drift",
     "model not trusted",
@@ -35,7 +24,7 @@ class AlarmCondition:
     asset, channel : str
         What it is about.
     kind : str
-        Kind of condition.
+        Name of the alarm kind, see `service.alarm_kinds`.
     level : str
         The limit's level, "warning" or "alarm"; empty for a condition without levels.
     active : bool or None
@@ -71,7 +60,7 @@ class AlarmCondition:
     """
 
     asset: str
-    kind: AlarmKind
+    kind: str
     channel: str
     level: str
     active: bool | None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from service.alarms.cusum import Cusum, average_run_length, threshold_for
+from twin_core.cusum import Cusum, average_run_length, threshold_for
 
 
 def markov_run_length(threshold: float, allowance: float, shift: float = 0.0) -> float:

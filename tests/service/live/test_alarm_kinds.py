@@ -9,17 +9,16 @@ from typing import Any
 import pytest
 
 from adapters.samples import Quality, Sample, meaning
+from service.alarm_kinds import KINDS, AlarmsSection
 from service.alarms import AlarmBook, AlarmCondition
-from service.alarms.cusum import Cusum
-from service.live import rules
+from service.domain.alarm_kind import AlarmContext
 from service.live.presentation import LimitCrossing
-from service.live.readings import Readings
-from service.live.residuals import ResidualChart
+from service.live.readings import Readings, allowed_age_s
 from service.live.sources import Sources
-from service.site.alarm_settings import AlarmsSection
 from service.site.settings import Limits
 from service.site.wiring import ChannelFacts
 from service.store import Alarm, Outbox, Store
+from twin_core.cusum import Cusum
 
 NOW_US = 1_763_700_000_000_000
 RING = "t_inner_ring_c"
@@ -49,11 +48,10 @@ class Bench:
         sample = Sample("bench-1", channel, self.now_us, value, quality, self.now_us)
         self.readings.add([sample])
 
-    def scene(self) -> rules.Scene:
+    def context(self, **evidence: Any) -> AlarmContext:
         self.sources.look(self.now_us)
-        return rules.Scene(
+        return AlarmContext(
             "bench-1",
-            self.section,
             LIMITS,
             FACTS,
             self.readings,
@@ -61,20 +59,26 @@ class Bench:
             self.now_us,
             lambda kind, channel, level: (kind, channel, level) in self.present,
             **self.facts,
+            **evidence,
         )
 
+    def conditions(self, kind: str, **evidence: Any) -> list[AlarmCondition]:
+        """The conditions of one kind, from what is known and this evidence."""
+        found = KINDS[kind].conditions(self.context(**evidence), self.section.rule(KINDS[kind]))
+        return list(found)
+
     def measured(self) -> dict[str, AlarmCondition]:
-        return {condition.level: condition for condition in rules.measured_limits(self.scene())}
+        return {condition.level: condition for condition in self.conditions("measured limit")}
 
     def forecast(self, **crossing: float | None) -> AlarmCondition:
         """The condition of the warning limit for one crossing."""
         given = {"probability": 0.0, "median_s": None, "earliest_s": None} | crossing
         crossings = {RING: {"warning": LimitCrossing(**given)}}  # type: ignore[arg-type]
-        (condition,) = rules.forecast_limits(self.scene(), crossings)
+        (condition,) = self.conditions("forecast limit", crossings=crossings)
         return condition
 
     def sensors(self) -> dict[str, AlarmCondition]:
-        found = (*rules.stale_data(self.scene()), *rules.sensor_faults(self.scene()))
+        found = (*self.conditions("stale data"), *self.conditions("sensor fault"))
         return {condition.kind: condition for condition in found if condition.channel == RING}
 
     def hold(self, value: float, seconds: float) -> list[tuple[str, str]]:
@@ -235,7 +239,7 @@ def test_above_ambient_needs_both_temperatures(scene: Bench) -> None:
     )
 
     def found() -> list[tuple[float | None, bool | None]]:
-        return [(one.value, one.active) for one in rules.above_ambient(scene.scene())]
+        return [(one.value, one.active) for one in scene.conditions("above ambient")]
 
     scene.read(65.0)
     assert found() == [(None, None)] * 2
@@ -245,12 +249,12 @@ def test_above_ambient_needs_both_temperatures(scene: Bench) -> None:
     assert found() == [(45.0, True), (45.0, False)]
     scene.read(0.0, Quality.SENSOR_FAILURE, "ambient_c")
     assert found() == [(None, None)] * 2
-    assert list(rules.above_ambient(Bench(scene.readings).scene())) == [], "no limits, no alarms"
+    assert Bench(scene.readings).conditions("above ambient") == [], "no limits, no alarms"
 
 
 # ---------------------------------------------------------------------- rate, twin
 def test_rates_and_differences_are_compared_with_their_levels(scene: Bench) -> None:
-    rates = list(rules.rate_of_rise(scene.scene(), {RING: 5.0, "t_node_1_c": None}))
+    rates = scene.conditions("rate of rise", rates_k_per_min={RING: 5.0, "t_node_1_c": None})
     assert [(one.level, one.active) for one in rates] == [
         ("warning", True),
         ("alarm", False),
@@ -259,27 +263,29 @@ def test_rates_and_differences_are_compared_with_their_levels(scene: Bench) -> N
     ]
     assert rates[0].message == "Inner ring rises by more than 4 K/min (warning)"
     assert (rates[0].unit, rates[0].deadband) == ("K/min", 0.5)
-    differences = list(rules.twin_difference(scene.scene(), {RING: 8.5}))
+    differences = scene.conditions("twin difference", differences_k={RING: 8.5})
     assert [one.active for one in differences] == [True, True]
     assert differences[1].message == "Inner ring 8 K hotter than the model alone (alarm)"
-    colder = rules.twin_difference(scene.scene(), {RING: -20.0})
+    colder = scene.conditions("twin difference", differences_k={RING: -20.0})
     assert [one.active for one in colder] == [False, False]
 
 
 @pytest.mark.parametrize(("value", "side"), [(2.0, "hotter"), (-2.0, "colder")])
 def test_a_residual_test_says_to_which_side(scene: Bench, value: float, side: str) -> None:
-    chart = ResidualChart(Cusum(0.5, 20.0))
+    test = Cusum(0.5, 20.0)
     for _ in range(8):
-        (condition,) = rules.twin_residual(scene.scene(), {RING: chart}, 9.0)
-        assert condition.active is (chart.cusum.value > 9.0)
-        chart.cusum.add(value)
+        (condition,) = scene.conditions(
+            "twin residual", residual_tests={RING: test}, residual_threshold=9.0
+        )
+        assert condition.active is (test.value > 9.0)
+        test.add(value)
     assert condition.message == f"Inner ring repeatedly {side} than the twin expects"
     assert condition.active
 
 
 # ---------------------------------------------------------------------- suppressed by design
 def test_at_standstill_only_what_still_matters_is_told(scene: Bench) -> None:
-    scene.facts["stands"] = True
+    scene.facts["at_standstill"] = True
     scene.read(99.0)
     stands = "standstill"
     assert {level: one.suppressed_reason for level, one in scene.measured().items()} == {
@@ -287,9 +293,11 @@ def test_at_standstill_only_what_still_matters_is_told(scene: Bench) -> None:
         "alarm": None,  # a speed sensor that wrongly says zero must not silence a hot bearing
     }
     running = [
-        *rules.rate_of_rise(scene.scene(), {RING: 5.0}),
-        *rules.twin_difference(scene.scene(), {RING: 9.0}),
-        *rules.twin_residual(scene.scene(), {RING: ResidualChart(Cusum(0.5, 20.0))}, 9.0),
+        *scene.conditions("rate of rise", rates_k_per_min={RING: 5.0}),
+        *scene.conditions("twin difference", differences_k={RING: 9.0}),
+        *scene.conditions(
+            "twin residual", residual_tests={RING: Cusum(0.5, 20.0)}, residual_threshold=9.0
+        ),
     ]
     assert {one.suppressed_reason for one in running} == {stands}
     assert scene.forecast(probability=0.5).suppressed_reason is None, "a plan lies ahead"
@@ -300,7 +308,7 @@ def test_at_standstill_only_what_still_matters_is_told(scene: Bench) -> None:
 def test_without_the_speed_the_twin_says_nothing(scene: Bench, kind: str) -> None:
     scene.present.add((kind, "speed_rpm", ""))
     assert scene.forecast(probability=0.5).suppressed_reason == "no usable speed"
-    difference, *_ = rules.twin_difference(scene.scene(), {RING: 9.0})
+    difference, *_ = scene.conditions("twin difference", differences_k={RING: 9.0})
     assert difference.suppressed_reason == "no usable speed"
     scene.read(99.0)
     assert {one.suppressed_reason for one in scene.measured().values()} == {None}
@@ -314,7 +322,7 @@ def test_a_model_that_is_not_trusted_raises_no_alarm(scene: Bench) -> None:
 def test_stale_data_hide_what_depends_on_them(scene: Bench) -> None:
     scene.present.add(("stale data", RING, ""))
     assert scene.sensors()["sensor fault"].suppressed_reason == "no data for inner ring"
-    rate, *_ = rules.rate_of_rise(scene.scene(), {RING: 5.0})
+    rate, *_ = scene.conditions("rate of rise", rates_k_per_min={RING: 5.0})
     assert rate.suppressed_reason == "no data for inner ring"
     assert scene.sensors()["stale data"].suppressed_reason is None
 
@@ -323,7 +331,7 @@ def test_a_silent_source_is_one_alarm_not_many(scene: Bench) -> None:
     scene.read(20.0, channel="ambient_c")
 
     def stale() -> dict[str, bool | None]:
-        return {one.channel: one.active for one in rules.stale_data(scene.scene())}
+        return {one.channel: one.active for one in scene.conditions("stale data")}
 
     for _ in range(4):
         scene.now_us += 5_000_000
@@ -386,13 +394,13 @@ def test_silence_is_stale_data_and_hides_whether_the_sensor_is_broken(scene: Ben
 
 def test_what_has_never_sent_is_waited_for_without_an_alarm(scene: Bench) -> None:
     for _ in range(2):
-        conditions = rules.stale_data(scene.scene())
+        conditions = scene.conditions("stale data")
         assert {condition.active for condition in conditions} == {None}
         assert scene.sensors()["sensor fault"].active is None
         scene.now_us += 3_600_000_000
 
 
 def test_ages_are_never_judged_tighter_than_a_wall_moment() -> None:
-    assert rules.allowed_age_s(10.0, 1.0) == 10.0
-    assert rules.allowed_age_s(0.2, 1.0) == 1.5
-    assert rules.allowed_age_s(10.0, 120.0) == 600.0
+    assert allowed_age_s(10.0, 1.0) == 10.0
+    assert allowed_age_s(0.2, 1.0) == 1.5
+    assert allowed_age_s(10.0, 120.0) == 600.0

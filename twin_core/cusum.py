@@ -45,12 +45,12 @@ class Cusum:
         self.low = min(max(self.low - value - self.allowance, 0.0), self.ceiling)
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self.high = self.low = 0.0
 
 
 def average_run_length(threshold: float, allowance: float, shift: float = 0.0) -> float:
-    """Average number of values until one one-sided sum passes a threshold.
+    """Average number of values until one one-sided sum exceeds a threshold.
 
     Parameters
     ----------

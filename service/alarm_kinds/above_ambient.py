@@ -1,0 +1,39 @@
+"""A measured temperature too far above the measured ambient temperature."""
+
+from collections.abc import Iterator
+
+from pydantic import Field
+
+from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels
+from service.domain.channels import AMBIENT
+
+
+class Settings(LevelRule):
+    """A temperature that is too far above the ambient one; ``limits`` in K by channel."""
+
+    deadband_k: float = Field(1.0, ge=0, le=50)
+    limits: dict[str, Levels] = Field(default_factory=dict)
+
+
+def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+    ambient_c = context.good_value(AMBIENT)
+    for channel, limits in rule.limits.items():
+        value = context.good_value(channel)
+        yield from KIND.over_limits(
+            context,
+            rule,
+            channel,
+            None if value is None or ambient_c is None else round(value - ambient_c, 3),
+            limits,
+            "over {level} {limit:g} K above ambient",
+            deadband=rule.deadband_k,
+            unit="K",
+        )
+
+
+def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
+    return context.standstill if level == "warning" else None
+
+
+KIND = AlarmKind("above ambient", Settings, _conditions, _suppressed)

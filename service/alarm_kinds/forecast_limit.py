@@ -1,0 +1,69 @@
+"""A forecast that exceeds a limit ahead with a probability worth an operator's attention."""
+
+from collections.abc import Iterable, Iterator
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import DAY_S, LEVELS, AlarmContext, AlarmKind, LevelRule
+from service.domain.channels import label
+
+
+class Settings(LevelRule):
+    """A limit that the forecast exceeds ahead."""
+
+    on_delay_s: float = Field(0.0, ge=0, le=DAY_S)
+    off_delay_s: float = Field(120.0, ge=0, le=DAY_S)
+    raise_probability: float = Field(0.20, gt=0, le=1)
+    clear_probability: float = Field(0.10, ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _clears_below(self) -> Self:
+        if self.clear_probability > self.raise_probability:
+            raise ValueError(
+                f"clear_probability {self.clear_probability:g} must not be above "
+                f"raise_probability {self.raise_probability:g}"
+            )
+        return self
+
+
+def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+    """Between the probability that raises and the one that clears, an alarm stays as it is."""
+    for channel, levels in context.crossings.items():
+        limits = context.limits[channel]
+        for level, crossing in levels.items():
+            limit_c = limits.warning if level == "warning" else limits.alarm
+            active: bool | None = None
+            if crossing.probability >= rule.raise_probability:
+                active = True
+            elif crossing.probability < rule.clear_probability:
+                active = False
+            verb = "will" if crossing.median_s is not None else "may"
+            yield KIND.condition(
+                context,
+                rule,
+                channel,
+                level,
+                active,
+                f"{label(channel)} {verb} exceed {level} {limit_c:g} °C",
+                limit_value=limit_c,
+                unit="°C",
+                predicted=True,
+                lead_time_s=crossing.earliest_s,
+                probability=crossing.probability,
+            )
+
+
+def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
+    if context.is_present("measured limit", channel, level):
+        return "the limit is exceeded already"
+    return context.not_comparable
+
+
+def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
+    """A forecast comes later than the first step."""
+    return ((channel, level) for channel in context.limits for level in LEVELS)
+
+
+KIND = AlarmKind("forecast limit", Settings, _conditions, _suppressed, _kept, judged="forecast")

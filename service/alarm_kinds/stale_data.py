@@ -1,0 +1,59 @@
+"""No sample for too long: one alarm of a source that has fallen silent, else of the channel.
+
+What has never sent anything is waited for; it raises nothing.
+"""
+
+from collections.abc import Iterator
+
+from pydantic import Field
+
+from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import (
+    DAY_S,
+    STALE_DATA,
+    AlarmContext,
+    AlarmKind,
+    PlainRule,
+    source_channel,
+)
+from service.domain.channels import label
+
+
+class Settings(PlainRule):
+    """A channel or a whole source without any value."""
+
+    off_delay_s: float = Field(10.0, ge=0, le=DAY_S)
+
+
+def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+    for source, channels in context.sources.channels.items():
+        if len(channels) > 1:
+            yield KIND.condition(
+                context,
+                rule,
+                source_channel(source),
+                "",
+                context.sources.is_lost(source),
+                f"No data from {source} ({len(channels)} channels)",
+                covers=tuple(channels),
+            )
+    for channel, facts in context.channels.items():
+        yield KIND.condition(
+            context,
+            rule,
+            channel,
+            "",
+            context.sources.is_lost_alone(channel),
+            f"{label(channel)}: no data from {facts.source}",
+        )
+
+
+def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
+    if channel in context.channels:
+        source = context.channels[channel].source
+        if context.is_present(STALE_DATA, source_channel(source), ""):
+            return f"source {source} lost"
+    return None
+
+
+KIND = AlarmKind(STALE_DATA, Settings, _conditions, _suppressed)

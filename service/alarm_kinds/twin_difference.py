@@ -1,0 +1,38 @@
+"""A measured temperature that is hotter than the model alone says."""
+
+from collections.abc import Iterator
+
+from pydantic import Field
+
+from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, LevelRule, Levels
+
+
+class Settings(LevelRule):
+    """A temperature that is hotter than the model alone says, in K."""
+
+    on_delay_s: float = Field(600.0, ge=0, le=DAY_S)
+    off_delay_s: float = Field(600.0, ge=0, le=DAY_S)
+    deadband_k: float = Field(0.5, ge=0, le=50)
+    limits: Levels = Levels(warning=5.0, alarm=8.0)
+
+
+def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+    for channel, difference_k in context.differences_k.items():
+        yield from KIND.over_limits(
+            context,
+            rule,
+            channel,
+            difference_k,
+            rule.limits,
+            "{limit:g} K hotter than the model alone ({level})",
+            deadband=rule.deadband_k,
+            unit="K",
+        )
+
+
+def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
+    return context.standstill or context.no_data(channel) or context.not_comparable
+
+
+KIND = AlarmKind("twin difference", Settings, _conditions, _suppressed)

@@ -1,0 +1,48 @@
+"""Readings that fall to one side of what the twin expects, again and again."""
+
+from collections.abc import Iterable, Iterator
+
+from pydantic import Field
+
+from service.domain.alarm_condition import AlarmCondition, Priority
+from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, PlainRule
+from service.domain.channels import label
+
+
+class Settings(PlainRule):
+    """A machine that does not do what its model says, found by a sequential test."""
+
+    priority: Priority = 3
+    on_delay_s: float = Field(0.0, ge=0, le=DAY_S)
+    off_delay_s: float = Field(0.0, ge=0, le=DAY_S)
+    #: All temperatures of the asset together, while the machine runs.
+    false_alarms_per_1000_h: float = Field(0.5, gt=0, le=100)
+
+
+def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
+    threshold = context.residual_threshold
+    for channel, test in context.residual_tests.items():
+        side = "hotter" if test.high >= test.low else "colder"
+        yield KIND.condition(
+            context,
+            rule,
+            channel,
+            "",
+            test.value > threshold,
+            f"{label(channel)} repeatedly {side} than the twin expects",
+            value=round(test.value, 2),
+            limit_value=threshold,
+            deadband=0.5 * threshold,
+        )
+
+
+def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
+    return context.standstill or context.no_data(channel) or context.not_comparable
+
+
+def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
+    """The tests begin when there is an identified model."""
+    return ((channel, "") for channel in context.temperatures)
+
+
+KIND = AlarmKind("twin residual", Settings, _conditions, _suppressed, _kept)

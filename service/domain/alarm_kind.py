@@ -1,0 +1,351 @@
+"""What an alarm kind is: its settings, its conditions, and when it means nothing.
+
+How to add one is described in ``CONTRIBUTING.md``: one file in ``service/alarm_kinds``.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, Protocol, Self, TypeVar
+
+from pydantic import Field, model_validator
+
+from adapters.samples import Sample
+from service.domain.alarm_condition import AlarmCondition, Priority
+from service.domain.channels import OPERATING_CHANNELS, label
+from service.domain.section import Section
+
+DAY_S = 86_400.0
+LEVELS = ("warning", "alarm")
+STALE_DATA, SENSOR_FAULT = "stale data", "sensor fault"
+
+
+# ---------------------------------------------------------------------------------- settings
+class AlarmRule(Section):
+    """What all kinds of alarms have in common; times are process seconds."""
+
+    enabled: bool = True
+    on_delay_s: float = Field(10.0, ge=0, le=DAY_S)
+    off_delay_s: float = Field(60.0, ge=0, le=DAY_S)
+    latched: bool = False
+    #: An acknowledged alarm that stands so long is raised again; 0: never.
+    re_alarm_s: float = Field(8 * 3600.0, ge=0, le=30 * DAY_S)
+
+
+class PlainRule(AlarmRule):
+    """An alarm of one level."""
+
+    priority: Priority = 2
+
+
+class LevelRule(AlarmRule):
+    """A warning and an alarm."""
+
+    warning_priority: Priority = 2
+    alarm_priority: Priority = 1
+
+    def priority_of(self, level: str) -> Priority:
+        """Give the priority of a level."""
+        return self.alarm_priority if level == "alarm" else self.warning_priority
+
+
+class Levels(Section):
+    """Where a warning and an alarm are raised."""
+
+    warning: float = Field(gt=0, le=500)
+    alarm: float = Field(gt=0, le=500)
+
+    @model_validator(mode="after")
+    def _warning_comes_first(self) -> Self:
+        if self.warning >= self.alarm:
+            raise ValueError(f"warning {self.warning:g} must be below alarm {self.alarm:g}")
+        return self
+
+
+# ---------------------------------------------------------------------- what a kind looks at
+class WarningAndAlarm(Protocol):
+    """A warning limit and an alarm limit."""
+
+    @property
+    def warning(self) -> float:
+        """Where the warning is raised."""
+
+    @property
+    def alarm(self) -> float:
+        """Where the alarm is raised."""
+
+
+class WithSource(Protocol):
+    """What is known of a channel."""
+
+    @property
+    def source(self) -> str:
+        """Name of the source that it is read from."""
+
+
+class LatestReadings(Protocol):
+    """The latest samples of an asset."""
+
+    @property
+    def latest(self) -> Mapping[str, Sample]:
+        """The latest sample of each channel, good or not."""
+
+    def good_value(self, channel: str, now_us: int) -> float | None:
+        """Value of a channel if it is good and fresh."""
+
+    def is_silent(self, channel: str, now_us: int) -> bool:
+        """Whether a channel has sent nothing for too long."""
+
+    def reason(self, channel: str, now_us: int) -> str:
+        """Why a channel has no good value; empty when it has one."""
+
+
+class SilentSources(Protocol):
+    """Which sources and channels have fallen silent."""
+
+    @property
+    def channels(self) -> Mapping[str, list[str]]:
+        """The channels of every source."""
+
+    def is_lost(self, source: str) -> bool | None:
+        """Whether a whole source is silent; None while it is waited for."""
+
+    def is_lost_alone(self, channel: str) -> bool | None:
+        """Whether a channel is silent while its source is not; None if that is open."""
+
+
+class SequentialTest(Protocol):
+    """A sequential test for a shift, see `twin_core.cusum.Cusum`."""
+
+    @property
+    def high(self) -> float:
+        """Sum of the values above zero."""
+
+    @property
+    def low(self) -> float:
+        """Sum of the values below zero."""
+
+    @property
+    def value(self) -> float:
+        """The greater of the two sums."""
+
+
+class Crossing(Protocol):
+    """How likely and when a forecast exceeds a limit."""
+
+    @property
+    def probability(self) -> float:
+        """Of exceeding it within the horizon."""
+
+    @property
+    def median_s(self) -> float | None:
+        """Seconds until half of the members have exceeded it."""
+
+    @property
+    def earliest_s(self) -> float | None:
+        """Seconds until 2.5 % of the members have exceeded it."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmContext:
+    """What is known of an asset at one moment.
+
+    Attributes
+    ----------
+    asset : str
+        Which.
+    limits : mapping of str to WarningAndAlarm
+        Its temperature limits by channel.
+    channels : mapping of str to WithSource
+        All that is read of it.
+    readings : LatestReadings
+        The latest samples.
+    sources : SilentSources
+        Which of them have fallen silent.
+    now_us : int
+        Process time.
+    is_present : callable
+        Whether the condition of another alarm of the asset is there, delays included: takes its
+        kind, channel and level.
+    at_standstill : bool
+        Whether the machine is at standstill.
+    inputs : tuple of str
+        What the network needs of the operation besides speed, load and ambient.
+    distrust : str or None
+        Why the model's word counts for nothing now; None where it counts.
+    temperatures : sequence of str
+        The measured temperatures.
+    rates_k_per_min : mapping of str to float or None
+        How fast temperatures rise; None where that cannot be told.
+    differences_k : mapping of str to float or None
+        Measured minus the model alone, by channel; None where that cannot be told.
+    residual_tests : mapping of str to SequentialTest
+        What the observer did not expect, by channel.
+    residual_threshold : float
+        Above it such a test says that something has changed.
+    crossings : mapping
+        How likely the forecast exceeds a limit, by channel and level; of a new forecast only.
+    """
+
+    asset: str
+    limits: Mapping[str, WarningAndAlarm]
+    channels: Mapping[str, WithSource]
+    readings: LatestReadings
+    sources: SilentSources
+    now_us: int
+    is_present: Callable[[str, str, str], bool]
+    at_standstill: bool = False
+    inputs: tuple[str, ...] = ()
+    distrust: str | None = None
+    temperatures: tuple[str, ...] = ()
+    rates_k_per_min: Mapping[str, float | None] = field(default_factory=dict)
+    differences_k: Mapping[str, float | None] = field(default_factory=dict)
+    residual_tests: Mapping[str, SequentialTest] = field(default_factory=dict)
+    residual_threshold: float = 0.0
+    crossings: Mapping[str, Mapping[str, Crossing]] = field(default_factory=dict)
+
+    def good_value(self, channel: str) -> float | None:
+        """Value of a channel if it is good and fresh."""
+        return self.readings.good_value(channel, self.now_us)
+
+    # -------------------------------------------------------------- reasons for suppression
+    @property
+    def standstill(self) -> str | None:
+        """The reason "standstill", while the machine is at standstill."""
+        return "standstill" if self.at_standstill else None
+
+    def no_data(self, channel: str) -> str | None:
+        """Reason that the channel sends nothing, which has an alarm of its own."""
+        return f"no data for {label(channel).lower()}" if self._has_no_data(channel) else None
+
+    @property
+    def not_comparable(self) -> str | None:
+        """Reason that the model is not trusted, or does not know the operation."""
+        return self.distrust or self._unknown_operation()
+
+    def _unknown_operation(self) -> str | None:
+        for channel in (*OPERATING_CHANNELS, *self.inputs):
+            if channel in self.channels and (
+                self._has_no_data(channel) or self.is_present(SENSOR_FAULT, channel, "")
+            ):
+                return f"no usable {label(channel).lower()}"
+        return None
+
+    def _has_no_data(self, channel: str) -> bool:
+        """Whether a stale-data alarm is there: the channel's own, or that of its source."""
+        if self.is_present(STALE_DATA, channel, ""):
+            return True
+        source = self.channels[channel].source if channel in self.channels else None
+        return source is not None and self.is_present(STALE_DATA, source_channel(source), "")
+
+
+def source_channel(source: str) -> str:
+    """Name under which a whole source stands among the channels of alarms."""
+    return f"source:{source}"
+
+
+# ------------------------------------------------------------------------------------ a kind
+Rule = TypeVar("Rule", bound=AlarmRule)
+
+
+def _never(context: AlarmContext, channel: str, level: str) -> None:
+    """No reason for suppression."""
+
+
+def _nothing_else(context: AlarmContext) -> Iterable[tuple[str, str]]:
+    """No channel and level but those of the present conditions."""
+    return ()
+
+
+@dataclass(frozen=True)
+class AlarmKind(Generic[Rule]):
+    """One kind of alarm.
+
+    Attributes
+    ----------
+    name
+        As in alarms and the journal; with underscores it is the table of its settings and the
+        name of its file.
+    rule
+        Model of its settings; every key has a default.
+    conditions
+        Which conditions there are now, from the context and the settings. A condition is True,
+        False, or None where it cannot be told (no good sample): an alarm then stays as it is. No
+        condition looks at a sample that is not good.
+    suppressed
+        Why an alarm of a channel and level would mean nothing now (suppressed by design).
+    kept
+        Channels and levels that `conditions` may name later; an alarm of any other one comes from
+        an earlier configuration and is withdrawn.
+    judged
+        After each ``step`` of the live twin, or after each new ``forecast``.
+    """
+
+    name: str
+    rule: type[Rule]
+    conditions: Callable[[AlarmContext, Rule], Iterator[AlarmCondition]]
+    suppressed: Callable[[AlarmContext, str, str], str | None] = _never
+    kept: Callable[[AlarmContext], Iterable[tuple[str, str]]] = _nothing_else
+    judged: Literal["step", "forecast"] = "step"
+
+    @property
+    def key(self) -> str:
+        """Name of the table of its settings, and of its file."""
+        return self.name.replace(" ", "_")
+
+    def condition(
+        self,
+        context: AlarmContext,
+        rule: LevelRule | PlainRule,
+        channel: str,
+        level: str,
+        active: bool | None,
+        message: str,
+        **facts: Any,
+    ) -> AlarmCondition:
+        """Report the state of one alarm, with the delays and priority of its rule."""
+        priority = rule.priority_of(level) if isinstance(rule, LevelRule) else rule.priority
+        return AlarmCondition(
+            asset=context.asset,
+            kind=self.name,
+            channel=channel,
+            level=level,
+            active=active,
+            message=message,
+            priority=priority,
+            on_delay_s=rule.on_delay_s,
+            off_delay_s=rule.off_delay_s,
+            latched=rule.latched,
+            re_alarm_s=rule.re_alarm_s,
+            suppressed_reason=self.suppressed(context, channel, level),
+            **({"value": None} | facts),
+        )
+
+    def over_limits(
+        self,
+        context: AlarmContext,
+        rule: LevelRule,
+        channel: str,
+        value: float | None,
+        limits: WarningAndAlarm,
+        text: str,
+        *,
+        deadband: float,
+        unit: str,
+    ) -> Iterator[AlarmCondition]:
+        """Report for both levels whether a value, None if it is not known, is at or over its limit.
+
+        The message is the channel's name and the text with `level` and `limit` put in.
+        """
+        for level, limit in zip(LEVELS, (limits.warning, limits.alarm), strict=True):
+            yield self.condition(
+                context,
+                rule,
+                channel,
+                level,
+                None if value is None else value >= limit,
+                f"{label(channel)} {text.format(level=level, limit=limit)}",
+                value=value,
+                limit_value=limit,
+                deadband=deadband,
+                unit=unit,
+            )
