@@ -8,8 +8,9 @@ from twin_core.forecasting.envelope import envelope
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import prior_posterior
+from twin_core.initial_state import initial_state
 from twin_core.models import build_model
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
 from twin_core.simulation import OperatingProfile, simulate
 from twin_core.windows import MinuteData
 

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 STANDING_RPM = 10.0
-"""Below this speed the machine counts as standing."""
+"""Below this speed a machine is at standstill: the one rule for estimates, windows and forecasts.
+
+Two rules of the service differ for a reason, which stands next to them: the check of flat lines in
+`service.ingest.quality`, and the setting of the alarms on standstill."""
 
 # Two rows belong to one operating point when speed and load differ by less than this, relative or
 # absolute: measurement noise, hysteresis of the loading.

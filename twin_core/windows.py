@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.operating_points import (
     NEW_LOAD,
@@ -26,8 +26,9 @@ from twin_core.operating_points import (
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# A set-point at the edge of the low-risk region is measured with noise and gain errors.
-_REGION_TOLERANCE = 0.02
+MEASURED_TOLERANCE = 0.02
+"""A set-point at the edge of the low-risk region is measured with noise and gain errors."""
+
 # Rest minutes before the start of the machine that are kept: they show the initial state.
 _REST_ROWS = 10
 _AT_REST_K = 1.5
@@ -127,6 +128,11 @@ class MinuteData:
             {name: values[rows] for name, values in self.inputs.items()},
         )
 
+    def readings(self, row: int) -> dict[str, float]:
+        """Return the temperatures of a row in degC by sensor, without those that are missing."""
+        found = {name: float(values[row]) for name, values in self.temperatures_c.items()}
+        return {name: value for name, value in found.items() if np.isfinite(value)}
+
     def inputs_at(self, row: int) -> tuple[float, ...]:
         """Return the inputs of a row, in order."""
         return tuple(float(values[row]) for values in self.inputs.values())
@@ -146,6 +152,30 @@ class LowRiskRegion:
 
     speed_rpm_max: float
     load_n_max: float
+
+    def contains(
+        self, speed_rpm: ArrayLike, load_n: ArrayLike, tolerance: float = 0.0
+    ) -> BoolArray:
+        """Tell which operating points lie inside.
+
+        Parameters
+        ----------
+        speed_rpm, load_n
+            Speeds and loads of one shape; the sense of rotation does not matter.
+        tolerance
+            Relative excess that still counts as inside: `MEASURED_TOLERANCE` for what has been
+            measured, 0 for what is asked for.
+
+        Returns
+        -------
+        ndarray
+            Boolean, of that shape; False where a number is missing.
+        """
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                (np.abs(speed_rpm) <= self.speed_rpm_max * (1.0 + tolerance))
+                & (np.asarray(load_n) <= self.load_n_max * (1.0 + tolerance))
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,10 +279,8 @@ def find_windows(
         known |= np.isfinite(values)
     usable = minutes.good & known
     speed, load = np.abs(minutes.speed_rpm), minutes.load_n
+    inside = region.contains(speed, load, MEASURED_TOLERANCE)
     with np.errstate(invalid="ignore"):
-        inside = (speed <= region.speed_rpm_max * (1.0 + _REGION_TOLERANCE)) & (
-            load <= region.load_n_max * (1.0 + _REGION_TOLERANCE)
-        )
         standing = usable & (speed < STANDING_RPM)
     # A good row outside the region ends a window at once; a bad one is a gap.
     barrier = minutes.good & ~inside
@@ -398,6 +426,7 @@ def varied(
 
 
 __all__ = [
+    "MEASURED_TOLERANCE",
     "STANDING_RPM",
     "LowRiskRegion",
     "MinuteData",

@@ -31,7 +31,8 @@ KINDS: Mapping[str, AlarmKind[Any]] = MappingProxyType({kind.name: kind for kind
 class _AlarmsSection(Section):
     """All kinds of alarms of an asset."""
 
-    #: Below this measured speed the machine is at standstill.
+    #: Below this measured speed the machine is at standstill. The plant's own choice, lower than
+    #: the twin's `STANDING_RPM`: nothing is suppressed while the machine turns.
     standstill_rpm: float = Field(5.0, ge=0, le=1000)
 
     def rule(self, kind: AlarmKind[Rule]) -> Rule:

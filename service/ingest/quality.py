@@ -24,7 +24,8 @@ CONFIRMING_SAMPLES = 3
 RATE_WINDOW_S = 10.0
 #: Samples that a flat line must last for at least, whatever the time between them.
 FLAT_SAMPLES = 5
-#: Below so many revolutions per minute a machine is at rest, and its temperatures may stand still.
+#: Below this speed in rpm a flat line is no fault. Higher than the twin's `STANDING_RPM`: a machine
+#: that turns so slowly makes hardly any heat, and its temperatures may stay the same for hours.
 AT_REST_RPM = 30.0
 
 _CLOCK_SET_BACK_US = 1_000_000

@@ -17,8 +17,8 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.minute_rows import StepMeans, minute_rows, row_step_s
 from twin_core.time_constants import fastest_time_s
 from twin_core.windows import (
+    MEASURED_TOLERANCE,
     STANDING_RPM,
-    LowRiskRegion,
     MinuteData,
     Window,
     find_windows,
@@ -35,8 +35,6 @@ FEWEST_MINUTES = 10
 # them, and so much of the channel's usual number of samples in a minute.
 GOOD_FOR_EACH_DOUBTFUL = 3
 FEWEST_OF_USUAL = 0.75
-# A set-point at the edge of the region is measured with noise; `find_windows` allows for as much.
-REGION_TOLERANCE = 1.02
 # What the drivers and the sample writer may still hold, in wall seconds.
 SETTLING_WALL_S = 1.0
 # What must have come anew at one operating point before a re-identification is worth its while.
@@ -56,7 +54,7 @@ class AssetHistory:
 
     def __init__(self, settings: AssetSection, store: Store, clock: Clock) -> None:
         self._asset = settings.id
-        self._region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
+        self._region = settings.low_risk.region
         self._temperatures = tuple(name for name in settings.channels if name.startswith("t_"))
         self._sensors = settings.sensor_names
         self._operating = (*OPERATING_CHANNELS, *settings.input_names)
@@ -109,9 +107,8 @@ class AssetHistory:
                 "expected speed, load, ambient and ring temperatures"
             )
         good = minutes.good
-        outside = good & (
-            (np.abs(minutes.speed_rpm) > self._region.speed_rpm_max * REGION_TOLERANCE)
-            | (minutes.load_n > self._region.load_n_max * REGION_TOLERANCE)
+        outside = good & ~self._region.contains(
+            minutes.speed_rpm, minutes.load_n, MEASURED_TOLERANCE
         )
         if outside.any():
             return (

@@ -42,7 +42,7 @@ def give_advice(
     active = state.active
     sensors = active.model.sensor_names
     limits = {name: pair for name, pair in settings.limits.items() if name in sensors}
-    region = LowRiskRegion(settings.low_risk.speed_rpm_max, settings.low_risk.load_n_max)
+    region = settings.low_risk.region
     advice = advise(
         active.model,
         active.posterior,
@@ -65,8 +65,7 @@ def advice_json(advice: Advice, region: LowRiskRegion) -> dict[str, Any]:
     return {
         "target": _level(target)
         | {
-            "inside_low_risk": target.speed_rpm <= region.speed_rpm_max
-            and target.load_n <= region.load_n_max,
+            "inside_low_risk": bool(region.contains(target.speed_rpm, target.load_n)),
             "sensor": advice.sensor,
             "sensors": {
                 name: {

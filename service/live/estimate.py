@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
 from service.domain.channels import AMBIENT, LOAD, SPEED
+from twin_core.filtering import begin
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import Innovation, Observer, initial_state, not_colder_than
+from twin_core.observer import Innovation, Observer, not_colder_than
 from twin_core.operating_points import usual_levels
 from twin_core.profiles import OperatingPoint
 from twin_core.windows import stands_at_ambient
@@ -229,20 +230,10 @@ class LiveEstimate:
             point.speed_rpm, point.ambient_c, temperatures.values()
         )
         model, values = self.active.model, self.active.values
-        mean, covariance = initial_state(
-            model,
-            values,
-            dict(temperatures),
-            point.ambient_c,
-            point.speed_rpm,
-            point.load_n,
-            at_rest,
-            # What the machine was trained at says more of its past than the present moment does.
-            usual_levels(self.active.posterior.trained.points),
-            point.inputs,
-        )
+        # What the machine was trained at says more of its past than the present moment does.
+        past = usual_levels(self.active.posterior.trained.points)
+        self._observer = begin(model, values, temperatures, point, at_rest, past, self._revolutions)
         self.followed_s = FOLLOWED_S if at_rest else 0.0
-        self._observer = Observer(model, values, mean, covariance, self._revolutions)
         self.time_us, self.point = now_us, point
 
     def samples(self, asset: str, now_us: int, quality: int = Quality.GOOD) -> list[Sample]:

@@ -18,11 +18,10 @@ from service.live.sources import Sources
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
 from twin_core.observer import Innovation
+from twin_core.windows import MEASURED_TOLERANCE
 
 # A machine is at standstill when it has been slow for so long.
 _STANDSTILL_AFTER_S = 60.0
-# A point on the edge of the low-risk region wavers.
-_NEARLY = 1.02
 _NOT_TRUSTED = "the model is not trusted"
 
 
@@ -222,11 +221,8 @@ class AlarmWatch:
             self._version = estimate.active.version
             self._residuals.begin_anew()
             self._reference.stop()
-        low_risk = self._settings.low_risk
-        safe = (
-            point.speed_rpm <= _NEARLY * low_risk.speed_rpm_max
-            and point.load_n <= _NEARLY * low_risk.load_n_max
-        )
+        region = self._settings.low_risk.region
+        safe = bool(region.contains(point.speed_rpm, point.load_n, MEASURED_TOLERANCE))
         duration_s = 0.0 if since_us is None else max(now_us - since_us, 0) / 1e6
         # Outside the region of its data the model alone is no judge; it starts again inside.
         if safe and self._reference.started:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,11 +16,12 @@ from service.offline.rows import (
 )
 from service.offline.tables import FloatArray, PlannedRows, Recording
 from service.site.machines.machine import Machine
+from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import forecast
 from twin_core.machine_state import MachineState
 from twin_core.minute_rows import MOST_ROWS, row_step_s
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
 from twin_core.operating_points import usual_levels
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, SimulationError, hold_operating_point
@@ -122,7 +124,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
         point = OperatingPoint(*last, good.inputs_at(-1))
         observer.predict(float(minutes.time_s[-1] - good.time_s[-1]), *last, point.inputs)
         if minutes.time_s[-1] > good.time_s[-1]:
-            observer.update(_readings(minutes, minutes.size - 1))
+            observer.update(minutes.readings(minutes.size - 1))
     except SimulationError as error:
         raise FollowError(f"{history.name}: {error}") from error
     state = observer.state(
@@ -163,45 +165,27 @@ def _follow(
         )
     )
     counted_s = longest_step_s(good)
-    longest_s = max(_LONGEST_GAP_S, counted_s)
+    steps_s = np.diff(good.time_s, prepend=good.time_s[0])
+    turned = np.abs(np.roll(profile.speed_rpm, 1)) * np.minimum(steps_s, counted_s) / 60.0
+    gaps = np.flatnonzero(steps_s > max(_LONGEST_GAP_S, counted_s)).tolist()
     observer: Observer | None = None
     since_s = float(good.time_s[0])
-    for row in range(good.size):
-        readings = _readings(good, row)
-        point = (
-            float(profile.speed_rpm[max(row - 1, 0)]),
-            float(profile.load_n[max(row - 1, 0)]),
-            float(profile.ambient_c[max(row - 1, 0)]),
-        )
-        step_s = float(good.time_s[row] - good.time_s[row - 1]) if row else 0.0
-        if observer is not None and step_s <= longest_s:
-            observer.predict(step_s, *point, profile.inputs[max(row - 1, 0)])
-            observer.update(readings)
-            revolutions = observer.revolutions
-            continue
-        revolutions += abs(point[0]) * min(step_s, counted_s) / 60.0
+    for start, end in pairwise([0, *gaps, good.size]):
+        readings = [good.readings(row) for row in range(start, end)]
+        first = start + next((k for k, known in enumerate(readings) if known), end - start)
+        for row in range(start, min(first + 1, end)):
+            revolutions += float(turned[row])
         observer = None
-        if readings:
-            at_rest = (cold_start and row == 0) or is_at_rest(good.take(slice(row, row + 1)))
-            mean, covariance = initial_state(
-                model,
-                values,
-                readings,
-                float(profile.ambient_c[row]),
-                float(profile.speed_rpm[row]),
-                float(profile.load_n[row]),
-                at_rest,
-                past,
-                profile.inputs[row],
-            )
-            since_s = -np.inf if at_rest else float(good.time_s[row])
-            observer = Observer(model, values, mean, covariance, revolutions)
+        if first == end:
+            continue
+        at_rest = (cold_start and first == 0) or is_at_rest(good.take(slice(first, first + 1)))
+        since_s = -np.inf if at_rest else float(good.time_s[first])
+        observer = begin(
+            model, values, readings[first - start], profile.point(first), at_rest, past, revolutions
+        )
+        run_filter(observer, profile.rows(slice(first, end)), readings[first - start :])
+        revolutions = observer.revolutions
     return observer, since_s
-
-
-def _readings(minutes: MinuteData, row: int) -> dict[str, float]:
-    readings = {name: float(values[row]) for name, values in minutes.temperatures_c.items()}
-    return {name: value for name, value in readings.items() if np.isfinite(value)}
 
 
 def forecast_profile(

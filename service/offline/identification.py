@@ -13,7 +13,6 @@ from service.offline.rows import contiguous, revolutions_at, rows_of_recording, 
 from service.offline.searches import OTHER_SEARCHES
 from service.offline.tables import Recording
 from service.site.machines.machine import Machine
-from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive
 from twin_core.identification import (
     IdentificationData,
     IdentificationWindow,
@@ -26,6 +25,7 @@ from twin_core.identification.identify import Method
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.searching import Search
 from twin_core.identification.whitening import Loss
+from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData, is_at_rest

@@ -40,6 +40,7 @@ from service.site.machines.networks import (
     folder_of_files,
     network_table,
 )
+from twin_core.windows import LowRiskRegion
 
 
 def _network(text: str) -> str:
@@ -104,6 +105,11 @@ class LowRisk(Section):
 
     speed_rpm_max: PositiveFloat
     load_n_max: PositiveFloat
+
+    @property
+    def region(self) -> LowRiskRegion:
+        """The same for the twin."""
+        return LowRiskRegion(self.speed_rpm_max, self.load_n_max)
 
 
 class Limits(Section):

@@ -19,7 +19,7 @@ from adapters.virtual_bench import (
 )
 from twin_core import scores
 from twin_core.bearings import bearing
-from twin_core.forecasting import Forecast, fit_naive, forecast
+from twin_core.forecasting import Forecast, forecast
 from twin_core.forecasting.labels import RUNAWAY
 from twin_core.identification import (
     IdentificationData,
@@ -29,8 +29,10 @@ from twin_core.identification import (
     prior_posterior,
 )
 from twin_core.identification.gates import GateReport, judge
+from twin_core.initial_state import initial_state
 from twin_core.models import build_model
-from twin_core.observer import Observer, initial_state
+from twin_core.naive import fit_naive
+from twin_core.observer import Observer
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import LowRiskRegion, MinuteData, find_windows
 

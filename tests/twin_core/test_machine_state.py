@@ -6,9 +6,10 @@ import pytest
 from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.identification.posterior import prior_posterior
+from twin_core.initial_state import initial_state
 from twin_core.machine_state import FOLLOWED_S, MachineState, course_known
 from twin_core.models import ThermalModel, build_model
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from twin_core.bearings import bearing
+from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel, build_model
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
 from twin_core.simulation import OperatingProfile, simulate, steady_state
 
 AMBIENT = 22.6

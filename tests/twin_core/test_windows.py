@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twin_core.windows import (
+    MEASURED_TOLERANCE,
     LowRiskRegion,
     MinuteData,
     Window,
@@ -199,3 +200,40 @@ def test_senseless_rows_are_refused() -> None:
         MinuteData(
             data.time_s, data.speed_rpm, data.load_n, np.array([1.0, np.nan, 1.0]), {}, data.good
         )
+
+
+@pytest.mark.parametrize(
+    ("speed_rpm", "load_n", "asked", "measured"),
+    [
+        (4200.0, 3300.0, True, True),
+        (-4200.0, 0.0, True, True),
+        (4284.0, 3366.0, False, True),
+        (4285.0, 3300.0, False, False),
+        (4200.0, 3367.0, False, False),
+        (np.nan, 3300.0, False, False),
+        (4200.0, np.nan, False, False),
+    ],
+)
+def test_a_point_inside_the_region(
+    speed_rpm: float, load_n: float, asked: bool, measured: bool
+) -> None:
+    """What is asked for has no tolerance; what was measured at the edge is noisy."""
+    assert bool(REGION.contains(speed_rpm, load_n)) is asked
+    assert bool(REGION.contains(speed_rpm, load_n, MEASURED_TOLERANCE)) is measured
+
+
+def test_points_inside_the_region_are_told_row_by_row() -> None:
+    inside = REGION.contains(np.array([0.0, 4200.0, 4300.0]), np.array([3400.0, 3300.0, 0.0]))
+    assert inside.tolist() == [False, True, False]
+
+
+def test_a_rows_readings_are_those_that_are_known() -> None:
+    column = np.array([20.0, np.nan])
+    rows = MinuteData(
+        np.array([0.0, 60.0]),
+        *(np.full(2, value) for value in (0.0, 0.0, 22.0)),
+        {"t_inner_ring_c": column, "t_outer_ring_c": column[::-1]},
+        np.ones(2, dtype=np.bool_),
+    )
+    assert rows.readings(0) == {"t_inner_ring_c": 20.0}
+    assert rows.readings(1) == {"t_outer_ring_c": 20.0}

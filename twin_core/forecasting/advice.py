@@ -33,7 +33,7 @@ from twin_core.operating_points import (
     alike_points,
     distinct_values,
 )
-from twin_core.windows import LowRiskRegion
+from twin_core.windows import MEASURED_TOLERANCE, LowRiskRegion
 
 FloatArray = NDArray[np.float64]
 
@@ -48,8 +48,6 @@ _LEAST_LOAD_RATIO = 1.15
 _ALIKE_WIDTHS = 1.03
 _WORTH_WHILE = 0.10
 _TAUGHT_S = 1200.0
-# A set-point at the edge of the region is measured with noise.
-_REGION_TOLERANCE = 1.02
 
 
 class NothingIdentifiedError(ValueError):
@@ -383,7 +381,7 @@ def _why(levels: Sequence[Level], trained: Sequence[OperatingPoint], narrower_by
 def _within(value: float, highest: float) -> float:
     """A measured set-point: without its noise, which may have led it out of the region."""
     tidy = float(round(value, -1))
-    return highest if highest < tidy <= _REGION_TOLERANCE * highest else tidy
+    return highest if highest < tidy <= (1.0 + MEASURED_TOLERANCE) * highest else tidy
 
 
 def _rounded(value: float, to: float) -> float:

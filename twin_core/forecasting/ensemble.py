@@ -15,10 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
+from twin_core.forecasting.draws import paired_draws
 from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
-from twin_core.forecasting.members import goes_on_as, imbalance_w, member_paths, stands
+from twin_core.forecasting.members import (
+    beyond_load,
+    draw_members,
+    goes_on_as,
+    member_paths,
+    stands,
+)
 from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import MachineState
@@ -182,30 +188,17 @@ def forecast(
     ValueError
         If posterior and model do not belong together, or ``members`` is odd or below 2.
     """
-    posterior.check(model)
-    if members < 2 or members % 2:
-        raise ValueError(f"members is {members}, expected an even number of at least 2")
     rng = np.random.default_rng(seed)
-    parameters = model.parameters
-    z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
-    values = parameters.values_from_z(z)
-    mean_c, revolutions, operating_point = (
-        state.temperatures_c,
-        state.revolutions,
-        state.operating_point,
-    )
-    start = mean_c + rng.permutation(normal_draws(rng, members, state.covariance))
-    heat_w = np.zeros(start.shape)
-    best = parameters.values_from_z(posterior.z)
+    operating_point = state.operating_point
     goes_on = operating_point is None or goes_on_as(operating_point, profile)
-    if state.heat_disturbance_w is not None and goes_on:
-        heat_w += state.heat_disturbance_w
-    if operating_point is not None and goes_on:
-        heat_w += state.course_known * imbalance_w(
-            model, best, mean_c, values, start, operating_point, revolutions
-        )
+    drawn = draw_members(model, posterior, state, members, rng, goes_on)
     temperatures = member_paths(
-        model, values, hold_operating_point(profile), start, revolutions, heat_w
+        model,
+        drawn.values,
+        hold_operating_point(profile),
+        drawn.start_c,
+        state.revolutions,
+        drawn.heat_w,
     )
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
     temperatures[failed] = _CEILING_C
@@ -214,7 +207,12 @@ def forecast(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
-    beyond = _beyond_load(profile, posterior.trained.load_n_max, model.errors.slow_s)
+    # The deviation follows the load within the time that it takes to build up.
+    beyond = _following(
+        beyond_load(profile.load_n, posterior.trained.load_n_max),
+        profile.time_s,
+        model.errors.slow_s,
+    )
     beyond += _beyond_drives(model, profile, posterior.trained.drives)
     started = _started(profile, operating_point)
     passed_on_c = np.maximum(rise_c, np.mean(rise_c, axis=1, keepdims=True))
@@ -235,7 +233,9 @@ def forecast(
     normal = _normal(rng, (members // 2, keep.size, temperatures.shape[2]))
     # What a sensor of the same name will read stands for the node as well.
     others = [k for k, name in enumerate(model.node_names) if name not in sensors]
-    hidden = paired_draws(rng, members, (temperatures.shape[2],)) @ hidden_spread(model, best).T
+    hidden = (
+        paired_draws(rng, members, (temperatures.shape[2],)) @ hidden_spread(model, drawn.best).T
+    )
     growth = _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))
     nodes, even = temperatures, np.ones(temperatures.shape[1:])
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
@@ -276,22 +276,10 @@ def forecast(
     )
 
 
-def _beyond_load(profile: OperatingProfile, trained_n: float, slow_s: float) -> FloatArray:
-    """How far, ln(F / trained), the load has gone beyond the trained ones, (n,).
-
-    It follows the load within the time that a deviation takes to build up. Zero without any
-    trained load: the prior's spread is for all loads.
-    """
-    if trained_n <= 0.0:
-        return np.zeros(profile.size)
-    excess = np.maximum(np.log(np.maximum(profile.load_n, 1.0) / trained_n), 0.0)
-    return _following(excess, profile.time_s, slow_s)
-
-
 def _beyond_drives(
     model: ThermalModel, profile: OperatingProfile, trained: Mapping[str, float]
 ) -> FloatArray:
-    """How far, as `_beyond_load`, the currents and powers have gone beyond the trained ones."""
+    """How far, as `beyond_load`, the currents and powers have gone beyond the trained ones."""
     beyond = np.zeros(profile.size)
     for name, values in zip(model.input_names, profile.inputs.T, strict=True):
         if trained.get(name, 0.0) > 0.0:

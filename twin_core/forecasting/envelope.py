@@ -16,7 +16,7 @@ from numba import config as numba_config
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from twin_core.forecasting.draws import normal_draws, paired_draws, parameter_draws
+from twin_core.forecasting.draws import paired_draws
 from twin_core.forecasting.ensemble import (
     DEVIATION_K,
     LOAD_DEVIATION,
@@ -25,7 +25,7 @@ from twin_core.forecasting.ensemble import (
     SENSOR_WHITE_K,
 )
 from twin_core.forecasting.labels import runaway_not_excluded
-from twin_core.forecasting.members import imbalance_w
+from twin_core.forecasting.members import beyond_load, draw_members
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
@@ -149,8 +149,6 @@ def envelope(
     posterior.check(model)
     model = model.holding(state.inputs)
     speeds, loads = _axis("speed_rpm", speed_rpm), _axis("load_n", load_n)
-    if members < 2 or members % 2:
-        raise ValueError(f"members is {members}, expected an even number of at least 2")
     if not (horizon_s > 0.0 and np.isfinite(horizon_s)):
         raise ValueError(f"horizon_s is {horizon_s}, expected a positive number of seconds")
     sensors = model.sensor_names
@@ -158,10 +156,8 @@ def envelope(
         if name not in sensors:
             raise ValueError(f"limits: no sensor {name!r}, expected one of {', '.join(sensors)}")
     rng = np.random.default_rng(seed)
-    parameters = model.parameters
-    z = np.clip(parameter_draws(rng, members, posterior), parameters.z_lower, parameters.z_upper)
-    mean_c, ambient_c = state.temperatures_c, float(state.ambient_c)
-    start = mean_c + rng.permutation(normal_draws(rng, members, state.covariance))
+    drawn = draw_members(model, posterior, state, members, rng)
+    ambient_c = float(state.ambient_c)
     # The same pairs in all three, so that their sum has no bias in any percentile.
     offset = SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),))
     slow = paired_draws(rng, members, (len(sensors),))
@@ -175,7 +171,7 @@ def envelope(
         table[row, : len(limits.get(name, ()))] = limits.get(name, ())
     table[:, most] = model.lost_c
     cells = np.tile(speeds, loads.size), np.repeat(loads, speeds.size)
-    beyond = _beyond_load(cells[1], posterior.trained.load_n_max)
+    beyond = beyond_load(cells[1], posterior.trained.load_n_max)
 
     def slow_k(rise_c: FloatArray) -> FloatArray:
         """Spread (points, ...) of the slow deviation at rises over ambient of that shape."""
@@ -183,21 +179,12 @@ def envelope(
         return np.asarray(model.errors.scale * np.hypot(DEVIATION_K, by_load))
 
     at_limits = np.where(np.isfinite(table), np.maximum(table - ambient_c, 0.0), 0.0)
-    values = parameters.values_from_z(z)
-    heat_w = np.zeros(start.shape)
-    if state.heat_disturbance_w is not None:
-        heat_w += state.heat_disturbance_w
-    if state.operating_point is not None:
-        best = parameters.values_from_z(posterior.z)
-        heat_w += state.course_known * imbalance_w(
-            model, best, mean_c, values, start, state.operating_point, state.revolutions
-        )
     steady, crossing = _hold(
         model,
-        values,
-        start,
+        drawn.values,
+        drawn.start_c,
         state.revolutions,
-        heat_w,
+        drawn.heat_w,
         ambient_c,
         cells,
         # A sensor that reads too high by its offset reaches its limit that much earlier.
@@ -266,13 +253,6 @@ def _smooth_share(readings: FloatArray, limit_c: float) -> FloatArray:
     low, high = np.quantile(readings, (0.25, 0.75), axis=0)
     width = 0.9 * (high - low) / 1.349 * len(readings) ** -0.2
     return np.asarray(np.mean(ndtr((readings - limit_c) / np.maximum(width, _NARROWEST_K)), axis=0))
-
-
-def _beyond_load(load_n: FloatArray, trained_n: float) -> FloatArray:
-    """How far, ln(F / trained), loads lie beyond the trained ones; zero without any."""
-    if trained_n <= 0.0:
-        return np.zeros(load_n.size)
-    return np.asarray(np.log(np.maximum(load_n / trained_n, 1.0)))
 
 
 def _hold(

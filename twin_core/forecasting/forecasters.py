@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from twin_core.forecasting.ensemble import QUANTILE_LEVELS, Forecast
+from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 
@@ -80,3 +81,18 @@ def of_ensemble(forecast: Forecast) -> SensorForecast:
     """Take the sensors' part of the twin's ensemble forecast."""
     quantiles_c = forecast.quantiles[:, :, : len(forecast.sensors)]
     return SensorForecast(forecast.time_s, forecast.sensors, quantiles_c[_MEDIAN], quantiles_c)
+
+
+def naive_forecasters(windows: Sequence[MinuteData]) -> dict[str, Forecaster]:
+    """Fit the naive models and return them as forecasters by kind; raises as `fit_naive` does."""
+    models = fit_naive(windows)
+
+    def of_kind(kind: str) -> Forecaster:
+        def forecast(profile: OperatingProfile, initial_c: Mapping[str, float]) -> SensorForecast:
+            by_sensor = models.forecast(profile, initial_c)[kind]
+            table = np.stack([by_sensor[name] for name in models.sensors], axis=1)
+            return SensorForecast(profile.time_s, models.sensors, table)
+
+        return forecast
+
+    return {kind: of_kind(kind) for kind in NAIVE_KINDS}

@@ -1,9 +1,14 @@
 """The members of an ensemble on their way through a profile."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.forecasting.draws import normal_draws, parameter_draws
 from twin_core.forecasting.paths import net_heat_range
+from twin_core.identification.posterior import Posterior
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
@@ -21,6 +26,89 @@ def stands(profile: OperatingProfile) -> NDArray[np.bool_]:
 def goes_on_as(operating_point: OperatingPoint, profile: OperatingProfile) -> bool:
     """Whether the machine goes on running, or standing, as up to now."""
     return bool(stands(profile)[0] == (abs(operating_point.speed_rpm) < STANDING_RPM))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Members:
+    """An ensemble at its start.
+
+    Attributes
+    ----------
+    best
+        (p,) the best parameters.
+    values
+        (members, p) parameters of the members.
+    start_c, heat_w
+        (members, nodes) temperatures in degC, and heats in W beyond the members' models.
+    """
+
+    best: FloatArray
+    values: FloatArray
+    start_c: FloatArray
+    heat_w: FloatArray
+
+
+def draw_members(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    count: int,
+    rng: np.random.Generator,
+    goes_on: bool = True,
+) -> Members:
+    """Draw parameters and states, and set every member on the observed course.
+
+    Parameters
+    ----------
+    model, posterior
+        What is known of the machine; they must belong together.
+    state
+        The machine now.
+    count
+        Even number of members; random numbers come in antithetic pairs.
+    rng
+        Gives the random numbers.
+    goes_on
+        Whether the machine goes on as up to now. Without it there are no heats: what is wrong is
+        mostly friction.
+
+    Raises
+    ------
+    ValueError
+        If posterior and model do not belong together, or ``count`` is odd or below 2.
+    """
+    posterior.check(model)
+    if count < 2 or count % 2:
+        raise ValueError(f"members is {count}, expected an even number of at least 2")
+    parameters = model.parameters
+    z = np.clip(parameter_draws(rng, count, posterior), parameters.z_lower, parameters.z_upper)
+    values = parameters.values_from_z(z)
+    start_c = state.temperatures_c + rng.permutation(normal_draws(rng, count, state.covariance))
+    heat_w = np.zeros(start_c.shape)
+    best = parameters.values_from_z(posterior.z)
+    if state.heat_disturbance_w is not None and goes_on:
+        heat_w += state.heat_disturbance_w
+    if state.operating_point is not None and goes_on:
+        heat_w += state.course_known * imbalance_w(
+            model,
+            best,
+            state.temperatures_c,
+            values,
+            start_c,
+            state.operating_point,
+            state.revolutions,
+        )
+    return Members(best, values, start_c, heat_w)
+
+
+def beyond_load(load_n: FloatArray, trained_n: float) -> FloatArray:
+    """How far, ln(F / trained), loads lie beyond the trained ones; zero without any of these.
+
+    The prior's spread is for all loads.
+    """
+    if trained_n <= 0.0:
+        return np.zeros(np.shape(load_n))
+    return np.asarray(np.log(np.maximum(load_n / trained_n, 1.0)))
 
 
 def member_paths(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.forecasting.naive import naive_rms
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.identify import IdentificationResult, identify
 from twin_core.identification.posterior import Posterior
@@ -25,6 +24,7 @@ from twin_core.identification.prediction_tests import (
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
+from twin_core.naive import naive_rms
 from twin_core.operating_points import alike_points, new_points
 
 FloatArray = NDArray[np.float64]

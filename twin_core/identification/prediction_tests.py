@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.filtering import begin, run_filter
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.problem import first_measurements, profile_of
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer, initial_state
 from twin_core.operating_points import OperatingPoint, demand
 from twin_core.scores import rms
 from twin_core.simulation import SimulationError, simulate
@@ -155,26 +155,17 @@ def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> di
     rows = window.minutes.take(window.minutes.good)
     profile = profile_of(window.minutes)
     try:
-        mean, covariance = initial_state(
+        observer = begin(
             model,
             values,
-            dict(first_measurements(window.minutes)),
-            float(profile.ambient_c[0]),
-            float(profile.speed_rpm[0]),
-            float(profile.load_n[0]),
+            first_measurements(window.minutes),
+            profile.point(0),
             window.at_rest,
-            inputs=profile.inputs[0],
+            revolutions=window.revolutions,
         )
-        observer = Observer(model, values, mean, covariance, window.revolutions)
-        for row in range(test.first):
-            observer.predict(
-                float(profile.time_s[row + 1] - profile.time_s[row]),
-                float(profile.speed_rpm[row]),
-                float(profile.load_n[row]),
-                float(profile.ambient_c[row]),
-                profile.inputs[row],
-            )
-            observer.update(_known(rows, row + 1))
+        followed = slice(test.first + 1)
+        readings = [rows.readings(row) for row in range(test.first + 1)]
+        run_filter(observer, profile.rows(followed), readings)
         chosen = slice(test.first, test.last + 1)
         ahead = simulate(
             model,
@@ -190,8 +181,3 @@ def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> di
         for name, values_c in rows.temperatures_c.items()
     }
     return {name: error for name, error in errors.items() if not np.isnan(error)}
-
-
-def _known(rows: MinuteData, row: int) -> dict[str, float]:
-    readings = {name: float(values[row]) for name, values in rows.temperatures_c.items()}
-    return {name: value for name, value in readings.items() if np.isfinite(value)}

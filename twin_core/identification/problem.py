@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.whitening import Loss, Whitening, whitening
+from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
-from twin_core.observer import initial_state
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,

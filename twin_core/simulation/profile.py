@@ -1,10 +1,12 @@
 """What a machine is asked to do over time, and what comes out of simulating it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation.compiling import kernel_array
 
 
@@ -69,6 +71,20 @@ class OperatingProfile:
     def size(self) -> int:
         """Number of rows, n."""
         return int(self.time_s.size)
+
+    def point(self, row: int) -> OperatingPoint:
+        """Return the operating point of a row."""
+        return OperatingPoint(
+            float(self.speed_rpm[row]),
+            float(self.load_n[row]),
+            float(self.ambient_c[row]),
+            tuple(self.inputs[row].tolist()),
+        )
+
+    def steps(self) -> Iterator[tuple[OperatingPoint, float]]:
+        """Yield the operating point of every row but the last, and for how many s it holds."""
+        for row, step_s in enumerate(np.diff(self.time_s).tolist()):
+            yield self.point(row), step_s
 
     def rows(self, chosen: slice) -> "OperatingProfile":
         """Return the chosen rows."""

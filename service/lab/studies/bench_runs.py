@@ -24,6 +24,7 @@ from adapters.virtual_bench import (
 from adapters.virtual_bench.scenarios import Step
 from adapters.virtual_bench.sensors import Pt100
 from twin_core.bearings import bearing
+from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import Forecast, forecast
 from twin_core.identification import (
     IdentificationData,
@@ -34,7 +35,8 @@ from twin_core.identification import (
 )
 from twin_core.minute_rows import rows_of_samples
 from twin_core.models import ThermalModel, build_model
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, hold_operating_point
 from twin_core.windows import MinuteData
 
@@ -282,19 +284,8 @@ def forecast_from(twin: Twin, run: BenchRun, first: int, ahead: OperatingProfile
 def follow(twin: Twin, run: BenchRun, last: int) -> Observer:
     """The observer after the readings of row ``last``."""
     values = twin.model.parameters.values_from_z(twin.posterior.z)
-    point = run.measured(0, last + 1)
+    rows = run.measured(0, last + 1)
     columns = [run.minutes.temperatures_c[name].tolist() for name in twin.sensors]
     readings = [dict(zip(twin.sensors, row, strict=True)) for row in zip(*columns, strict=True)]
-    mean, covariance = initial_state(
-        twin.model, values, readings[0], float(point.ambient_c[0]), 0.0, 0.0, at_rest=True
-    )
-    observer = Observer(twin.model, values, mean, covariance)
-    for row in range(last):
-        observer.predict(
-            MINUTE_S,
-            float(point.speed_rpm[row]),
-            float(point.load_n[row]),
-            float(point.ambient_c[row]),
-        )
-        observer.update(readings[row + 1])
-    return observer
+    cold = OperatingPoint(0.0, 0.0, float(rows.ambient_c[0]))
+    return run_filter(begin(twin.model, values, readings[0], cold, at_rest=True), rows, readings)

@@ -25,14 +25,14 @@ from service.lab.studies.turbines import Record
 from service.site.machines.machine import Machine
 from service.site.machines.networks import NetworkSection, read_network
 from twin_core.forecasting import forecast
-from twin_core.forecasting.naive import fit_naive
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.gates import GateCheck
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import Posterior
+from twin_core.initial_state import initial_state
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import initial_state
+from twin_core.naive import fit_naive
 from twin_core.process_noise import LONG_RUN_IN
 from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData

@@ -17,8 +17,8 @@ from service.lab.studies.field_data import (
     BearingCase,
     Outcome,
 )
-from twin_core.forecasting.naive import NAIVE_KINDS
 from twin_core.identification.gates import GateCheck
+from twin_core.naive import NAIVE_KINDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -47,8 +47,9 @@ from service.lab.studies.forecasters import (
     score,
     score_document,
 )
-from twin_core.forecasting import NAIVE_KINDS, SensorForecast, of_ensemble
-from twin_core.observer import initial_state
+from twin_core.forecasting import SensorForecast, of_ensemble
+from twin_core.initial_state import initial_state
+from twin_core.naive import NAIVE_KINDS
 from twin_core.simulation import simulate
 
 if TYPE_CHECKING:

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from twin_core.forecasting import (
-    NAIVE_KINDS,
     QUANTILE_LEVELS,
     Forecast,
     SensorForecast,
-    fit_naive,
     naive_forecasters,
     of_ensemble,
     with_normal_band,
 )
+from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 

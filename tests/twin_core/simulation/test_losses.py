@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
 from twin_core.network import (
     Coefficient,
@@ -18,7 +19,7 @@ from twin_core.network import (
     Sensor,
     compile_network,
 )
-from twin_core.observer import Observer, initial_state
+from twin_core.observer import Observer
 from twin_core.parameters import Parameter, ParameterSet
 from twin_core.simulation import (
     OperatingProfile,

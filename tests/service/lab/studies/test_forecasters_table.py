@@ -16,7 +16,8 @@ from service.lab.studies.forecasters import (
     score_table,
 )
 from service.lab.surrogates import SURROGATE_KINDS
-from twin_core.forecasting import NAIVE_KINDS, SensorForecast, with_normal_band
+from twin_core.forecasting import SensorForecast, with_normal_band
+from twin_core.naive import NAIVE_KINDS
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 

@@ -14,7 +14,8 @@ from service.lab.studies.bench_runs import RINGS, Stage, forecast_from, identify
 from service.lab.studies.common import Options, StudyError
 from service.lab.studies.forecasters import TWIN
 from service.lab.surrogates import SURROGATE_KINDS
-from twin_core.forecasting import NAIVE_KINDS, of_ensemble
+from twin_core.forecasting import of_ensemble
+from twin_core.naive import NAIVE_KINDS
 
 FEW = (Stage(2, 0.0, 2650.0), Stage(25, 1500.0, 2650.0), Stage(25, 3500.0, 2650.0))
 MANY = (*FEW, Stage(25, 3500.0, 2000.0), Stage(25, 4200.0, 3300.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin_core.forecasting.naive import NAIVE_KINDS, fit_naive, naive_rms
+from twin_core.naive import NAIVE_KINDS, fit_naive, naive_rms
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 

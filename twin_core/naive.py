@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.forecasting.forecasters import Forecaster, SensorForecast
 from twin_core.operating_points import STANDING_RPM, split
 from twin_core.scores import rms
 from twin_core.simulation.profile import OperatingProfile
@@ -157,21 +156,6 @@ def fit_naive(windows: Sequence[MinuteData]) -> NaiveForecasts:
     if radius > _LARGEST_RADIUS:
         transition = transition * (_LARGEST_RADIUS / radius)
     return NaiveForecasts(sensors, static, transition, coefficients[:3], spacing_s)
-
-
-def naive_forecasters(windows: Sequence[MinuteData]) -> dict[str, Forecaster]:
-    """Fit the naive models and return them as forecasters by kind; raises as `fit_naive` does."""
-    models = fit_naive(windows)
-
-    def of_kind(kind: str) -> Forecaster:
-        def forecast(profile: OperatingProfile, initial_c: Mapping[str, float]) -> SensorForecast:
-            by_sensor = models.forecast(profile, initial_c)[kind]
-            table = np.stack([by_sensor[name] for name in models.sensors], axis=1)
-            return SensorForecast(profile.time_s, models.sensors, table)
-
-        return forecast
-
-    return {kind: of_kind(kind) for kind in NAIVE_KINDS}
 
 
 def naive_rms(

@@ -1,0 +1,84 @@
+"""The observer over measured rows: begun from the first readings, advanced row by row."""
+
+from collections.abc import Mapping, Sequence
+
+from numpy.typing import ArrayLike
+
+from twin_core.initial_state import initial_state
+from twin_core.models import ThermalModel
+from twin_core.observer import Observer
+from twin_core.profiles import OperatingPoint
+from twin_core.simulation import OperatingProfile
+
+
+def begin(
+    model: ThermalModel,
+    values: ArrayLike,
+    readings: Mapping[str, float],
+    point: OperatingPoint,
+    at_rest: bool,
+    past: Sequence[tuple[float, float]] = (),
+    revolutions: float = 0.0,
+) -> Observer:
+    """Begin to observe a machine.
+
+    Parameters
+    ----------
+    model, values
+        The model and its parameters (p,).
+    readings
+        Temperatures in degC by sensor or node.
+    point
+        What the machine runs at.
+    at_rest, past
+        See `twin_core.initial_state.initial_state`.
+    revolutions
+        Revolutions since the grease was fresh.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or a value not finite.
+    SimulationError
+        If the model runs away.
+    """
+    mean_c, covariance = initial_state(
+        model,
+        values,
+        readings,
+        point.ambient_c,
+        point.speed_rpm,
+        point.load_n,
+        at_rest,
+        past,
+        point.inputs,
+    )
+    return Observer(model, values, mean_c, covariance, revolutions)
+
+
+def run_filter(
+    observer: Observer, rows: OperatingProfile, readings: Sequence[Mapping[str, float]]
+) -> Observer:
+    """Advance an observer from the first row to the last; returns it.
+
+    Parameters
+    ----------
+    observer
+        Begun at the first row.
+    rows
+        (n,) operating point over time.
+    readings
+        (n,) good readings of each row in degC by sensor or node. Those of the first row are not
+        taken in: the observer has begun with them.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer readings than rows, or a sensor is unknown.
+    SimulationError
+        If the model runs away.
+    """
+    for row, (before, step_s) in enumerate(rows.steps(), start=1):
+        observer.predict(step_s, before.speed_rpm, before.load_n, before.ambient_c, before.inputs)
+        observer.update(readings[row])
+    return observer
