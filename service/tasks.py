@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
 
 import structlog
@@ -10,6 +10,9 @@ import structlog
 CANCEL_AGAIN_WALL_S = 1.0
 #: The task of the drivers and the writer.
 INGEST = "ingest"
+
+Work = tuple[str, Callable[[], Coroutine[Any, Any, None]]]
+"""Name of a task and its work, which goes on until it is cancelled."""
 
 _log = structlog.get_logger(__name__)
 

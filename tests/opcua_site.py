@@ -1,6 +1,7 @@
 """An OPC UA server over an asset that a test drives, and clients in an event loop of their own."""
 
 import asyncio
+import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
@@ -11,10 +12,15 @@ from typing import Any, TypeVar
 from asyncua import Client, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from processes import free_port
+from processes import free_port, wait_until
 
 from adapters.samples import Quality
-from service.plant.opcua.server import TagServer, serve_tags
+from service.bus.stream import Bus
+from service.clock import ProcessClock
+from service.plant.opcua import PERIOD_S
+from service.plant.opcua.server import OpcUaPublisher
+from service.plant.protocol import Host
+from service.plant.rounds import PublisherRounds
 from service.security import AuditTrail, Authenticator
 from service.site.settings import OpcUaSection
 from service.store import Outbox, Store
@@ -53,7 +59,8 @@ class Serving:
     """A running server: where it is, and its inside."""
 
     address: str
-    tags: TagServer
+    publisher: OpcUaPublisher
+    rounds: PublisherRounds
 
 
 @asynccontextmanager
@@ -63,14 +70,24 @@ async def inside(
     """Serve an asset's tags; a host that is not loopback asks for keys."""
     port = free_port()
     section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    authenticator, trail = Authenticator(store), AuditTrail(outbox)
-    async with serve_tags(section, {"bench-1": asset}, authenticator, trail, folder) as tags:
-        running = asyncio.create_task(tags.run())
-        try:
-            yield Serving(f"opc.tcp://127.0.0.1:{port}/bearing-twin", tags)
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
+    host_of_it = Host(["bench-1"], Authenticator(store), AuditTrail(outbox), folder)
+    publisher = OpcUaPublisher(section)
+    rounds = PublisherRounds(
+        "opcua", publisher, PERIOD_S, {"bench-1": asset}, Bus(ProcessClock()), host_of_it
+    )
+    running = asyncio.create_task(rounds.run())
+    try:
+        await asyncio.to_thread(wait_until, lambda: _listens(port), 60.0, "the server listens")
+        yield Serving(f"opc.tcp://127.0.0.1:{port}/bearing-twin", publisher, rounds)
+        assert not running.done(), running
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 @asynccontextmanager

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from pydantic_settings import EnvSettingsSource
 
 from service.domain.channels import missing_channels
+from service.plant.publishers import check_extras, endpoints
 from service.site.configuration import SettingsError, read_toml
 from service.site.settings import Settings, load_settings
 from service.site.wiring import AssetTables, Wiring, wire_what_can_be
@@ -69,7 +69,7 @@ def examine(file: Path | None) -> Examination:
 
 def environment_errors(settings: Settings) -> list[str]:
     """Say what the machine lacks that the configuration asks for, one line each."""
-    # Imported here: most configurations need neither, and both load much.
+    # Imported here: most configurations need it not, and it loads much.
     errors: list[str] = []
     if settings.tls is not None:
         from service.security.tls import tls_context
@@ -79,13 +79,10 @@ def environment_errors(settings: Settings) -> list[str]:
             tls_context(settings.path(tls.certificate), settings.path(tls.key))
         except SettingsError as error:
             errors += error.lines
-    if settings.opcua.enabled or settings.mqtt.enabled:
-        from service.plant.publishers import check_extras
-
-        try:
-            check_extras(settings)
-        except SettingsError as error:
-            errors += error.lines
+    try:
+        check_extras(settings)
+    except SettingsError as error:
+        errors += error.lines
     return errors
 
 
@@ -93,12 +90,7 @@ def ports_in_use(settings: Settings) -> list[str]:
     """Name the ports of the configuration that another program listens on, one line each."""
     section = settings.service
     places = {f"service.port = {section.port}": (section.host, section.port)}
-    if settings.opcua.enabled:
-        place = urlsplit(settings.opcua.endpoint)
-        places[f"opcua.endpoint = {settings.opcua.endpoint!r}"] = (
-            place.hostname or "",
-            place.port or 0,
-        )
+    places |= {one.key: (one.host, one.port) for one in endpoints(settings)}
     return [
         f"{key}: cannot listen there ({why}); expected a free port, or this service runs already"
         for key, (host, port) in places.items()

@@ -17,7 +17,8 @@ from service.cell.cell import Service
 from service.clock import ProcessClock
 from service.ingest import Spool
 from service.kernels import compile_kernels
-from service.plant.publishers import check_extras, check_ports, open_outlets
+from service.plant.protocol import Host
+from service.plant.publishers import check_extras, check_ports, make_publishers
 from service.security.loopback import is_loopback
 from service.security.tls import tls_context
 from service.service_manager import ServiceManager
@@ -191,11 +192,13 @@ class _Start:
             make = partial(Service, settings, self._wiring, store, outbox, clock, acquisition)
             service = await until("the store", make)
             state = service.app.state
-            async with open_outlets(
-                settings, service.assets, service.bus, state.authenticator, state.trail
-            ) as outlets:
-                _be_prompt()
-                await service.run(self._web, self._stop, outlets, self._ready)
+            host = Host(tuple(service.assets), state.authenticator, state.trail, settings.data_dir)
+            publishers = make_publishers(
+                settings, service.assets, service.bus, host, service.registry
+            )
+            _be_prompt()
+            beside = [(one.name, one.run) for one in publishers]
+            await service.run(self._web, self._stop, beside, self._ready)
         finally:
             await to_thread.run_sync(outbox.close, OUTBOX_S)
 

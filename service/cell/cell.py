@@ -29,11 +29,10 @@ from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
 from service.live.what_if_worker import WhatIfWorker
-from service.plant.publishers import Outlet
 from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
 from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
-from service.tasks import background
+from service.tasks import Work, background
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.side import WebSide
@@ -304,7 +303,7 @@ class Service:
         self,
         web: WebSide,
         stop: asyncio.Event,
-        outlets: Sequence[Outlet] = (),
+        beside: Sequence[Work] = (),
         ready: Callable[[], None] = lambda: None,
     ) -> None:
         """Work until ``stop`` is set, then stop cleanly; acquisition ends after that.
@@ -315,7 +314,7 @@ class Service:
             Shows the web application from now on.
         stop : asyncio.Event
             Set it to end the service.
-        outlets : sequence of Outlet
+        beside : sequence of Work
             What else is to be done beside it.
         ready : callable
             Called when all of it runs.
@@ -331,7 +330,7 @@ class Service:
                     ("health", self._tell_health()),
                     ("upkeep", self.upkeep.run()),
                     ("check of the store", self.upkeep.check()),
-                    *((name, work()) for name, work in outlets),
+                    *((name, work()) for name, work in beside),
                 ):
                     await stack.enter_async_context(background(task, name, stop))
                 await stack.enter_async_context(self.app.router.lifespan_context(self.app))

@@ -1,34 +1,25 @@
-"""The ways by which tags leave the service besides REST: OPC UA server and MQTT publisher."""
+"""The publishers that there are, and those that a configuration asks for."""
 
-import contextlib
-import ssl
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
-from typing import Any
 
+from prometheus_client import CollectorRegistry, Gauge
+
+from adapters.configuration import suggestion
 from service.bus.stream import Bus
 from service.domain.interfaces import AssetTwin
-from service.security import AuditTrail, Authenticator
+from service.plant import mqtt, opcua
+from service.plant.endpoints import check_endpoint
+from service.plant.protocol import Endpoint, Host, PublisherEntry
+from service.plant.rounds import PublisherRounds
 from service.site.configuration import SettingsError
-from service.site.settings import MqttSection, Settings
+from service.site.settings import Settings
 
-Outlet = tuple[str, Callable[[], Coroutine[Any, Any, None]]]
-"""Name of a task and its work, which goes on until it is cancelled."""
-
-
-def check_ports(settings: Settings) -> None:
-    """Make sure that what is enabled can be had here, before anything else starts.
-
-    Raises
-    ------
-    SettingsError
-        One line that names the key and what to do.
-    """
-    check_extras(settings)
-    if settings.opcua.enabled:
-        from service.plant.opcua.server import check_port
-
-        check_port(settings.opcua)
+PUBLISHERS: Sequence[PublisherEntry] = (
+    opcua.PUBLISHER,
+    mqtt.PUBLISHER,
+)
 
 
 def check_extras(settings: Settings) -> None:
@@ -39,62 +30,82 @@ def check_extras(settings: Settings) -> None:
     SettingsError
         One line that names the key and what to do.
     """
-    if settings.opcua.enabled:
-        _need("asyncua", "opcua")
-    if settings.mqtt.enabled:
-        _need("aiomqtt", "mqtt")
-        ca_file = _mqtt(settings).ca_file
-        try:
-            ssl.create_default_context(cafile=ca_file)
-        except OSError as error:
+    unknown = sorted(settings.publishers.keys() - {entry.name for entry in PUBLISHERS})
+    if unknown:
+        names = [entry.name for entry in PUBLISHERS]
+        raise SettingsError(
+            f"publishers.{unknown[0]}: unknown publisher; {suggestion(unknown[0], names)}"
+        )
+    for entry in _enabled(settings):
+        if find_spec(entry.package) is None:
             raise SettingsError(
-                f"mqtt.ca_file = {str(ca_file)!r}: cannot be used ({error.strerror or error}); "
-                "expected a file of PEM certificates"
-            ) from error
+                f"{entry.name}.enabled = true: needs the extra {entry.name!r}; "
+                f"install it with: pip install 'bearing-twin[{entry.name}]'"
+            )
+        if entry.check is not None:
+            entry.check(settings)
 
 
-@contextlib.asynccontextmanager
-async def open_outlets(
-    settings: Settings,
-    assets: Mapping[str, AssetTwin],
-    bus: Bus,
-    authenticator: Authenticator,
-    trail: AuditTrail,
-) -> AsyncIterator[list[Outlet]]:
-    """Open what is enabled; gives the work to be done beside the service.
+def check_ports(settings: Settings) -> None:
+    """Make sure that what is enabled can be had here, before anything else starts.
 
     Raises
     ------
+    TemporaryError
+        If a port is taken, or the machine does not have the address yet; names it.
     SettingsError
-        If the OPC UA endpoint cannot be listened on.
+        If it cannot be used at all; names it.
     """
-    outlets: list[Outlet] = []
-    async with contextlib.AsyncExitStack() as stack:
-        # Imported only when wanted: each is an extra.
-        if settings.opcua.enabled:
-            from service.plant.opcua.server import serve_tags
-
-            tags = await stack.enter_async_context(
-                serve_tags(settings.opcua, assets, authenticator, trail, settings.data_dir)
-            )
-            outlets.append(("OPC UA", tags.run))
-        if settings.mqtt.enabled:
-            from service.plant.mqtt.publisher import Publisher
-
-            outlets.append(("MQTT", Publisher(_mqtt(settings), assets, bus).run))
-        yield outlets
+    check_extras(settings)
+    for endpoint in endpoints(settings):
+        check_endpoint(endpoint)
 
 
-def _mqtt(settings: Settings) -> MqttSection:
-    section = settings.mqtt
-    if section.ca_file is None:
-        return section
-    return section.model_copy(update={"ca_file": settings.path(section.ca_file)})
+def endpoints(settings: Settings) -> list[Endpoint]:
+    """Where the enabled publishers listen."""
+    return [entry.listens(settings) for entry in _enabled(settings) if entry.listens is not None]
 
 
-def _need(package: str, extra: str) -> None:
-    if find_spec(package) is None:
-        raise SettingsError(
-            f"{extra}.enabled = true: needs the extra {extra!r}; "
-            f"install it with: pip install 'bearing-twin[{extra}]'"
-        )
+def make_publishers(
+    settings: Settings,
+    assets: Mapping[str, AssetTwin],
+    bus: Bus,
+    host: Host,
+    registry: CollectorRegistry,
+) -> list[PublisherRounds]:
+    """Make what is enabled, each to be run beside the service.
+
+    Parameters
+    ----------
+    settings
+        The checked configuration.
+    assets
+        Whose tags are published.
+    bus
+        Where alarms come from.
+    host
+        What a publisher may use.
+    registry
+        Where each publisher's state is measured.
+    """
+    publishers = [
+        PublisherRounds(entry.name, entry.make(settings), entry.period_s, assets, bus, host)
+        for entry in _enabled(settings)
+    ]
+    up = Gauge(
+        "bearing_twin_publisher_up",
+        "Whether a publisher has its connection, or listens, and hands everything on.",
+        ["publisher"],
+        registry=registry,
+    )
+    for one in publishers:
+        up.labels(one.name).set_function(partial(_is_up, one))
+    return publishers
+
+
+def _is_up(publisher: PublisherRounds) -> float:
+    return float(publisher.problem is None)
+
+
+def _enabled(settings: Settings) -> list[PublisherEntry]:
+    return [entry for entry in PUBLISHERS if entry.is_enabled(settings)]

@@ -331,6 +331,8 @@ class Settings(BaseSettings):
     security: SecuritySection = SecuritySection()
     opcua: OpcUaSection = OpcUaSection()
     mqtt: MqttSection = MqttSection()
+    #: Sections of further publishers, by name; each is checked by the publisher itself.
+    publishers: dict[str, dict[str, Any]] = {}
     tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
     sources: tuple[dict[str, Any], ...] = ()

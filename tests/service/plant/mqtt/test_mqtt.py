@@ -19,8 +19,10 @@ from programs import needed
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.plant import publishers as outlets
-from service.plant.mqtt import publisher
-from service.plant.mqtt.publisher import Publisher
+from service.plant import rounds
+from service.plant.mqtt import PERIOD_S
+from service.plant.mqtt.publisher import MqttPublisher
+from service.plant.protocol import Host
 from service.site.configuration import SettingsError
 from service.site.settings import MqttSection, Settings
 
@@ -131,8 +133,13 @@ async def listening(broker: Broker) -> AsyncIterator[Listener]:
 
 
 @asynccontextmanager
-async def publishing(settings: MqttSection, asset: Asset, bus: Bus) -> AsyncIterator[None]:
-    running = asyncio.create_task(Publisher(settings, {"bench-1": asset}, bus).run())
+async def publishing(
+    host: Host, settings: MqttSection, asset: Asset, bus: Bus
+) -> AsyncIterator[None]:
+    publisher = rounds.PublisherRounds(
+        "mqtt", MqttPublisher(settings), PERIOD_S, {"bench-1": asset}, bus, host
+    )
+    running = asyncio.create_task(publisher.run())
     try:
         yield
         assert not running.done(), running
@@ -141,9 +148,9 @@ async def publishing(settings: MqttSection, asset: Asset, bus: Bus) -> AsyncIter
         await asyncio.gather(running, return_exceptions=True)
 
 
-async def test_tags_alarms_and_status(broker: Broker) -> None:
+async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
     asset, bus = Asset(), Bus(ProcessClock())
-    async with publishing(section(broker), asset, bus):
+    async with publishing(host, section(broker), asset, bus):
         async with listening(broker) as listener:
             await listener.hear("bench-1/t_inner_ring_c.twin", tag(61.0))
         async with listening(broker) as listener:  # who comes later finds what is retained
@@ -161,12 +168,13 @@ async def test_tags_alarms_and_status(broker: Broker) -> None:
 
 
 async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
-    broker: Broker, monkeypatch: pytest.MonkeyPatch
+    broker: Broker, host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(publisher, "RECONNECT_S", (0.1, 0.2))
+    monkeypatch.setattr(rounds, "REOPEN_FIRST_S", 0.1)
+    monkeypatch.setattr(rounds, "REOPEN_LAST_S", 0.2)
     broker.stop()
     asset, bus = Asset(), Bus(ProcessClock())
-    async with publishing(section(broker), asset, bus):
+    async with publishing(host, section(broker), asset, bus):
         await asyncio.sleep(0.5)
         for _ in range(2):
             await asyncio.to_thread(broker.start)
@@ -186,10 +194,14 @@ LOST = """
 import asyncio, sys
 from service.clock import ProcessClock
 from service.bus.stream import Bus
-from service.plant.mqtt.publisher import Publisher
+from service.plant.mqtt.publisher import MqttPublisher
+from service.plant.protocol import Host
+from service.plant.rounds import PublisherRounds
 from service.site.settings import MqttSection
 section = MqttSection.model_validate_json(sys.argv[1])
-asyncio.run(Publisher(section, {}, Bus(ProcessClock())).run())
+host = Host((), None, None, None)  # it asks for no keys and keeps no files
+publisher = MqttPublisher(section)
+asyncio.run(PublisherRounds("mqtt", publisher, 1.0, {}, Bus(ProcessClock()), host).run())
 """
 
 
@@ -210,12 +222,16 @@ async def test_the_broker_says_offline_for_a_service_that_is_lost(broker: Broker
 
 
 async def test_a_wrong_password_leaves_the_service_running_and_is_never_shown(
-    broker: Broker, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    broker: Broker,
+    host: Host,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(publisher, "RECONNECT_S", (0.1, 0.2))
+    monkeypatch.setattr(rounds, "REOPEN_FIRST_S", 0.1)
+    monkeypatch.setattr(rounds, "REOPEN_LAST_S", 0.2)
     wrong = section(broker, password="not-the-secret")
     assert "not-the-secret" not in repr(wrong)
-    async with publishing(wrong, Asset(), Bus(ProcessClock())):
+    async with publishing(host, wrong, Asset(), Bus(ProcessClock())):
         async with asyncio.timeout(PATIENCE_S):
             shown = ""
             while "mqtt_away" not in shown:

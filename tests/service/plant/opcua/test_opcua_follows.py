@@ -71,11 +71,11 @@ async def test_every_tag_follows_the_snapshot_through_values_and_none(
 
         async def served_now() -> None:
             """Have the server write at once, in its own loop; its period is half a second."""
-            done = asyncio.run_coroutine_threadsafe(served.tags.update(), loop)
+            done = asyncio.run_coroutine_threadsafe(served.rounds.publish_tags(), loop)
             await asyncio.wrap_future(done)
 
         await apart(look)
-    assert served.tags.refused == 0
+    assert served.rounds.problem is None
 
 
 @pytest.mark.wires
@@ -88,7 +88,7 @@ async def test_a_deadband_loses_neither_a_slow_rise_nor_the_loss_of_a_value(
 
         async def tell(value: float | None, quality: int = Quality.GOOD) -> None:
             asset.tell(RING, value, quality)
-            done = asyncio.run_coroutine_threadsafe(served.tags.update(), loop)
+            done = asyncio.run_coroutine_threadsafe(served.rounds.publish_tags(), loop)
             await asyncio.wrap_future(done)
 
         async def look() -> None:
@@ -124,13 +124,13 @@ async def test_a_write_that_the_library_refuses_is_counted_and_tried_again(
 ) -> None:
     asset = Asset()
     async with inside(asset, tmp_path, store, outbox) as served:
-        space = served.tags.server.iserver.aspace
+        space = served.publisher.server.iserver.aspace
         space._nodes.pop(ua.NodeId(f"bench-1/{RING}", 2))  # whatever makes it refuse
         asset.tell(RING, 70.0)
         asset.tell("model.version", 4.0, unit="")
         for _ in range(2):
-            await served.tags.update()
-        assert served.tags.refused >= 2  # once for each try
+            await served.rounds.publish_tags()
+        assert served.rounds.problem == "1 tags refused"
 
         async def look() -> float:
             async with Client(served.address) as client:

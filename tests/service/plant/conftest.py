@@ -3,6 +3,8 @@ from pathlib import Path
 
 import pytest
 
+from service.plant.protocol import Host
+from service.security import AuditTrail, Authenticator
 from service.store import Outbox, Store
 
 
@@ -16,3 +18,9 @@ def store(tmp_path: Path) -> Iterator[Store]:
 def outbox(store: Store, tmp_path: Path) -> Iterator[Outbox]:
     with Outbox.open(tmp_path, store) as outbox:
         yield outbox
+
+
+@pytest.fixture
+def host(store: Store, outbox: Outbox, tmp_path: Path) -> Host:
+    """What publishers of the asset bench-1 may use."""
+    return Host(["bench-1"], Authenticator(store), AuditTrail(outbox), tmp_path)

@@ -1,0 +1,138 @@
+"""What a publisher is: whatever hands tags and alarms on to other systems.
+
+A publisher is a folder of this package with one line in `service.plant.publishers.PUBLISHERS`.
+It gets values and gives none back: it holds neither a twin nor a store, so that nothing that a
+stranger sends to it can change anything.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypedDict
+
+from service.security import AuditTrail, Authenticator
+from service.site.settings import Settings
+
+
+class TagValue(TypedDict):
+    """A tag as `GET /assets/{id}/snapshot` shows it."""
+
+    value: float | None
+    unit: str
+    #: The OPC DA quality byte.
+    quality: int
+    #: RFC 3339, UTC.
+    time: str
+
+
+@dataclass(frozen=True)
+class Host:
+    """What a publisher may use of the service.
+
+    Attributes
+    ----------
+    assets : collection of str
+        Ids of the assets whose tags come.
+    authenticator, trail
+        Check the keys of callers, and keep a line of wrong ones.
+    data_dir : pathlib.Path
+        A publisher keeps files in the folder of its own name below it.
+    """
+
+    assets: Collection[str]
+    authenticator: Authenticator
+    trail: AuditTrail
+    data_dir: Path
+
+
+class Publisher(Protocol):
+    """Hands tags and alarms on to other systems.
+
+    Life cycle
+    ----------
+    Made by the `make` of its `PublisherEntry`; that opens nothing. Then, again and again until the
+    service stops::
+
+        open -> all tags, asset by asset -> run beside changed tags and alarms -> close
+
+    - `open` is called once per round, and nothing else before it has returned.
+    - The first `publish_tags` of an asset after `open` brings all tags that it has (a birth
+      certificate, a fresh register map). Later calls bring those that changed, or are new.
+      Nothing is ever taken away.
+    - `run` begins after the first tags, so that a server never shows assets without values. It
+      goes on until it is cancelled, or raises when the round is over (a lost connection).
+    - `publish_tags` and `publish_alarm` may be called at the same time as each other and as `run`,
+      but neither twice at once. They return when the values have been taken: a slow receiver
+      delays the next call, and values that changed meanwhile come once, as they are then.
+    - Whatever is raised by any of them ends the round: `close` is called, after a growing wait
+      `open` follows. An alarm that was not taken comes again in the next round; alarms wait in
+      order meanwhile.
+    - `close` is called exactly once for each call of `open`, also for one that failed, also while
+      the service stops. It must not raise, and returns within a second or two.
+
+    All are called in one event loop; none may block it.
+    """
+
+    async def open(self, host: Host) -> None:
+        """Connect, or prepare to listen."""
+
+    async def run(self) -> None:
+        """Do what is to be done beside publishing, until cancelled or until the round is over."""
+
+    async def publish_tags(self, asset: str, tags: Mapping[str, TagValue]) -> Collection[str]:
+        """Hand on tags that have changed.
+
+        Returns
+        -------
+        collection of str
+            The tags that could not be handed on; they are offered again, the others are not.
+        """
+
+    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, Any]) -> None:
+        """Hand on what an alarm is now (the data of an ``alarm`` message of the stream).
+
+        A publisher that has no place for alarms does nothing.
+        """
+
+    async def close(self) -> None:
+        """Take leave, where there is somebody to take leave of, and release everything."""
+
+
+class Endpoint(NamedTuple):
+    """Where a publisher listens."""
+
+    #: The key of the configuration with its value, as messages show it.
+    key: str
+    host: str
+    port: int
+
+
+@dataclass(frozen=True)
+class PublisherEntry:
+    """What the registry knows of a publisher; nothing of it but `make` imports its libraries.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the configuration, in logs and metrics, and of its extra.
+    package : str
+        Import name of the library that the extra brings.
+    period_s : float
+        Wall seconds between two looks for changed tags.
+    is_enabled : callable
+        Whether a configuration asks for it.
+    make : callable
+        Makes it from a configuration that asks for it.
+    check : callable, optional
+        Checks the files and values of its section; raises `SettingsError` with one line.
+    listens : callable, optional
+        Where it listens, for a publisher that is a server.
+    """
+
+    name: str
+    package: str
+    period_s: float
+    is_enabled: Callable[[Settings], bool]
+    make: Callable[[Settings], Publisher]
+    check: Callable[[Settings], None] | None = None
+    listens: Callable[[Settings], Endpoint] | None = None

@@ -1,0 +1,152 @@
+"""Runs one publisher: opens it, gives it what changes, and opens it again when it is lost."""
+
+import asyncio
+import json
+from collections.abc import Mapping
+
+import structlog
+
+from adapters.backoff import Backoff
+from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedError
+from service.domain.interfaces import AssetTwin
+from service.live.guard import Guard
+from service.plant.protocol import Host, Publisher, TagValue
+
+#: Wall seconds between two rounds.
+REOPEN_FIRST_S = 1.0
+REOPEN_LAST_S = 30.0
+#: Alarms that wait for a publisher that is away.
+_ALARMS_KEPT = 4096
+
+_log = structlog.get_logger(__name__)
+
+
+class PublisherRounds:
+    """One publisher and its rounds; see `Publisher` for what is promised to it.
+
+    Parameters
+    ----------
+    name
+        The publisher's name.
+    publisher
+        Opened and closed here, and by nobody else.
+    period_s
+        Wall seconds between two looks for changed tags.
+    assets
+        Whose tags it gets.
+    bus
+        Where alarms come from.
+    host
+        What it may use.
+
+    Attributes
+    ----------
+    name : str
+        The publisher's name.
+    problem : str or None
+        Why it hands nothing on, or not everything; None while all is well.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        publisher: Publisher,
+        period_s: float,
+        assets: Mapping[str, AssetTwin],
+        bus: Bus,
+        host: Host,
+    ) -> None:
+        self.name = name
+        self.problem: str | None = "not opened yet"
+        self._publisher = publisher
+        self._period_s = period_s
+        self._assets = assets
+        self._bus = bus
+        self._host = host
+        self._guards = {asset: Guard(f"{name}_tags", asset) for asset in assets}
+        self._closing = Guard(f"{name}_close", "")
+        self._known: dict[str, dict[str, TagValue]] = {}
+        self._alarms: Subscription | None = None
+        self._unsent: Message | None = None
+
+    async def run(self) -> None:
+        """Publish until cancelled; open again, ever more slowly, whenever that fails."""
+        self._alarms = self._subscribe()
+        backoff = Backoff(REOPEN_FIRST_S, REOPEN_LAST_S)
+        away = False
+        while True:
+            try:
+                await self._publisher.open(self._host)
+                self._known = {}
+                await self.publish_tags()
+                backoff.reset()
+                away = False
+                async with asyncio.TaskGroup() as tasks:
+                    tasks.create_task(self._run_publisher())
+                    tasks.create_task(self._repeat_tags())
+                    tasks.create_task(self._publish_alarms())
+            except* Exception as group:
+                # Whatever it was that the round ended with: the service goes on.
+                self.problem = _reason(group)
+                if not away:
+                    _log.warning(f"{self.name}_away", reason=self.problem)
+                away = True
+            finally:
+                with self._closing():
+                    await self._publisher.close()
+            await asyncio.sleep(backoff.next())
+
+    async def publish_tags(self) -> None:
+        """Hand on once what has changed since the last time."""
+        refused = 0
+        for asset, twin in self._assets.items():
+            with self._guards[asset]():
+                tags = twin.snapshot()["tags"]
+            if self._guards[asset].failing:
+                continue
+            known = self._known.setdefault(asset, {})
+            changed = {tag: shown for tag, shown in tags.items() if known.get(tag) != shown}
+            if not changed:
+                continue
+            left = await self._publisher.publish_tags(asset, changed)
+            known |= {tag: shown for tag, shown in changed.items() if tag not in left}
+            refused += len(left)
+        self.problem = f"{refused} tags refused" if refused else None
+
+    async def _run_publisher(self) -> None:
+        await self._publisher.run()
+        raise ConnectionError("it has ended")
+
+    async def _repeat_tags(self) -> None:
+        while True:
+            await asyncio.sleep(self._period_s)
+            await self.publish_tags()
+
+    async def _publish_alarms(self) -> None:
+        while True:
+            if self._unsent is None:
+                self._unsent = await self._next_alarm()
+            alarm = json.loads(self._unsent.text)["data"]
+            await self._publisher.publish_alarm(self._unsent.asset, alarm)
+            self._unsent = None
+
+    async def _next_alarm(self) -> Message:
+        while True:
+            if self._alarms is None:
+                self._alarms = self._subscribe()
+            try:
+                return await self._alarms.get()
+            except SubscriptionClosedError as error:
+                if self._bus.closed:
+                    await asyncio.Event().wait()  # the service stops, and this task with it
+                _log.warning(f"{self.name}_alarms_lost", reason=str(error))
+                self._alarms = None
+
+    def _subscribe(self) -> Subscription:
+        return self._bus.subscribe(types={"alarm"}, capacity=_ALARMS_KEPT)
+
+
+def _reason(error: BaseException) -> str:
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error) or type(error).__name__

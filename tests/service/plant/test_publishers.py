@@ -1,0 +1,185 @@
+"""A publisher of a package of its own: what it takes to add one, and what is promised to it."""
+
+import asyncio
+import importlib
+import json
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import wait_until
+from prometheus_client import CollectorRegistry
+
+from service.bus.stream import Bus
+from service.clock import ProcessClock
+from service.plant import publishers, rounds
+from service.plant.protocol import Host
+from service.site.configuration import SettingsError
+from service.site.settings import Settings
+
+PATIENCE_S = 60.0
+
+#: The whole publisher: it appends all that it is told to a file, and fails when there is a file
+#: that says so.
+PACKAGE = """
+import asyncio, json
+from pathlib import Path
+from service.plant.protocol import PublisherEntry
+
+class Journal:
+    def __init__(self, folder):
+        self._folder = folder
+    def _note(self, what, *more):
+        with (self._folder / "journal").open("a") as file:
+            print(json.dumps([what, *more]), file=file)
+    async def open(self, host):
+        self._note("open", list(host.assets))
+    async def run(self):
+        self._note("run")
+        while not (self._folder / "lose").exists():
+            await asyncio.sleep(0.01)
+        (self._folder / "lose").unlink()
+        raise ConnectionError("lost")
+    async def publish_tags(self, asset, tags):
+        self._note("tags", asset, tags)
+        return [tag for tag in tags if tag.startswith("refused")]
+    async def publish_alarm(self, asset, alarm):
+        if (self._folder / "busy").exists():
+            (self._folder / "busy").unlink()
+            raise TimeoutError("busy")
+        self._note("alarm", asset, alarm)
+    async def close(self):
+        self._note("close")
+
+PUBLISHER = PublisherEntry(
+    name="journal",
+    package="json",
+    period_s=0.01,
+    is_enabled=lambda settings: "journal" in settings.publishers,
+    make=lambda settings: Journal(Path(settings.publishers["journal"]["folder"])),
+)
+"""
+
+
+@pytest.fixture
+def journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Add the publisher as its folder and one line; gives the folder of its journal."""
+    package = tmp_path / "packages" / "journal_publisher"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(PACKAGE)
+    monkeypatch.syspath_prepend(str(package.parent))
+    added = importlib.import_module("journal_publisher").PUBLISHER
+    monkeypatch.setattr(publishers, "PUBLISHERS", (*publishers.PUBLISHERS, added))
+    monkeypatch.setattr(rounds, "REOPEN_FIRST_S", 0.01)
+    yield tmp_path
+    del sys.modules["journal_publisher"]
+
+
+def tag(value: float) -> dict[str, Any]:
+    return {"value": value, "unit": "", "quality": 192, "time": "2026-11-21T08:00:00.000Z"}
+
+
+class Asset:
+    """An asset whose tags a test sets."""
+
+    def __init__(self) -> None:
+        self.tags = {"a": tag(1.0), "b": tag(2.0)}
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"tags": dict(self.tags)}
+
+
+class Journal:
+    """What the publisher was told, read as it comes."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "journal"
+
+    @property
+    def lines(self) -> list[list[Any]]:
+        return [json.loads(line) for line in self._path.read_text().splitlines()]
+
+    async def has(self, line: list[Any], times: int = 1) -> None:
+        await asyncio.to_thread(
+            wait_until,
+            lambda: self._path.exists() and self.lines.count(line) >= times,
+            PATIENCE_S,
+            f"{line} {times} times",
+            every_s=0.01,
+        )
+
+
+@asynccontextmanager
+async def publishing(
+    folder: Path, asset: Asset, bus: Bus, host: Host
+) -> AsyncIterator[tuple[Journal, CollectorRegistry]]:
+    settings = Settings(publishers={"journal": {"folder": str(folder)}})
+    publishers.check_ports(settings)
+    registry = CollectorRegistry()
+    (one,) = publishers.make_publishers(settings, {"bench-1": asset}, bus, host, registry)  # type: ignore[dict-item]
+    running = asyncio.create_task(one.run())
+    try:
+        yield Journal(folder), registry
+        assert not running.done(), running
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_it_gets_all_tags_then_those_that_change(journal: Path, host: Host) -> None:
+    asset = Asset()
+    async with publishing(journal, asset, Bus(ProcessClock()), host) as (told, _):
+        await told.has(["run"])
+        asset.tags |= {"b": tag(3.0), "new": tag(4.0)}
+        await told.has(["tags", "bench-1", {"b": tag(3.0), "new": tag(4.0)}])
+    assert told.lines == [
+        ["open", ["bench-1"]],
+        ["tags", "bench-1", {"a": tag(1.0), "b": tag(2.0)}],
+        ["run"],
+        ["tags", "bench-1", {"b": tag(3.0), "new": tag(4.0)}],
+        ["close"],
+    ]
+
+
+async def test_a_round_that_is_lost_is_followed_by_one_with_all_tags(
+    journal: Path, host: Host
+) -> None:
+    asset = Asset()
+    async with publishing(journal, asset, Bus(ProcessClock()), host) as (told, registry):
+        await told.has(["run"])
+        (journal / "lose").touch()
+        await told.has(["run"], times=2)
+
+        def up() -> float | None:
+            return registry.get_sample_value("bearing_twin_publisher_up", {"publisher": "journal"})
+
+        assert up() == 1.0
+        asset.tags["refused"] = tag(5.0)
+        await told.has(["tags", "bench-1", {"refused": tag(5.0)}], times=2)  # offered again
+        assert up() == 0.0
+    all_tags = ["tags", "bench-1", {"a": tag(1.0), "b": tag(2.0)}]
+    a_round = [["open", ["bench-1"]], all_tags, ["run"], ["close"]]
+    assert told.lines[:7] == (2 * a_round)[:7]
+
+
+async def test_an_alarm_that_was_not_taken_comes_again_and_in_order(
+    journal: Path, host: Host
+) -> None:
+    bus = Bus(ProcessClock())
+    async with publishing(journal, Asset(), bus, host) as (told, _):
+        await told.has(["run"])
+        (journal / "busy").touch()
+        for number in range(3):
+            bus.publish("alarm", "bench-1", {"id": number})
+        await told.has(["alarm", "bench-1", {"id": 2}])
+    alarms = [line[2]["id"] for line in told.lines if line[0] == "alarm"]
+    assert alarms == [0, 1, 2]
+    assert told.lines.count(["close"]) == told.lines.count(["open", ["bench-1"]]) == 2
+
+
+def test_a_publisher_that_there_is_not_is_named() -> None:
+    with pytest.raises(SettingsError, match=r"publishers.mqtt2: unknown publisher; .*mqtt"):
+        publishers.check_extras(Settings(publishers={"mqtt2": {}}))
