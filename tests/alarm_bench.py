@@ -96,7 +96,7 @@ class Bench:
 
     def journal(self) -> list[AlarmTransition]:
         assert self.outbox.flush(30)
-        return self.store.alarm_journal(limit=100_000).items[::-1]
+        return self.store.alarms.journal(limit=100_000).items[::-1]
 
     def restart(self) -> None:
         self.close()

@@ -101,7 +101,7 @@ class Shop:
         return jobs
 
     def row(self, job_id: str) -> Job:
-        job = self.store.job(job_id)
+        job = self.store.jobs.get(job_id)
         assert job is not None
         return job
 
@@ -113,7 +113,7 @@ class Shop:
 
     def active(self) -> tuple[int, int]:
         """Active version in the store and in the live twin."""
-        stored = self.store.active_model(ASSET)
+        stored = self.store.models.active(ASSET)
         assert stored is not None
         return stored.version, self.assets[ASSET].active.version
 

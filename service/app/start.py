@@ -185,7 +185,7 @@ class _Start:
     async def _work(self, store: Store, acquisition: Acquisition, clock: ProcessClock) -> None:
         """Store what has been acquired so far, and run the rest of the service."""
         settings, until = self._settings, self._waiting.until
-        acquisition.ingest.attach(store, await until("the store", store.open_ends))
+        acquisition.ingest.attach(store, await until("the store", store.samples.open_ends))
         await until("its compiled kernels", compile_kernels)
         outbox = await until("room on the disk", partial(Outbox.open, settings.data_dir, store))
         try:
@@ -223,7 +223,7 @@ def _be_prompt() -> None:
 
 def _check_key(store: Store, host: str) -> None:
     now_us = time.time_ns() // 1000
-    if not any(key.is_valid(now_us) for key in store.api_keys()):
+    if not any(key.is_valid(now_us) for key in store.access.list_keys()):
         raise SettingsError(
             f"service.host = {host!r}: reachable from other machines, so at least one API key "
             "is needed; make one with 'bearing-twin keys create --role admin -c FILE'"

@@ -116,7 +116,7 @@ class Service:
         self._what_ifs = WhatIfWorker(make_executor)
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
-        self._kept_states = {asset: store.load_asset_state(asset) for asset in self.assets}
+        self._kept_states = {asset: store.states.load(asset) for asset in self.assets}
         left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
         self._report_unconfigured(left)
         for alarm in left:
@@ -157,7 +157,7 @@ class Service:
         )
 
     def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
-        active = self.store.active_model(asset.id)
+        active = self.store.models.active(asset.id)
         if active is None:
             active = self._default_version(asset, "before the first identification")
         elif foreign := why_not_of_this_asset(asset, active):
@@ -166,7 +166,7 @@ class Service:
 
         async def save_state(document: Mapping[str, Any]) -> None:
             await anyio.to_thread.run_sync(
-                self.store.save_asset_state, asset.id, dict(document), abandon_on_cancel=True
+                self.store.states.save, asset.id, dict(document), abandon_on_cancel=True
             )
 
         return AssetRuntime(
@@ -186,10 +186,8 @@ class Service:
 
     def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:
         now_us = self.clock.now_us()
-        version = self.store.add_model_version(
-            asset.id, "candidate", "", first_model(asset), now_us
-        )
-        return self.store.activate(
+        version = self.store.models.add(asset.id, "candidate", "", first_model(asset), now_us)
+        return self.store.models.activate(
             asset.id, version, "service", f"default parameters; {why}", now_us
         )
 
@@ -226,7 +224,7 @@ class Service:
     def _report_unconfigured(self, alarms: Sequence[Alarm]) -> None:
         """Warn once of what the store holds and the configuration names no more."""
         samples: dict[str, int] = {}
-        for (asset, channel), count in self.store.sample_counts(_COUNTED_MAX).items():
+        for (asset, channel), count in self.store.samples.counts(_COUNTED_MAX).items():
             if asset not in self.assets or channel not in self.assets[asset].channels:
                 name = f"{asset}/{channel}" if asset in self.assets else asset
                 samples[name] = samples.get(name, 0) + count

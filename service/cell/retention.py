@@ -119,23 +119,23 @@ class Upkeep:
     def _expire(self, now_us: int, wall_now_us: int) -> int:
         step_s = 2 * EXPIRE_EVERY_S + _HOUR_S
         proven = is_clock_disciplined()
-        process = self._store.retention_time(
+        process = self._store.rollups.retention_time(
             "process",
             now_us,
             round(step_s * max(self._clock.rate, 1.0) * MICROSECONDS),
             clock_proven=proven,
         )
-        wall = self._store.retention_time(
+        wall = self._store.rollups.retention_time(
             "wall", wall_now_us, round(step_s * MICROSECONDS), clock_proven=proven
         )
         self._judge(process, wall)
-        removed = self._store.expire_at(self._retention, process.at_us)
+        removed = self._store.rollups.expire_at(self._retention, process.at_us)
         if self._retention.journal_days:
             before_us = process.at_us - round(self._retention.journal_days * _DAY_US)
-            removed += self._store.expire_journal(before_us)
+            removed += self._store.alarms.expire(before_us)
         if self._retention.audit_days:  # the trail goes by the wall clock
             before_us = wall.at_us - round(self._retention.audit_days * _DAY_US)
-            removed += self._store.expire_audit(before_us)
+            removed += self._store.audit.expire(before_us)
         return removed
 
     def _judge(self, *times: RetentionTime) -> None:
@@ -168,5 +168,5 @@ def is_clock_disciplined() -> bool:
 
 
 def _refresh(store: Store, before_us: int) -> None:
-    while store.refresh_rollups(before_us):
+    while store.rollups.refresh(before_us):
         pass

@@ -64,11 +64,11 @@ def horizon(
             raise SettingsError(f"--lower {lower}: expected a time after 1970")
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         if lower_us is not None:
-            store.lower_raw_horizon(lower_us)
+            store.rollups.lower_raw_horizon(lower_us)
         if confirm_clock:
             now_us = ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us()
-            store.confirm_clock(now_us, wall_us())
-        kept_from_us = store.raw_kept_from_us()
+            store.rollups.confirm_clock(now_us, wall_us())
+        kept_from_us = store.samples.raw_kept_from_us()
     shown = rfc3339(kept_from_us) if kept_from_us else None
     if as_json:
         typer.echo(json.dumps({"raw_kept_from": shown}))

@@ -38,7 +38,7 @@ def grease_renewed(
             f"tell it by POST /api/v1/assets/{asset}/grease-renewed, or stop it first"
         ) from None
     with lock, Store.open(settings.service.database_url, settings.data_dir) as store:
-        kept = dict(store.load_asset_state(asset) or {})
+        kept = dict(store.states.load(asset) or {})
         observer = kept.get("observer")
         if not isinstance(observer, dict):
             raise SettingsError(f"{asset}: the store has no estimate of it; nothing is counted yet")
@@ -46,9 +46,9 @@ def grease_renewed(
         kept["observer"] = observer | {"revolutions": 0.0}
         if isinstance(kept.get("watch"), dict):
             kept["watch"] = kept["watch"] | {"reference": None}
-        store.save_asset_state(asset, kept)
+        store.states.save(asset, kept)
         actor = command_line_actor()
-        store.add_audit_entry(
+        store.audit.add(
             AuditEntry(
                 wall_us(),
                 actor.who,

@@ -85,8 +85,9 @@ def import_(
         typer.echo(f"{file.name}: {report.rows} rows, {report.samples} samples: {done}{known}.")
     if report.too_old and store is not None:
         typer.echo(
-            f"{file.name}: {report.too_old} samples are older than {rfc3339(store.kept_from_us)}, "
-            "before which history has been removed, and were not stored; "
+            f"{file.name}: {report.too_old} samples are older than "
+            f"{rfc3339(store.samples.kept_from_us)}, before which history has been removed, "
+            "and were not stored; "
             "'bearing-twin db horizon' shows and lowers this time",
             err=True,
         )
@@ -134,9 +135,9 @@ def export(
     if not minutes and not is_resolution(resolution):
         raise SettingsError(f"--resolution {resolution}: expected raw, 1s, 1min, 1h or minutes")
     with Store.open(settings.service.database_url, settings.data_dir) as store:
-        known = store.channels(asset)
+        known = store.samples.channels(asset)
         if not known:  # what the configuration names no more can still be exported
-            stored = set(store.sample_counts(0))
+            stored = set(store.samples.counts(0))
             _check_asset(settings, asset, {one for one, _ in stored})
         for name in channel or ():
             if name not in known:

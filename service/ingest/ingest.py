@@ -127,7 +127,7 @@ class Ingest:
             Not entered yet. May be empty when samples are only pushed.
         """
         if self._store is not None:
-            self.attach(self._store, await asyncio.to_thread(self._store.open_ends))
+            self.attach(self._store, await asyncio.to_thread(self._store.samples.open_ends))
         self._writer.start()
         try:
             async with asyncio.TaskGroup() as group:

@@ -161,7 +161,7 @@ class SampleWriter:
         if samples:
             self._ledger.accept(len(samples))
             self._ledger.skip(len(samples), "too_old")
-            self.too_old.add(samples, self._store.kept_from_us if self._store else 0)
+            self.too_old.add(samples, self._store.samples.kept_from_us if self._store else 0)
 
     def withdraw(self, future: "Future[WriteCounts]") -> bool:
         """Take queued samples back; False when they are being written, or are written already."""
@@ -396,7 +396,7 @@ class SampleWriter:
         if self._store is None:
             raise StoreUnavailableError("the store is not open yet")
         with self._ledger.write_seconds.time():
-            counts = self._store.write_samples(samples, _PATIENCE_S)
+            counts = self._store.samples.write(samples, _PATIENCE_S)
         if self.problem is not None:
             _log.info("store_available", waiting=self._queued + len(self._spool))
         self.problem = self.spool_problem = None
@@ -406,7 +406,7 @@ class SampleWriter:
             self._ledger.skip(too_old, "too_old")
             # They are the oldest ones, whatever became of that time meanwhile.
             oldest = nsmallest(too_old, samples, key=attrgetter("time_us"))
-            self.too_old.add(oldest, self._store.kept_from_us)
+            self.too_old.add(oldest, self._store.samples.kept_from_us)
         return counts
 
     def _on_spool(self, samples: Collection[Sample]) -> WriteCounts:

@@ -37,7 +37,7 @@ class Activations:
         """Make a version the active one; see `service.domain.interfaces.JobManager`."""
         asset = self._assets[asset_id]
         async with self._switching:
-            model = await anyio.to_thread.run_sync(self._store.model_version, asset_id, version)
+            model = await anyio.to_thread.run_sync(self._store.models.version, asset_id, version)
             if model is None:
                 raise KeyError(version)
             foreign = why_not_of_this_asset(asset.settings, model)
@@ -49,7 +49,7 @@ class Activations:
                     'expected {"force": true} with a comment to activate it all the same'
                 )
             activated = await anyio.to_thread.run_sync(
-                self._store.activate,
+                self._store.models.activate,
                 asset_id,
                 version,
                 who,

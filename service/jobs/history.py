@@ -86,7 +86,7 @@ class AssetHistory:
         """
         if not found:
             return False
-        versions = await anyio.to_thread.run_sync(self._store.model_versions, self._asset)
+        versions = await anyio.to_thread.run_sync(self._store.models.versions, self._asset)
         used = [
             Window.from_dict(window)
             for version in versions
@@ -167,7 +167,7 @@ class AssetHistory:
         if self._fastest_s is None:
             self._fastest_s = fastest_time_s(self._machine.build())
         names = (*self._operating, *(name for name in self._sensors if name in self._temperatures))
-        table = self._store.minute_averages(self._asset, names, start_us, end_us)
+        table = self._store.history.minute_averages(self._asset, names, start_us, end_us)
         counts = [count[count > 0] for count in table.good_count.values()]
         fewest = min((float(np.median(count)) for count in counts if count.size), default=1.0)
         spacing_s = 60.0 / max(fewest, 1.0)
@@ -178,10 +178,10 @@ class AssetHistory:
         if end_us <= start_us or not self._temperatures:
             return None
         step_us = self._step_us(start_us, end_us) if finely else MINUTE_US
-        over = self._store.minute_averages(
+        over = self._store.history.minute_averages(
             self._asset, self._operating, start_us, end_us, step_us=step_us
         )
-        around = self._store.minute_averages(
+        around = self._store.history.minute_averages(
             self._asset,
             self._temperatures,
             start_us - step_us // 2,

@@ -110,7 +110,7 @@ class IdentificationJobs:
     async def start(self) -> None:
         """Take up the jobs that an earlier run of the service left unfinished."""
         self._executor = self._make_executor()
-        unfinished = await anyio.to_thread.run_sync(self._store.unfinished_jobs)
+        unfinished = await anyio.to_thread.run_sync(self._store.jobs.unfinished)
         kept = {job.id for job in unfinished}
         await anyio.to_thread.run_sync(clear_folders, self._folder, kept)
         for job in unfinished:
@@ -130,7 +130,7 @@ class IdentificationJobs:
         try:
             async with asyncio.timeout(STOP_WALL_S):
                 for job in await anyio.to_thread.run_sync(
-                    self._store.unfinished_jobs, abandon_on_cancel=True
+                    self._store.jobs.unfinished, abandon_on_cancel=True
                 ):
                     # A clean stop is no failed attempt.
                     await self._update(
@@ -164,10 +164,10 @@ class IdentificationJobs:
         }
         try:
             job, created = await anyio.to_thread.run_sync(
-                self._store.add_job, asset_id, document, self._clock.now_us(), idempotency_key
+                self._store.jobs.add, asset_id, document, self._clock.now_us(), idempotency_key
             )
         except ActiveJobError as error:
-            running = await anyio.to_thread.run_sync(self._store.job, error.job_id)
+            running = await anyio.to_thread.run_sync(self._store.jobs.get, error.job_id)
             if running is None:
                 raise
             raise JobConflictError(job_json(running)) from error
@@ -213,7 +213,7 @@ class IdentificationJobs:
 
     async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Return one job; None when the asset has no such job."""
-        job = await anyio.to_thread.run_sync(self._store.job, job_id)
+        job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
         document = job_json(job, self._told.get(job_id), convergence=True)
@@ -221,7 +221,7 @@ class IdentificationJobs:
             return document
         # What came of the job has its whole course; what was told last ends somewhat before.
         version = await anyio.to_thread.run_sync(
-            self._store.model_version, asset_id, job.model_version
+            self._store.models.version, asset_id, job.model_version
         )
         kept = version.document if version is not None else {}
         return document | {
@@ -230,12 +230,12 @@ class IdentificationJobs:
 
     async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
         """Jobs of an asset, newest first."""
-        jobs = await anyio.to_thread.run_sync(self._store.jobs, asset_id)
+        jobs = await anyio.to_thread.run_sync(self._store.jobs.of_asset, asset_id)
         return [job_json(job, self._told.get(job.id)) for job in jobs]
 
     async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Stop a job that has not ended; the answer shows its present state."""
-        job = await anyio.to_thread.run_sync(self._store.job, job_id)
+        job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
         async with self._deciding:
@@ -277,7 +277,7 @@ class IdentificationJobs:
     async def _has_ended(self, job_id: str, folder: JobFolder) -> bool:
         """Try once to bring a job to its end; False when it is to be tried again."""
         try:
-            job = await anyio.to_thread.run_sync(self._store.job, job_id)
+            job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
             if job is None or job.status not in UNFINISHED:
                 return True  # cancelled while it waited
             known = await self._model_of(job)
@@ -327,14 +327,14 @@ class IdentificationJobs:
 
     async def _model_of(self, job: Job) -> ModelVersion | None:
         """Find the version that a job stored before the service was stopped or killed."""
-        versions = await anyio.to_thread.run_sync(self._store.model_versions, job.asset)
+        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
         return next((one for one in versions if one.document["job"] == job.id), None)
 
     async def _work(self, job: Job, folder: JobFolder) -> JobResult:
         asset, history = self._assets[job.asset], self._histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
-        versions = await anyio.to_thread.run_sync(self._store.model_versions, job.asset)
+        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
         order = JobOrder(
             folder=folder,
             machine=machine_of(asset.settings),
@@ -386,14 +386,14 @@ class IdentificationJobs:
             if still_wanted is None:
                 return  # cancelled at the very end: the result must not take effect
             number = await anyio.to_thread.run_sync(
-                self._store.add_model_version,
+                self._store.models.add,
                 job.asset,
                 status,
                 with_drift(result.reason, result.drift),
                 document,
                 self._clock.now_us(),
             )
-            version = await anyio.to_thread.run_sync(self._store.model_version, job.asset, number)
+            version = await anyio.to_thread.run_sync(self._store.models.version, job.asset, number)
             if version is None:
                 raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
             tell(job.asset, version, self._assets[job.asset].drift_reported)
@@ -444,7 +444,7 @@ class IdentificationJobs:
     async def _update(self, job_id: str, **changes: Any) -> Job | None:
         # A service that stops does not wait for a store that does not answer.
         return await anyio.to_thread.run_sync(
-            lambda: self._store.update_job(job_id, **changes), abandon_on_cancel=True
+            lambda: self._store.jobs.update(job_id, **changes), abandon_on_cancel=True
         )
 
     def _publish(self, job: Job) -> None:

@@ -168,7 +168,7 @@ class Authenticator:
         cookie = secrets.token_urlsafe(_COOKIE_BYTES)
         now_us = wall_us()
         session = await self._in_time(
-            lambda: self._store.add_session(
+            lambda: self._store.access.add_session(
                 sha256=fingerprint(cookie),
                 key_id=principal.key_id,
                 created_us=now_us,
@@ -181,7 +181,7 @@ class Authenticator:
     async def log_out(self, cookie: str) -> None:
         """End a browser session."""
         sha256 = fingerprint(cookie)
-        await self._in_time(lambda: self._store.end_session(sha256))
+        await self._in_time(lambda: self._store.access.end_session(sha256))
         self._memory.pop(f"session {sha256}", None)
 
     async def _in_time(self, work: Callable[[], Answer]) -> Answer:
@@ -279,7 +279,7 @@ class Authenticator:
         )
 
     def _verify_session(self, sha256: str) -> Principal | None:
-        session = self._store.find_session(sha256)
+        session = self._store.access.find_session(sha256)
         now_us = wall_us()
         ends_us = 0 if session is None else session.created_us + LONGEST_SESSION_S * 1_000_000
         if session is None or not session.is_valid(now_us) or ends_us <= now_us:
@@ -287,8 +287,8 @@ class Authenticator:
         expires_us = min(now_us + SESSION_S * 1_000_000, ends_us)
         if expires_us - session.expires_us < SESSION_RENEWAL_S * 1_000_000:
             return _of_session(session.key, min(session.expires_us, ends_us))
-        self._store.end_session(sha256)
-        self._store.add_session(
+        self._store.access.end_session(sha256)
+        self._store.access.add_session(
             sha256=sha256,
             key_id=session.key.id,
             created_us=session.created_us,

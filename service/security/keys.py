@@ -114,7 +114,7 @@ def create_key(
     text = f"bt_{secrets.token_hex(4)}_{secrets.token_urlsafe(_SECRET_BYTES)}"
     prefix = text[:_PREFIX_LENGTH]
     detail = f"role {role}" + (f", {label}" if label else "")
-    record = store.add_api_key(
+    record = store.access.add_key(
         prefix=prefix,
         sha256=fingerprint(text),
         role=known,
@@ -139,7 +139,7 @@ def verify_key(store: Store, text: str) -> ApiKey | None:
     """
     if not looks_like_key(text):
         return None
-    record = store.find_api_key(fingerprint(text))
+    record = store.access.find_key(fingerprint(text))
     if record is None or not hmac.compare_digest(record.prefix, text[:_PREFIX_LENGTH]):
         return None
     return record if record.is_valid(wall_us()) else None
@@ -147,7 +147,7 @@ def verify_key(store: Store, text: str) -> ApiKey | None:
 
 def list_keys(store: Store) -> list[ApiKey]:
     """All keys that were ever made, oldest first; never the keys themselves."""
-    return store.api_keys()
+    return store.access.list_keys()
 
 
 def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKey:
@@ -160,14 +160,14 @@ def revoke_key(store: Store, id_or_prefix: str, actor: Actor = SERVICE) -> ApiKe
     UnknownKeyError
         If there is no such key, or several share the prefix.
     """
-    found = [key for key in store.api_keys() if id_or_prefix in (key.id, key.prefix)]
+    found = [key for key in store.access.list_keys() if id_or_prefix in (key.id, key.prefix)]
     if len(found) != 1:
         how_many = "no key has" if not found else f"{len(found)} keys have"
         raise UnknownKeyError(f"key {id_or_prefix!r}: {how_many} this id or prefix")
     (key,) = found
     if key.revoked_us is None:
-        store.revoke_api_key(key.id, wall_us(), _revocation(actor, key))
-    return next(one for one in store.api_keys() if one.id == key.id)
+        store.access.revoke_key(key.id, wall_us(), _revocation(actor, key))
+    return next(one for one in store.access.list_keys() if one.id == key.id)
 
 
 def revoke_all_keys(store: Store, actor: Actor = SERVICE) -> list[ApiKey]:
@@ -176,7 +176,7 @@ def revoke_all_keys(store: Store, actor: Actor = SERVICE) -> list[ApiKey]:
     For a database restored from a copy: keys revoked and sessions ended since are alive again.
     """
     now_us = wall_us()
-    valid = [key for key in store.api_keys() if key.is_valid(now_us)]
+    valid = [key for key in store.access.list_keys() if key.is_valid(now_us)]
     return [revoke_key(store, key.id, actor) for key in valid]
 
 

@@ -9,8 +9,8 @@ from uuid import uuid4
 from sqlalchemy import RowMapping, delete, insert, select, update
 
 from service.store.audit import add_line
+from service.store.part import StorePart
 from service.store.records import ApiKey, AuditEntry, BrowserSession, Role
-from service.store.section import Section
 from service.store.tables import ApiKeyRow, BrowserSessionRow
 
 _KEY_COLUMNS = (
@@ -24,10 +24,10 @@ _KEY_COLUMNS = (
 )
 
 
-class Access(Section):
+class Access(StorePart):
     """The text of a key is never stored, only its prefix and its hash."""
 
-    def add_api_key(
+    def add_key(
         self,
         *,
         prefix: str,
@@ -72,20 +72,20 @@ class Access(Section):
             add_line(connection, line)
         return key
 
-    def api_keys(self) -> list[ApiKey]:
+    def list_keys(self) -> list[ApiKey]:
         """All keys, revoked and expired ones too, oldest first."""
         query = select(*_KEY_COLUMNS).order_by(ApiKeyRow.created_us, ApiKeyRow.id)
         with self._database.reading() as connection:
             return [_key(row._mapping) for row in connection.execute(query)]
 
-    def find_api_key(self, sha256: str) -> ApiKey | None:
+    def find_key(self, sha256: str) -> ApiKey | None:
         """Find the key of this hash, valid or not (see `ApiKey.is_valid`), or None."""
         query = select(*_KEY_COLUMNS).where(ApiKeyRow.sha256 == sha256)
         with self._database.reading() as connection:
             row = connection.execute(query).one_or_none()
         return _key(row._mapping) if row else None
 
-    def revoke_api_key(self, key_id: str, at_us: int, line: AuditEntry | None = None) -> bool:
+    def revoke_key(self, key_id: str, at_us: int, line: AuditEntry | None = None) -> bool:
         """Revoke a key and with it its sessions; False when there is no such key.
 
         The line of the audit trail is written in the same transaction, and only for a key that

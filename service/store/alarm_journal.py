@@ -15,7 +15,7 @@ from service.store.alarm_records import (
     JournalFilter,
 )
 from service.store.deliveries import Delivery
-from service.store.section import Section
+from service.store.part import StorePart
 from service.store.tables import AlarmRow, AlarmTransitionRow
 
 _ALARM_COLUMNS = tuple(getattr(AlarmRow, field.name) for field in fields(Alarm))
@@ -28,10 +28,10 @@ _MOST_FREQUENT = 10
 _EVERYTHING = JournalFilter()
 
 
-class AlarmJournal(Section):
+class AlarmJournal(StorePart):
     """An alarm and the line in the journal that tells of its change are written together."""
 
-    def save_alarm(
+    def save(
         self,
         alarm: Alarm | None,
         lines: Sequence[AlarmTransition] = (),
@@ -61,7 +61,7 @@ class AlarmJournal(Section):
             if lines:
                 connection.execute(insert(AlarmTransitionRow), [asdict(line) for line in lines])
 
-    def load_alarms(self) -> list[Alarm]:
+    def load(self) -> list[Alarm]:
         """All alarms that are not over (state other than NORM), oldest first."""
         query = (
             select(*_ALARM_COLUMNS)
@@ -71,7 +71,7 @@ class AlarmJournal(Section):
         with self._database.reading() as connection:
             return [Alarm(**row._mapping) for row in connection.execute(query)]
 
-    def alarm_journal(
+    def journal(
         self,
         wanted: JournalFilter = _EVERYTHING,
         limit: int = 100,
@@ -94,7 +94,7 @@ class AlarmJournal(Section):
             items=[AlarmTransition(*row[1:]) for row in rows], next_cursor=following
         )
 
-    def expire_journal(self, before_us: int) -> int:
+    def expire(self, before_us: int) -> int:
         """Remove lines from before a process time, and alarms that were over by then.
 
         Returns

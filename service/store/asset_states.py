@@ -2,24 +2,24 @@
 
 from sqlalchemy import delete, insert, select
 
+from service.store.part import StorePart
 from service.store.records import JsonDocument
-from service.store.section import Section
 from service.store.tables import AssetStateRow
 
 #: Wall seconds to wait for other writers; the next document comes soon.
 _PATIENCE_S = 3.0
 
 
-class AssetStates(Section):
+class AssetStates(StorePart):
     """One JSON document per asset; a new one replaces the old one."""
 
-    def save_asset_state(self, asset: str, document: JsonDocument) -> None:
-        """Keep a document for `load_asset_state`."""
+    def save(self, asset: str, document: JsonDocument) -> None:
+        """Keep a document for `load`."""
         with self._database.writing(_PATIENCE_S) as connection:
             connection.execute(delete(AssetStateRow).where(AssetStateRow.asset == asset))
             connection.execute(insert(AssetStateRow).values(asset=asset, document=document))
 
-    def load_asset_state(self, asset: str) -> JsonDocument | None:
+    def load(self, asset: str) -> JsonDocument | None:
         """Give back the document saved last, or None."""
         query = select(AssetStateRow.document).where(AssetStateRow.asset == asset)
         with self._database.reading() as connection:

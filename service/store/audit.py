@@ -5,8 +5,8 @@ from dataclasses import asdict, fields
 from sqlalchemy import Connection, insert, select
 
 from service.store.deliveries import Delivery
+from service.store.part import StorePart
 from service.store.records import AuditEntry, AuditPage
-from service.store.section import Section
 from service.store.tables import AuditRow
 
 _COLUMNS = tuple(getattr(AuditRow, field.name) for field in fields(AuditEntry))
@@ -18,23 +18,23 @@ def add_line(connection: Connection, entry: AuditEntry | None) -> None:
         connection.execute(insert(AuditRow).values(asdict(entry)))
 
 
-class Audit(Section):
+class Audit(StorePart):
     """Who did what to what, when and from where."""
 
-    def add_audit_entry(self, entry: AuditEntry, delivery: Delivery | None = None) -> None:
+    def add(self, entry: AuditEntry, delivery: Delivery | None = None) -> None:
         """Write one line; what an outbox delivers again is known."""
         with self._writing_once(delivery) as connection:
             if connection is not None:
                 add_line(connection, entry)
 
-    def expire_audit(self, before_us: int) -> int:
+    def expire(self, before_us: int) -> int:
         """Remove lines from before a wall time that is more than a year ago; returns how many.
 
         The database refuses to give up younger ones.
         """
         return self._expire(AuditRow, before_us)
 
-    def audit(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
+    def page(self, limit: int = 100, cursor: int | None = None) -> AuditPage:
         """Part of the trail, newest first.
 
         Parameters

@@ -8,18 +8,18 @@ from sqlalchemy import Connection, func, select
 from service.store import buckets
 from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US, Bucket
 from service.store.merging import merged
+from service.store.part import StorePart
 from service.store.records import MinuteTable, Rollup
 from service.store.samples import channel_ids, first_time_us, raw_horizon_us
-from service.store.section import Section
 from service.store.tables import RollupRow, SampleRow, StaleRollupRow
 
 _SECOND_US = 1_000_000
 
 
-class History(Section):
+class History(StorePart):
     """Taken from the rollups where they are up to date, else computed from the raw samples."""
 
-    def read_rollup(
+    def read(
         self,
         asset: str,
         channels: Sequence[str] | None,

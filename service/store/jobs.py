@@ -8,8 +8,8 @@ from uuid import uuid4
 from sqlalchemy import insert, select, update
 
 from service.store.errors import ActiveJobError
+from service.store.part import StorePart
 from service.store.records import Job, JobChanges, JobStatus, JsonDocument
-from service.store.section import Section
 from service.store.tables import JobRow
 
 #: Statuses of a job that has not ended.
@@ -17,10 +17,10 @@ UNFINISHED: Sequence[JobStatus] = ("queued", "running")
 _COLUMNS = tuple(getattr(JobRow, field.name) for field in fields(Job))
 
 
-class Jobs(Section):
+class Jobs(StorePart):
     """At most one job per asset is unfinished, and a job that has ended never changes again."""
 
-    def add_job(
+    def add(
         self,
         asset: str,
         request: JsonDocument,
@@ -86,7 +86,7 @@ class Jobs(Section):
             connection.execute(insert(JobRow).values(values))
         return job, True
 
-    def update_job(
+    def update(
         self,
         job_id: str,
         *,
@@ -122,13 +122,13 @@ class Jobs(Section):
             ).one_or_none()
         return Job(**row._mapping) if row else None
 
-    def job(self, job_id: str) -> Job | None:
+    def get(self, job_id: str) -> Job | None:
         """One job, or None when there is none of this id."""
         with self._database.reading() as connection:
             row = connection.execute(select(*_COLUMNS).where(JobRow.id == job_id)).one_or_none()
         return Job(**row._mapping) if row else None
 
-    def jobs(self, asset: str) -> list[Job]:
+    def of_asset(self, asset: str) -> list[Job]:
         """All jobs of an asset, newest first."""
         query = (
             select(*_COLUMNS)
@@ -138,7 +138,7 @@ class Jobs(Section):
         with self._database.reading() as connection:
             return [Job(**row._mapping) for row in connection.execute(query)]
 
-    def unfinished_jobs(self) -> list[Job]:
+    def unfinished(self) -> list[Job]:
         """All jobs that are queued or running, oldest first; after a restart: to be taken up."""
         query = (
             select(*_COLUMNS)

@@ -2,8 +2,8 @@
 
 from sqlalchemy import Connection, func, insert, select, update
 
+from service.store.part import StorePart
 from service.store.records import Activation, JsonDocument, ModelStatus, ModelVersion
-from service.store.section import Section
 from service.store.tables import ActivationRow, ModelVersionRow
 
 _VERSION_COLUMNS = (
@@ -16,10 +16,10 @@ _VERSION_COLUMNS = (
 )
 
 
-class ModelVersions(Section):
+class ModelVersions(StorePart):
     """Models are only ever added; exactly one per asset may be active."""
 
-    def add_model_version(
+    def add(
         self,
         asset: str,
         status: ModelStatus,
@@ -66,7 +66,7 @@ class ModelVersions(Section):
             )
         return version
 
-    def model_versions(self, asset: str) -> list[ModelVersion]:
+    def versions(self, asset: str) -> list[ModelVersion]:
         """All models of an asset, oldest first."""
         query = (
             select(*_VERSION_COLUMNS)
@@ -76,12 +76,12 @@ class ModelVersions(Section):
         with self._database.reading() as connection:
             return [ModelVersion(**row._mapping) for row in connection.execute(query)]
 
-    def model_version(self, asset: str, version: int) -> ModelVersion | None:
+    def version(self, asset: str, version: int) -> ModelVersion | None:
         """One model, or None when there is none of this version."""
         with self._database.reading() as connection:
             return _one(connection, asset, version)
 
-    def active_model(self, asset: str) -> ModelVersion | None:
+    def active(self, asset: str) -> ModelVersion | None:
         """Give the active model of an asset, or None before the first activation."""
         query = select(*_VERSION_COLUMNS).where(
             ModelVersionRow.asset == asset, ModelVersionRow.status == "active"

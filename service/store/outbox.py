@@ -145,7 +145,7 @@ class Outbox(Closable):
         """All alarms that are not over, as they are when all that waits has been written."""
         # The file first: what leaves it meanwhile is in the store by then.
         waiting = [change for _, change in self._read() if isinstance(change, AlarmChange)]
-        alarms = {alarm.id: alarm for alarm in self._store.load_alarms()}
+        alarms = {alarm.id: alarm for alarm in self._store.alarms.load()}
         alarms |= {change.alarm.id: change.alarm for change in waiting if change.alarm is not None}
         return [alarm for alarm in alarms.values() if alarm.state != "NORM"]
 
@@ -268,9 +268,9 @@ class Outbox(Closable):
         """Write a change into the store; False when that is away."""
         try:
             if isinstance(change, AuditEntry):
-                self._store.add_audit_entry(change, delivery)
+                self._store.audit.add(change, delivery)
             elif change is not None:
-                self._store.save_alarm(change.alarm, change.lines, delivery)
+                self._store.alarms.save(change.alarm, change.lines, delivery)
             else:
                 self.lost += 1
         except StoreUnavailableError as error:

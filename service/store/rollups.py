@@ -7,6 +7,8 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 
 from service.store import buckets
 from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US
+from service.store.database import Database
+from service.store.part import StorePart
 from service.store.samples import Samples, first_time_us, last_time_us, raw_horizon_us
 from service.store.tables import (
     AlarmTransitionRow,
@@ -58,10 +60,22 @@ class RetentionTime:
     ahead_us: int
 
 
-class Rollups(Samples):
-    """Rollups of all channels. Hours that got samples are marked, and computed again later."""
+class Rollups(StorePart):
+    """Rollups of all channels. Hours that got samples are marked, and computed again later.
 
-    def refresh_rollups(self, before_us: int, limit: int = 200) -> int:
+    Parameters
+    ----------
+    database : Database
+        The store's.
+    samples : Samples
+        Is told what becomes of the raw samples that it has written.
+    """
+
+    def __init__(self, database: Database, samples: Samples) -> None:
+        super().__init__(database)
+        self._samples = samples
+
+    def refresh(self, before_us: int, limit: int = 200) -> int:
         """Compute rollups of marked hours that are over; each hour is a short transaction.
 
         Parameters
@@ -88,8 +102,7 @@ class Rollups(Samples):
         for channel_id, hour_us in hours:
             with self._database.writing() as connection:
                 _compute(connection, channel_id, hour_us)
-                # From here on a new sample marks the hour again.
-                self._stale.discard((channel_id, hour_us))
+                self._samples.mark_again(channel_id, hour_us)
         return len(hours)
 
     def retention_time(
@@ -153,8 +166,9 @@ class Rollups(Samples):
         with self._database.writing() as connection:
             if time_us < raw_horizon_us(connection):
                 _set_raw_horizon(connection, time_us)
-            self._kept_from_us = raw_horizon_us(connection)
-        return self._kept_from_us
+            horizon_us = raw_horizon_us(connection)
+            self._samples.keep_from(horizon_us)
+        return horizon_us
 
     def expire(self, retention: Retention, now_us: int, step_us: int = STEP_US) -> int:
         """Remove what has been kept long enough; raw samples only once they are condensed.
@@ -215,13 +229,13 @@ class Rollups(Samples):
                 # No further than what is gone: whatever else is said to be old can still come.
                 if hour_us + HOUR_US > raw_horizon_us(connection):
                     _set_raw_horizon(connection, hour_us + HOUR_US)
-                self._kept_from_us = raw_horizon_us(connection)
+                self._samples.keep_from(raw_horizon_us(connection))
 
     def _condense(self, connection: Connection, hour_us: int, keeps_seconds: bool) -> int:
         in_hour = (SampleRow.time_us >= hour_us, SampleRow.time_us < hour_us + HOUR_US)
         for channel_id in connection.scalars(select(ChannelRow.id)).all():
             _compute(connection, channel_id, hour_us)
-            self._stale.discard((channel_id, hour_us))
+            self._samples.mark_again(channel_id, hour_us)
             if keeps_seconds:
                 _insert(connection, channel_id, 1, hour_us, hour_us + HOUR_US)
         removed = 0

@@ -12,15 +12,15 @@ from service.store.buckets import HOUR_US
 from service.store.database import PATIENCE_S, Database, SampleColumns
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
+from service.store.part import StorePart
 from service.store.records import StoredSample, WriteCounts
-from service.store.section import Section
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
 _LONG = 2**63
 _BYTES = frozenset(range(256))
 
 
-class Samples(Section):
+class Samples(StorePart):
     """Raw samples of all channels of all assets."""
 
     def __init__(self, database: Database) -> None:
@@ -30,9 +30,7 @@ class Samples(Section):
         self._stale: set[tuple[int, int]] = set()
         self._kept_from_us: int | None = None
 
-    def write_samples(
-        self, samples: Collection[Sample], patience_s: float = PATIENCE_S
-    ) -> WriteCounts:
+    def write(self, samples: Collection[Sample], patience_s: float = PATIENCE_S) -> WriteCounts:
         """Store a batch in one transaction; when this returns, it is on the disk.
 
         The first good value of a channel and time wins. A good one replaces a bad or uncertain
@@ -83,12 +81,20 @@ class Samples(Section):
         self._stale |= fresh
         return WriteCounts(stored, len(columns.times_us) - stored)
 
+    def mark_again(self, channel_id: int, hour_us: int) -> None:
+        """Mark an hour again when it gets a sample: its rollups have been computed."""
+        self._stale.discard((channel_id, hour_us))
+
+    def keep_from(self, time_us: int) -> None:
+        """Take note that raw samples before a time are not kept any more."""
+        self._kept_from_us = time_us
+
     def channels(self, asset: str) -> list[str]:
         """Names of the channels of an asset that were ever stored, sorted."""
         with self._database.reading() as connection:
             return sorted(channel_ids(connection, asset))
 
-    def read_samples(
+    def read(
         self,
         asset: str,
         channels: Sequence[str] | None,
@@ -135,7 +141,7 @@ class Samples(Section):
             # the span is.
             return merged(ids, read, lambda row: row.time_us + 1, first_us, limit)
 
-    def span_of_samples(
+    def span(
         self,
         asset: str,
         channels: Sequence[str] | None,
@@ -205,7 +211,7 @@ class Samples(Section):
                     newest[name] = StoredSample(name, *row)
         return newest
 
-    def sample_counts(self, count_max: int) -> dict[tuple[str, str], int]:
+    def counts(self, count_max: int) -> dict[tuple[str, str], int]:
         """Count the samples of every asset and channel that was ever stored, up to a number."""
         counts = {}
         with self._database.reading() as connection:

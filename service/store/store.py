@@ -8,23 +8,59 @@ from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
-from service.store.database import damaged
+from service.store.database import Database, damaged
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
 from service.store.rollups import Rollups
 from service.store.salvage import damage_of
+from service.store.samples import Samples
 
 
-class Store(
-    Rollups, History, ModelVersions, Jobs, AssetStates, AlarmJournal, Access, Audit, Closable
-):
-    """Samples, models, jobs, alarms and keys in one database.
+class Store(Closable):
+    """Samples, models, jobs, alarms and keys in one database, each in a part of its own.
 
-    The methods come from the parts, one module per noun. All are synchronous and safe to call
-    from any thread.
+    The methods of all parts are synchronous and safe to call from any thread.
+
+    Parameters
+    ----------
+    database : Database
+        Open; closed with the store.
+
+    Attributes
+    ----------
+    samples : Samples
+        Raw samples.
+    rollups : Rollups
+        Statistics per minute and hour, and what is kept for how long.
+    history : History
+        Statistics of the samples per bucket of time.
+    models : ModelVersions
+        Versions of each asset's model, and which is active.
+    jobs : Jobs
+        Identification jobs.
+    states : AssetStates
+        The latest state of each twin.
+    alarms : AlarmJournal
+        Alarms and their journal.
+    access : Access
+        API keys and browser sessions.
+    audit : Audit
+        The audit trail.
     """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.samples = Samples(database)
+        self.rollups = Rollups(database, self.samples)
+        self.history = History(database)
+        self.models = ModelVersions(database)
+        self.jobs = Jobs(database)
+        self.states = AssetStates(database)
+        self.alarms = AlarmJournal(database)
+        self.access = Access(database)
+        self.audit = Audit(database)
 
     @classmethod
     def open(cls, database_url: str, data_dir: Path, *, migrate: bool = False) -> Self:

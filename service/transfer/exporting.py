@@ -49,7 +49,7 @@ def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
     TableFileError
         If pyarrow is not installed.
     """
-    writer = ParquetPages(file, asset, place, place.channels or store.channels(asset))
+    writer = ParquetPages(file, asset, place, place.channels or store.samples.channels(asset))
     with writer:
         return sum(map(writer.write, read_pages(store, asset, place, PAGE_ROWS)))
 
@@ -151,8 +151,8 @@ def export_minutes(
     measured = [name for name in channels if name in OPERATING_CHANNELS or is_temperature(name)]
     inputs = [name for name in measured if name in OPERATING_CHANNELS]
     temperatures = [name for name in measured if name not in OPERATING_CHANNELS]
-    over = store.minute_averages(asset, inputs, start_us, end_us)
-    around = store.minute_averages(asset, temperatures, start_us, end_us, -MINUTE_US // 2)
+    over = store.history.minute_averages(asset, inputs, start_us, end_us)
+    around = store.history.minute_averages(asset, temperatures, start_us, end_us, -MINUTE_US // 2)
     cells: dict[int, dict[str, float]] = {}
     for table, names, shift_us in ((over, inputs, 0), (around, temperatures, MINUTE_US // 2)):
         for at, minute_us in enumerate(table.minute_us.tolist()):

@@ -127,7 +127,7 @@ def import_file(
 def _store(store: Store | None, samples: Sequence[Sample], report: ImportReport) -> None:
     report.samples += len(samples)
     if store is not None:
-        counts = store.write_samples(samples)
+        counts = store.samples.write(samples)
         report.stored += counts.stored
         report.duplicates += counts.duplicates
         report.too_old += len(samples) - counts.stored - counts.duplicates

@@ -64,8 +64,8 @@ def choose_resolution(
 
     Only the part of the span that holds samples counts.
     """
-    found = store.span_of_samples(asset, channels, start_us, end_us, AUTO_POINTS + 1)
-    kept_from_us = store.raw_kept_from_us()
+    found = store.samples.span(asset, channels, start_us, end_us, AUTO_POINTS + 1)
+    kept_from_us = store.samples.raw_kept_from_us()
     if start_us >= kept_from_us and (found is None or found[2] <= AUTO_POINTS):
         return RAW
     # Where raw samples have expired, rollups may begin at the start of the span.
@@ -81,10 +81,10 @@ def read_page(store: Store, asset: str, place: Place, limit: int) -> PageOfHisto
     rows: Sequence[StoredSample | Rollup]
     span = (place.start_us, place.end_us)
     if place.resolution == RAW:
-        rows = store.read_samples(asset, place.channels, *span, limit + 1, place.after)
+        rows = store.samples.read(asset, place.channels, *span, limit + 1, place.after)
     else:
         bucket = bucket_us(place.resolution)
-        rows = store.read_rollup(asset, place.channels, *span, bucket, limit + 1, place.after)
+        rows = store.history.read(asset, place.channels, *span, bucket, limit + 1, place.after)
     if len(rows) <= limit:
         return PageOfHistory(rows, None)
     rows = rows[:limit]

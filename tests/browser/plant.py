@@ -168,8 +168,8 @@ class Plant:
         document["posterior"] = replace(posterior, trained=trained).to_dict()
         now_us = wall.time_ns() // 1000
         with Store.open(settings.service.database_url, settings.data_dir) as store:
-            version = store.add_model_version(asset, "candidate", "", document, now_us)
-            store.activate(asset, version, "test", "", now_us)
+            version = store.models.add(asset, "candidate", "", document, now_us)
+            store.models.activate(asset, version, "test", "", now_us)
 
     def start_service(self) -> None:
         self.service = Command(["serve", "-c", str(self.configuration)], self.folder / "serve.log")

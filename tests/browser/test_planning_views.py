@@ -378,12 +378,12 @@ def test_a_version_that_failed_a_gate_is_activated_only_against_it(
     open_view: Any, site: Site, problems: list[str]
 ) -> None:
     with site.open_store() as store:
-        made = store.model_version(ASSET, 2)
+        made = store.models.version(ASSET, 2)
         assert made is not None
         gates = made.document["gates"]
         checks = [*gates["checks"][:-1], gates["checks"][-1] | {"passed": False, "detail": "loses"}]
         document = made.document | {"gates": gates | {"accepted": False, "checks": checks}}
-        store.add_model_version(ASSET, "rejected", "loses", document, made.created_at_us + 1)
+        store.models.add(ASSET, "rejected", "loses", document, made.created_at_us + 1)
     page = open_view("#engineer")
     verdict = page.locator(".e-ver .act")
     expect(verdict).to_contain_text("v3 is kept, not offered: 4 of 5 gates passed. loses.")

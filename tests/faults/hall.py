@@ -321,7 +321,7 @@ class Hall(Station):
                 for channel in (MODBUS, CAN)
                 for before, after in pairwise(
                     one
-                    for one in store.read_samples(ASSET, [channel], 0, 2**62, 10**7)
+                    for one in store.samples.read(ASSET, [channel], 0, 2**62, 10**7)
                     if one.value is not None and one.quality >= 192
                 )
                 if after.time_us - before.time_us < 1_000_000_000
@@ -329,7 +329,7 @@ class Hall(Station):
 
     def _count(self, way: str, sent: set[int]) -> Count:
         with self.open_store() as store:
-            rows = store.read_samples(ASSET, [WAYS[way]], 0, 2**62, 10**7)
+            rows = store.samples.read(ASSET, [WAYS[way]], 0, 2**62, 10**7)
         if way == "push":
             numbers = [one.time_us // 1000 for one in rows]
         else:

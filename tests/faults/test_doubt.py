@@ -17,7 +17,7 @@ RING = "t_inner_ring_c"
 
 def stored(hall: Hall) -> list[StoredSample]:
     with hall.open_store() as store:
-        return store.read_samples(ASSET, [RING], 0, 2**62, 10**7)
+        return store.samples.read(ASSET, [RING], 0, 2**62, 10**7)
 
 
 def reason(hall: Hall) -> str | None:

@@ -171,7 +171,7 @@ class Soak:
 
     def stored(self, channel: str) -> list[StoredSample]:
         with self.site.open_store() as store:
-            return store.read_samples(ASSET, [channel], 0, 2**62, 10**8)
+            return store.samples.read(ASSET, [channel], 0, 2**62, 10**8)
 
     def unexplained_holes(self, channel: str) -> list[tuple[float, float]]:
         """Spans without a sample, in wall seconds from the start, that no fault explains."""

@@ -114,7 +114,7 @@ def spooled(hall: Hall) -> int:
 def numbers(hall: Hall, channel: str) -> list[int]:
     """What the device counted, as it is stored."""
     with hall.open_store() as store:
-        rows = store.read_samples("bench-1", [channel], 0, 2**62, 10**7)
+        rows = store.samples.read("bench-1", [channel], 0, 2**62, 10**7)
     return [
         round((one.value - BASE) * 1000)
         for one in rows

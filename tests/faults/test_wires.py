@@ -69,7 +69,7 @@ def survive(
 
 def no_poison(hall: Hall) -> None:
     with hall.open_store() as store:
-        rows = store.read_samples(ASSET, [MODBUS, CAN], 0, 2**62, 10**7)
+        rows = store.samples.read(ASSET, [MODBUS, CAN], 0, 2**62, 10**7)
     values = [one.value for one in rows if one.value is not None]
     assert max(values) < BASE + POISON / 2000
     assert min(values) >= BASE

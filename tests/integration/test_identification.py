@@ -329,7 +329,7 @@ def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     assert quiet.service is not None
     assert quiet.service.terminate() == 0, quiet.service.log.read_text()[-2000:]
     with quiet.open_store() as store:
-        waiting = store.job(job_id)
+        waiting = store.jobs.get(job_id)
         assert waiting is not None
         assert waiting.status == "queued"
 
@@ -384,5 +384,5 @@ def test_a_service_killed_in_mid_job_takes_it_up_again(quiet: Site) -> None:
 
 
 def assert_one_active(store: Store) -> None:
-    active = [one for one in store.model_versions(ASSET) if one.status == "active"]
+    active = [one for one in store.models.versions(ASSET) if one.status == "active"]
     assert len(active) == 1

@@ -40,7 +40,7 @@ def good_now(site: Site) -> bool:
 
 def samples(site: Site, channel: str) -> list[StoredSample]:
     with site.open_store() as store:
-        return store.read_samples(ASSET, [channel], 0, 2**62, 1_000_000)
+        return store.samples.read(ASSET, [channel], 0, 2**62, 1_000_000)
 
 
 def test_everything_comes_back_by_itself(site: Site) -> None:

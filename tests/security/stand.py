@@ -132,7 +132,7 @@ class Stand(Station):
                     self.keys[role] = create_key(store, role).text
                 now_us = time.time_ns() // 1000
                 for name in PUSHED:
-                    store.write_samples(
+                    store.samples.write(
                         [
                             Sample(PUSHED_ASSET, name, now_us - 40_000 * number, 60.0, 192, now_us)
                             for number in range(1, ROWS_PER_CHANNEL)

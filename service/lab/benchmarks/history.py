@@ -86,9 +86,9 @@ def _fill(store: Store, seconds: int, tell: Callable[[float], None]) -> None:
             samples += [
                 Sample(_ASSET, name, time_us, value, Quality.GOOD, time_us) for name in _CHANNELS
             ]
-        store.write_samples(samples)
+        store.samples.write(samples)
         tell(0.9 * begin / seconds)
-    while store.refresh_rollups(_BEGIN_US + seconds * _SECOND_US):
+    while store.rollups.refresh(_BEGIN_US + seconds * _SECOND_US):
         tell(0.95)
 
 

@@ -144,7 +144,7 @@ def ingest_postgresql(tell: Progress, *, duration_s: float = 60.0) -> Measuremen
 
 def _open_empty(url: str, folder: Path) -> Store:
     store = Store.open(url, folder, migrate=True)
-    if store.channels(_ASSET):
+    if store.samples.channels(_ASSET):
         store.close()
         raise BenchmarkError(f"{DATABASE_URL}: the database holds samples; expected an empty one")
     return store

@@ -156,7 +156,7 @@ def _prepare(configuration: Path) -> tuple[str, tuple[str, str]]:
         "t_outer_ring_c": minutes.temperatures_c["t_outer_ring_c"],
     }
     with Store.open(settings.service.database_url, settings.data_dir) as store:
-        store.write_samples(
+        store.samples.write(
             [
                 Sample(ASSET, channel, time_us, float(value), Quality.GOOD, time_us)
                 for channel, values in rows.items()

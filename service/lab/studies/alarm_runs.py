@@ -227,7 +227,7 @@ def _watched(
                 forecast_us = time_us
                 watch.forecast(time_us, limit_crossings(_held(estimate), section.limits))
         outbox.flush(30.0)
-        lines = store.alarm_journal(JournalFilter(events=False), limit=100_000).items
+        lines = store.alarms.journal(JournalFilter(events=False), limit=100_000).items
     calls = tuple(
         Call(line.kind, line.channel, line.level, (line.time_us - _EPOCH_US) / 3.6e9)
         for line in lines[::-1]

@@ -43,7 +43,7 @@ def test_a_whole_life_is_journaled_with_who_when_and_why(bench: Bench) -> None:
         (6 * SECOND_US, "UNACK", "ACKED", "eva", "cooling on"),
         (11 * SECOND_US, "ACKED", "NORM", "service", ""),
     ]
-    assert bench.store.load_alarms() == []
+    assert bench.store.alarms.load() == []
     assert bench.after(1, HOT) == "UNACK"
     assert bench.only().id != first.id  # a new life
 
@@ -181,7 +181,7 @@ def test_figures_of_a_standing_alarm_stay_fresh_and_only_news_is_told(bench: Ben
     assert bench.told[-1].message == "will pass 105 °C"
     assert len(bench.told) == 2
     assert len(bench.journal()) == 1  # no change of state
-    assert bench.store.load_alarms() == [bench.only()]
+    assert bench.store.alarms.load() == [bench.only()]
 
 
 def test_alarms_survive_a_restart_in_every_state(bench: Bench) -> None:
@@ -244,7 +244,7 @@ def test_any_story_without_delays_follows_the_table(
     states = ["NORM", *(line.to_state for line in journal)]
     assert [line.from_state for line in journal] == states[:-1]
     assert states[-1] == expected
-    kept = [alarm.state for alarm in bench.store.load_alarms() if alarm.asset == asset]
+    kept = [alarm.state for alarm in bench.store.alarms.load() if alarm.asset == asset]
     assert kept == ([expected] if expected != "NORM" else [])
 
 

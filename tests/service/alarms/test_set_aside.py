@@ -380,7 +380,7 @@ def test_any_story_is_whole(
     journal = [line for line in bench.journal() if line.asset == asset]
     states = ["NORM", *(line.to_state for line in journal)]
     assert [line.from_state for line in journal] == states[:-1]
-    kept = [alarm for alarm in bench.store.load_alarms() if alarm.asset == asset]
+    kept = [alarm for alarm in bench.store.alarms.load() if alarm.asset == asset]
     assert [alarm.state for alarm in kept] == [alarm.state for alarm in bench.book.active(asset)]
     # Whatever was: eight hours later nothing is shelved any more.
     bench.clock.advance(LONGEST_SHELVING_S)

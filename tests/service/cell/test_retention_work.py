@@ -17,28 +17,28 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
     now_us = clock.now_us()
     ages_h = [0, 1, 5, 30, 60]
     with Store.open("", tmp_path) as store:
-        store.write_samples(
+        store.samples.write(
             [Sample("a", "x", now_us - age * HOUR_US, float(age), 192, 0) for age in ages_h]
         )
         for days in (800, 30):
             wall_us = time.time_ns() // 1000 - days * 24 * HOUR_US
-            store.add_audit_entry(AuditEntry(wall_us, "eva", "", "alarm.shelve"))
+            store.audit.add(AuditEntry(wall_us, "eva", "", "alarm.shelve"))
             at_us = now_us - days * 24 * HOUR_US
             event = AlarmTransition(None, "a", "", "", "", at_us, "", "", "", "", None, "")
-            store.save_alarm(None, [event])
+            store.alarms.save(None, [event])
         retention = Retention(raw_days=1.0, journal_days=100.0, audit_days=400.0)
         task = asyncio.create_task(Upkeep(store, clock, retention, trust_after_s=0.0).run())
         async with asyncio.timeout(60):
-            while len(store.audit().items) > 1:  # noqa: ASYNC110 - the last that goes
+            while len(store.audit.page().items) > 1:  # noqa: ASYNC110 - the last that goes
                 await asyncio.sleep(0.02)
         task.cancel()
         await asyncio.wait({task})
-        assert len(store.read_samples("a", None, 0, 2**62, 9)) == 3
-        assert [one.time_us for one in store.alarm_journal().items] == [now_us - 720 * HOUR_US]
+        assert len(store.samples.read("a", None, 0, 2**62, 9)) == 3
+        assert [one.time_us for one in store.alarms.journal().items] == [now_us - 720 * HOUR_US]
         with store._database.reading() as connection:
             stale = connection.exec_driver_sql("SELECT count(*) FROM stale_rollups").scalar()
         assert stale in (1, 2), "only what is not over, or just"
-        hours = store.read_rollup("a", None, 0, now_us + HOUR_US, HOUR_US, 9)
+        hours = store.history.read("a", None, 0, now_us + HOUR_US, HOUR_US, 9)
         assert [hour.mean for hour in hours] == [60.0, 30.0, 5.0, 1.0, 0.0]
 
 
@@ -57,17 +57,21 @@ def _filled(store: Store, now_us: int) -> None:
     """A sample, a line of the journal and one of the trail for each tenth day of the last 400."""
     day_us = 24 * HOUR_US
     days = range(400, -1, -10)
-    store.write_samples([Sample("a", "x", now_us - day * day_us, 1.0, 192, 0) for day in days])
+    store.samples.write([Sample("a", "x", now_us - day * day_us, 1.0, 192, 0) for day in days])
     for day in days:
         at_us = now_us - day * day_us
-        store.add_audit_entry(AuditEntry(at_us, "eva", "", "alarm.shelve"))
+        store.audit.add(AuditEntry(at_us, "eva", "", "alarm.shelve"))
         event = AlarmTransition(None, "a", "", "", "", at_us, "", "", "", "", None, "")
-        store.save_alarm(None, [event])
+        store.alarms.save(None, [event])
 
 
 def _count(store: Store) -> tuple[int, int, int]:
-    samples = store.read_samples("a", None, 0, 2**62, 1000)
-    return len(samples), len(store.alarm_journal(limit=1000).items), len(store.audit(1000).items)
+    samples = store.samples.read("a", None, 0, 2**62, 1000)
+    return (
+        len(samples),
+        len(store.alarms.journal(limit=1000).items),
+        len(store.audit.page(1000).items),
+    )
 
 
 def test_a_clock_ten_years_ahead_empties_nothing(tmp_path: Path) -> None:
@@ -83,17 +87,17 @@ def test_a_clock_ten_years_ahead_empties_nothing(tmp_path: Path) -> None:
         assert upkeep._expire(now_us, now_us) == 0
         # What is recorded while the clock is wrong must not vouch for it.
         later_us = now_us + ten_years_us
-        store.write_samples([Sample("a", "x", later_us, 1.0, 192, 0)])
+        store.samples.write([Sample("a", "x", later_us, 1.0, 192, 0)])
         event = AlarmTransition(None, "a", "", "", "", later_us, "", "", "", "", None, "")
-        store.save_alarm(None, [event])
-        store.add_audit_entry(AuditEntry(later_us, "eva", "", "alarm.shelve"))
+        store.alarms.save(None, [event])
+        store.audit.add(AuditEntry(later_us, "eva", "", "alarm.shelve"))
         for look in range(5):
             at_us = later_us + look * 600_000_000
             assert upkeep._expire(at_us, at_us) == 0
         assert _count(store) == (42, 42, 42)
         assert upkeep._expire(now_us, now_us) == 0
         # The clock is right again: everything is stored.
-        assert store.write_samples([Sample("a", "x", now_us + 1, 1.0, 192, 0)]) == (1, 0)
+        assert store.samples.write([Sample("a", "x", now_us + 1, 1.0, 192, 0)]) == (1, 0)
 
 
 async def test_nothing_is_removed_before_the_clock_has_agreed_for_a_while(tmp_path: Path) -> None:
@@ -123,17 +127,17 @@ def test_a_clock_far_ahead_waits_for_a_proof_or_a_person(tmp_path: Path) -> None
     with Store.open("", tmp_path) as store:
         _filled(store, now_us)
         upkeep = Upkeep(store, clock, Retention(raw_days=100.0))
-        upkeep._judge(store.retention_time("process", now_us))
+        upkeep._judge(store.rollups.retention_time("process", now_us))
         assert upkeep.problem is None
         later_us = now_us + 30 * day_us  # as after a month without power
-        store.write_samples([Sample("a", "x", later_us, 1.0, 192, 0)])
-        upkeep._judge(store.retention_time("process", later_us))
+        store.samples.write([Sample("a", "x", later_us, 1.0, 192, 0)])
+        upkeep._judge(store.rollups.retention_time("process", later_us))
         assert upkeep.problem is not None
         assert "30 days ahead" in upkeep.problem
-        assert store.retention_time("process", later_us).at_us == now_us
-        proven = store.retention_time("process", later_us, HOUR_US, clock_proven=True)
+        assert store.rollups.retention_time("process", later_us).at_us == now_us
+        proven = store.rollups.retention_time("process", later_us, HOUR_US, clock_proven=True)
         assert (proven.at_us, proven.ahead_us) == (now_us + HOUR_US, 0)
-        store.confirm_clock(later_us, later_us)
-        upkeep._judge(store.retention_time("process", later_us))
+        store.rollups.confirm_clock(later_us, later_us)
+        upkeep._judge(store.rollups.retention_time("process", later_us))
         assert upkeep.problem is None
-        assert store.retention_time("process", later_us).at_us == later_us
+        assert store.rollups.retention_time("process", later_us).at_us == later_us

@@ -132,11 +132,11 @@ def test_the_time_from_which_raw_samples_are_kept_is_shown_and_lowered(
     day_us = 86_400_000_000
     now_us = time.time_ns() // 1000
     with Store.open("", tmp_path / "var") as store:
-        store.write_samples(
+        store.samples.write(
             [Sample("a", "x", at_us, 1.0, 192, 0) for at_us in (now_us - 50 * day_us, now_us)]
         )
-        store.expire(Retention(raw_days=10.0), now_us)
-        kept_from = rfc3339(store.kept_from_us)
+        store.rollups.expire(Retention(raw_days=10.0), now_us)
+        kept_from = rfc3339(store.samples.kept_from_us)
     shown = cli("db", "horizon", "-c", str(config))
     assert (shown.returncode, shown.stdout) == (0, f"Raw samples are kept from {kept_from} on.\n")
     refused = cli("db", "horizon", "--lower", "yesterday", "-c", str(config))
@@ -158,14 +158,14 @@ def test_grease_is_renewed_in_the_store_while_no_service_runs(
     assert "no estimate" in refused("grease-renewed", "motor-1", "-c", config)
     kept = {"observer": {"revolutions": 146_916_268.0, "state": [1.0]}, "watch": {"version": 2}}
     with Store.open("", tmp_path / "data") as store:
-        store.save_asset_state("motor-1", kept)
+        store.states.save("motor-1", kept)
     told = ("grease-renewed", "motor-1", "--comment", "regreased", "-c", config)
     ended = cli(*told, "--json")
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout) == {"revolutions_before": 146_916_268, "revolutions": 0}
     with Store.open("", tmp_path / "data") as store:
-        document = store.load_asset_state("motor-1")
-        (line,) = store.audit().items
+        document = store.states.load("motor-1")
+        (line,) = store.audit.page().items
     assert document is not None
     assert document["observer"] == {"revolutions": 0.0, "state": [1.0]}
     assert document["watch"]["version"] == 2
@@ -181,7 +181,7 @@ def test_a_damaged_store_is_named_and_salvaged(cli: Cli, tmp_path: Path) -> None
     config.write_text('[service]\ndata_dir = "var"\nport = 0\n')
     path = tmp_path / "var" / "bearing-twin.db"
     with Store.open("", path.parent) as store:
-        store.write_samples([Sample("a", "x", k, 1.0, 192, 0) for k in range(5000)])
+        store.samples.write([Sample("a", "x", k, 1.0, 192, 0) for k in range(5000)])
         key = create_key(store, "viewer").record.prefix
     content = bytearray(path.read_bytes())
     content[100:4096] = bytes(3996)  # the list of tables
@@ -200,6 +200,6 @@ def test_a_damaged_store_is_named_and_salvaged(cli: Cli, tmp_path: Path) -> None
     with Store.open("", path.parent) as store:
         # Without the list of tables only the pages are left: names and keys are lost.
         (asset, name) = ("salvaged", "channel-1") if document["unnamed_channels"] else ("a", "x")
-        assert store.latest(asset)[name].time_us == 4999
-        assert key not in [one.prefix for one in store.api_keys()]
+        assert store.samples.latest(asset)[name].time_us == 4999
+        assert key not in [one.prefix for one in store.access.list_keys()]
     assert "is whole" in cli("db", "salvage", "-c", str(config)).stdout

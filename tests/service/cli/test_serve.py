@@ -215,7 +215,7 @@ def test_a_damaged_spool_stops_no_start_and_what_is_left_is_stored(
         Sample("motor-1", "load_n", begin_us + k, float(k), 192, begin_us) for k in range(5000)
     ]
     with Store.open("", settings.data_dir) as store:
-        store.write_samples([Sample("motor-0", "load_n", k, 1.0, 192, 0) for k in range(7)])
+        store.samples.write([Sample("motor-0", "load_n", k, 1.0, 192, 0) for k in range(7)])
     spool = Spool.open(settings.data_dir, 16)
     spool.append(samples)
     spool.close()
@@ -242,7 +242,7 @@ def test_a_damaged_spool_stops_no_start_and_what_is_left_is_stored(
     assert f"{lost:.0f} lost; kept as spool-damaged-1.db" in files["detail"]
     assert service.terminate() == 0
     with Store.open("", settings.data_dir) as store:
-        stored = store.read_samples("motor-1", ["load_n"], 0, 2**62, 10**5)
+        stored = store.samples.read("motor-1", ["load_n"], 0, 2**62, 10**5)
     assert len({one.time_us for one in stored} & {one.time_us for one in samples}) == 5000 - lost
     (warning,) = (line for line in service.log.read_text().splitlines() if "not_configured" in line)
     assert json.loads(warning)["samples"] == {"motor-0": 7}

@@ -89,7 +89,7 @@ class Hall:
                 await task
 
     def stored(self, asset: str = "a") -> list[tuple[str, int, float | None, int]]:
-        return [tuple(one) for one in self.store.read_samples(asset, None, 0, 2**62, 10**6)]
+        return [tuple(one) for one in self.store.samples.read(asset, None, 0, 2**62, 10**6)]
 
     def metric(self, name: str, **labels: str) -> float | None:
         return self.registry.get_sample_value(f"bearing_twin_{name}", labels)
@@ -253,7 +253,7 @@ async def test_a_twin_with_a_fault_costs_no_sample(tmp_path: Path) -> None:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
-        assert len(store.read_samples("a", None, 0, 99, 99)) == 4
+        assert len(store.samples.read("a", None, 0, 99, 99)) == 4
         assert source.entered == 1
 
 
@@ -453,10 +453,10 @@ async def test_samples_from_before_what_is_kept_are_counted_and_reported(tmp_pat
     hall = Hall(tmp_path)
     day_us = 86_400_000_000
     now_us = ProcessClock().now_us()
-    hall.store.write_samples(
+    hall.store.samples.write(
         [Sample("a", "x", at_us, 1.0, 192, 0) for at_us in (now_us - 50 * day_us, now_us - day_us)]
     )
-    assert hall.store.expire(Retention(raw_days=10.0), now_us) == 1
+    assert hall.store.rollups.expire(Retention(raw_days=10.0), now_us) == 1
     assert hall.ingest.too_old("a") is None
     source = ScriptedSource()
     async with hall.running(source):

@@ -107,7 +107,7 @@ def _compiled() -> None:
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     with Store.open("", folder) as store:
-        store.write_samples(run_samples())
+        store.samples.write(run_samples())
     return folder / "bearing-twin.db"
 
 
@@ -157,10 +157,8 @@ async def shop(
     with ThreadPoolExecutor(1) as executor:
         for asset_id in (ASSET, "bench-2"):
             settings = make_section(id=asset_id)
-            number = run_store.add_model_version(
-                asset_id, "candidate", "", first_model(settings), 1
-            )
-            first = run_store.activate(asset_id, number, "service", "first", 1)
+            number = run_store.models.add(asset_id, "candidate", "", first_model(settings), 1)
+            first = run_store.models.activate(asset_id, number, "service", "first", 1)
 
             async def nothing(*_: Any) -> list[Any]:
                 return []

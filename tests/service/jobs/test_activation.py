@@ -15,7 +15,7 @@ from service.store import JournalFilter
 async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop: Shop) -> None:
     jobs = await shop.open()
     document = first_model(shop.assets[ASSET].settings)
-    shop.store.add_model_version(ASSET, "rejected", "worse than the active one", document, 2)
+    shop.store.models.add(ASSET, "rejected", "worse than the active one", document, 2)
     for comment, force in ((None, False), ("try it", False), (None, True)):
         with pytest.raises(ActivationRefusedError, match="worse than the active one"):
             await jobs.activate(ASSET, 2, "engineer x", comment, force)
@@ -25,12 +25,12 @@ async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop
     assert shop.active() == (2, 2)
     await jobs.activate(ASSET, 1, "engineer x", "back again", force=False)
     assert shop.active() == (1, 1)
-    entry = shop.store.activations(ASSET)[-1]
+    entry = shop.store.models.activations(ASSET)[-1]
     assert (entry.version, entry.who, entry.comment) == (1, "engineer x", "back again")
     assert shop.outbox.flush(30)
     assert [
         (line.kind, line.who, line.comment)
-        for line in shop.store.alarm_journal(JournalFilter(events=True)).items
+        for line in shop.store.alarms.journal(JournalFilter(events=True)).items
     ] == [
         ("model rolled back", "engineer x", "back again"),
         ("model activated", "engineer x", "try it"),
@@ -49,7 +49,7 @@ async def test_a_version_of_another_bearing_is_not_activated(
     """The configuration may have been changed since it was identified."""
     jobs = await shop.open()
     foreign = first_model(make_section(bearing="6016"))
-    shop.store.add_model_version(ASSET, "candidate", "", foreign, 2)
+    shop.store.models.add(ASSET, "candidate", "", foreign, 2)
     with pytest.raises(ActivationRefusedError, match=r"6016.*6311"):
         await jobs.activate(ASSET, 2, "x", "force", force=True)
     assert shop.active() == (1, 1)
@@ -58,7 +58,7 @@ async def test_a_version_of_another_bearing_is_not_activated(
 async def test_two_activations_at_a_time_leave_store_and_twin_alike(shop: Shop) -> None:
     jobs = await shop.open()
     document = first_model(shop.assets[ASSET].settings)
-    shop.store.add_model_version(ASSET, "candidate", "", document, 2)
+    shop.store.models.add(ASSET, "candidate", "", document, 2)
     for _ in range(20):
         await asyncio.gather(
             *(jobs.activate(ASSET, version, "x", None, force=False) for version in (1, 2, 1, 2))

@@ -18,17 +18,17 @@ async def test_new_windows_are_identified_by_itself_and_what_was_cancelled_is_no
         looking = asyncio.create_task(identify_by_itself(jobs, shop.histories, shop.clock))
         # Looks that fail; the next ones must come all the same.
         await until(lambda: len([one for one in logs if "failed" in one["event"]]) > 3)
-        assert shop.store.jobs(ASSET) == []
+        assert shop.store.jobs.of_asset(ASSET) == []
     shop.clock.us += 24 * 3600 * 1_000_000
     try:
-        await until(lambda: shop.store.jobs(ASSET))
-        (job,) = shop.store.jobs(ASSET)
+        await until(lambda: shop.store.jobs.of_asset(ASSET))
+        (job,) = shop.store.jobs.of_asset(ASSET)
         assert job.request["who"] == "automatic"
         await jobs.cancel(ASSET, job.id)
         held.let_go.set()
         await shop.ended(jobs, job.id)
         await asyncio.sleep(100 * LOOK_EVERY_S / shop.clock.rate)
-        assert len(shop.store.jobs(ASSET)) == 1
+        assert len(shop.store.jobs.of_asset(ASSET)) == 1
         assert not looking.done()
     finally:
         looking.cancel()

@@ -16,7 +16,7 @@ async def test_a_cancelled_worker_stops_early(shop: Shop) -> None:
     assert cancelled is not None
     assert cancelled["status"] == "cancelled"
     await until(lambda: not jobs.busy(ASSET))
-    assert len(shop.store.model_versions(ASSET)) == 1
+    assert len(shop.store.models.versions(ASSET)) == 1
     assert not (shop.folder / shown["id"]).exists()
 
 
@@ -44,7 +44,7 @@ async def test_a_job_cancelled_at_the_very_end_takes_no_effect(shop: Shop) -> No
     held.let_go.set()
     job = await shop.ended(jobs, shown["id"])
     assert job.status == "cancelled"
-    assert len(shop.store.model_versions(ASSET)) == 1
+    assert len(shop.store.models.versions(ASSET)) == 1
     assert shop.active() == (1, 1)
 
 
@@ -55,7 +55,7 @@ async def test_whoever_cancels_while_the_result_takes_effect_is_told_that_it_did
     for steps in (0, 4, 8, 16):
         held = HeldExecutor()
         jobs = await shop.open(held)
-        before = len(shop.store.model_versions(ASSET))
+        before = len(shop.store.models.versions(ASSET))
         shown, _ = await jobs.create(ASSET, QUICK, None, "x")
         await asyncio.wait_for(held.computed.wait(), 120)
         held.let_go.set()
@@ -65,7 +65,7 @@ async def test_whoever_cancels_while_the_result_takes_effect_is_told_that_it_did
         assert answer is not None
         job = await shop.ended(jobs, shown["id"])
         assert answer["status"] == job.status
-        added = len(shop.store.model_versions(ASSET)) - before
+        added = len(shop.store.models.versions(ASSET)) - before
         assert added == (1 if job.status == "succeeded" else 0)
         assert shop.active()[0] == shop.active()[1]
         await jobs.stop()
@@ -75,7 +75,7 @@ async def test_a_queued_job_that_is_cancelled_never_runs(shop: Shop) -> None:
     held = HeldExecutor()
     jobs = await shop.open(held)
     await jobs.create(ASSET, QUICK, None, "x")
-    job, _ = shop.store.add_job("bench-2", {"windows": [], "windows_us": []} | WHO, 1)
+    job, _ = shop.store.jobs.add("bench-2", {"windows": [], "windows_us": []} | WHO, 1)
     jobs._begin(job)  # the API would refuse it: this asset has no data
     await asyncio.wait_for(held.computed.wait(), 120)
     answer = await jobs.cancel("bench-2", job.id)

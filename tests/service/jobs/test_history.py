@@ -52,7 +52,7 @@ def write(
                 quality = Quality.SENSOR_FAILURE if math.isnan(value) else Quality.GOOD
                 at_us = start_us + second * SECOND_US
                 samples.append(make_sample(channel, at_us, value, quality))
-    store.write_samples(samples)
+    store.samples.write(samples)
 
 
 def ramping(channel: str, second: float) -> float:
@@ -135,7 +135,7 @@ async def test_uncertain_values_are_in_no_mean(
         make_sample(channel, start_us + 2 * MINUTE_US + 1, 9e9, Quality.UNCERTAIN)
         for channel in ("speed_rpm", LOW)
     ]
-    store.write_samples(spikes)
+    store.samples.write(spikes)
     minutes = await minutes_of(make_history(store, clock), start_us, start_us + 10 * MINUTE_US)
     assert minutes.good.all()
     assert minutes.speed_rpm[2] == pytest.approx(1000.0 + 2 + 59 / 120)
@@ -169,7 +169,7 @@ async def test_a_sensor_that_spikes_every_minute_does_not_starve_identification(
         make_sample(LOW, start_us + minute * MINUTE_US + 11_500_000, 180.0, Quality.UNCERTAIN)
         for minute in range(1, 140)
     ]
-    run_store.write_samples(spikes)
+    run_store.samples.write(spikes)
     assert await history.windows() == [calm]
     after = await minutes_of(history, *history.span_us(calm))
     assert np.array_equal(after.temperatures_c[LOW], before.temperatures_c[LOW])
@@ -370,7 +370,7 @@ async def test_what_a_version_was_identified_from_is_not_new(
     history = make_history(run_store, clock)
     found = await history.windows()
     document = {"window_records": [window.to_dict() for window in found]}
-    run_store.add_model_version("bench-1", "rejected", "", document, start_us)
+    run_store.models.add("bench-1", "rejected", "", document, start_us)
     assert not await history.are_worth_identifying(found, [])
 
 

@@ -46,7 +46,7 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert job.evaluations > 0
     assert job.best_fitness is not None
     assert shop.active() == (2, 2)
-    version = shop.store.model_version(ASSET, 2)
+    version = shop.store.models.version(ASSET, 2)
     assert version is not None
     assert version.document["job"] == job.id
     assert version.document["gates"]["accepted"] is True
@@ -73,9 +73,9 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert after_restart["active_fitness"] == pytest.approx(whole["active_fitness"])
     assert after_restart["convergence"][-1] == whole["convergence"][-1]
     # Who sees the end of the job sees its version at work.
-    assert shop.store.activations(ASSET)[-1].who == "automatic"
+    assert shop.store.models.activations(ASSET)[-1].who == "automatic"
     assert shop.outbox.flush(30)
-    (line,) = shop.store.audit().items
+    (line,) = shop.store.audit.page().items
     assert (line.who, line.action) == ("automatic", "model.activate")
     assert line.target == f"asset {ASSET}, version 2"
 
@@ -87,7 +87,7 @@ async def test_a_second_version_is_compared_with_the_first(shop: Shop) -> None:
         shown, _ = await jobs.create(ASSET, request, None, "x")
         job = await shop.ended(jobs, shown["id"])
         assert job.model_version == number
-    first, second = (shop.store.model_version(ASSET, number) for number in (2, 3))
+    first, second = (shop.store.models.version(ASSET, number) for number in (2, 3))
     assert first is not None
     assert second is not None
     assert first.document["drift"]["changed"] is None
@@ -109,7 +109,7 @@ async def test_below_apply_a_candidate_waits_for_an_engineer(
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     job = await shop.ended(jobs, shown["id"])
     assert (job.status, job.model_version) == ("succeeded", 2)
-    version = shop.store.model_version(ASSET, 2)
+    version = shop.store.models.version(ASSET, 2)
     assert version is not None
     assert version.status == "candidate"
     assert shop.active() == (1, 1)
@@ -122,7 +122,7 @@ async def test_without_a_window_there_is_no_job(shop: Shop) -> None:
     with pytest.raises(RequestRefusedError, match="no low-risk window") as refusal:
         await jobs.create("bench-2", QUICK, None, "x")
     assert refusal.value.pointer == "/windows"
-    assert shop.store.jobs("bench-2") == []
+    assert shop.store.jobs.of_asset("bench-2") == []
 
 
 async def test_given_windows_are_judged_one_by_one(shop: Shop) -> None:
@@ -139,7 +139,7 @@ async def test_windows_are_identified_from_in_the_order_of_time(shop: Shop) -> N
     shown, _ = await jobs.create(ASSET, windows(shop, (95, 140), (0, 95)), None, "x")
     job = await shop.ended(jobs, shown["id"])
     assert job.status == "succeeded", job.error
-    version = shop.store.model_version(ASSET, job.model_version or 0)
+    version = shop.store.models.version(ASSET, job.model_version or 0)
     assert version is not None
     starts = [window["start"] for window in version.document["windows"]]
     assert starts == sorted(starts)
@@ -165,7 +165,7 @@ async def test_one_job_at_a_time_per_asset(shop: Shop) -> None:
 
 async def test_a_job_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> None:
     gone = {"windows": [{"start": "", "end": ""}], "windows_us": [[60_000_000, 240_000_000]]}
-    job, _ = shop.store.add_job(ASSET, gone | WHO, shop.clock.us)
+    job, _ = shop.store.jobs.add(ASSET, gone | WHO, shop.clock.us)
     jobs = await shop.open()
     ended = await shop.ended(jobs, job.id)
     assert ended.status == "failed"

@@ -17,7 +17,7 @@ async def test_a_stopped_service_takes_its_job_up_again(shop: Shop) -> None:
     again = await shop.open()
     job = await shop.ended(again, shown["id"])
     assert (job.status, job.model_version) == ("succeeded", 2)
-    assert len(shop.store.model_versions(ASSET)) == 2
+    assert len(shop.store.models.versions(ASSET)) == 2
 
 
 @pytest.mark.parametrize("activated", [False, True])
@@ -28,33 +28,33 @@ async def test_a_version_that_was_stored_before_a_crash_is_not_made_twice(
     jobs = await shop.open()
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     done = await shop.ended(jobs, shown["id"])
-    version = shop.store.model_version(ASSET, 2)
+    version = shop.store.models.version(ASSET, 2)
     assert version is not None
-    job, _ = shop.store.add_job(ASSET, done.request, shop.clock.us)
-    shop.store.update_job(job.id, status="running", attempts=1)
-    number = shop.store.add_model_version(
+    job, _ = shop.store.jobs.add(ASSET, done.request, shop.clock.us)
+    shop.store.jobs.update(job.id, status="running", attempts=1)
+    number = shop.store.models.add(
         ASSET, "candidate", "passed", version.document | {"job": job.id}, shop.clock.us
     )
     if activated:
-        shop.store.activate(ASSET, number, "automatic", "passed", shop.clock.us)
+        shop.store.models.activate(ASSET, number, "automatic", "passed", shop.clock.us)
     again = await shop.open()
     taken_up = await shop.ended(again, job.id)
     assert (taken_up.status, taken_up.model_version) == ("succeeded", 3)
-    assert len(shop.store.model_versions(ASSET)) == 3
-    assert [one.version for one in shop.store.activations(ASSET)] == [1, 2, 3]
+    assert len(shop.store.models.versions(ASSET)) == 3
+    assert [one.version for one in shop.store.models.activations(ASSET)] == [1, 2, 3]
 
 
 async def test_a_job_that_kills_every_time_is_given_up(shop: Shop) -> None:
     request = {"windows": [], "windows_us": []} | WHO
-    job, _ = shop.store.add_job(ASSET, request, shop.clock.us)
-    shop.store.update_job(job.id, status="running", attempts=3)
+    job, _ = shop.store.jobs.add(ASSET, request, shop.clock.us)
+    shop.store.jobs.update(job.id, status="running", attempts=3)
     jobs = await shop.open()
     ended = await shop.ended(jobs, job.id)
     assert (ended.status, ended.error) == ("failed", "gave up after 3 attempts")
 
 
 async def test_a_job_of_an_asset_that_is_no_longer_configured_is_left_alone(shop: Shop) -> None:
-    job, _ = shop.store.add_job("gone", {"windows": [], "windows_us": []} | WHO, 1)
+    job, _ = shop.store.jobs.add("gone", {"windows": [], "windows_us": []} | WHO, 1)
     await shop.open()
     left = shop.row(job.id)
     assert left.status == "queued"

@@ -47,8 +47,8 @@ async def test_a_worker_that_hangs_once_goes_on_from_its_checkpoint(shop: Shop) 
 
 
 async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(shop: Shop) -> None:
-    run = shop.store.read_samples(ASSET, None, 0, 2**62, 100_000)
-    shop.store.write_samples(
+    run = shop.store.samples.read(ASSET, None, 0, 2**62, 100_000)
+    shop.store.samples.write(
         [
             Sample("bench-2", one.channel, one.time_us, one.value or 0.0, one.quality, 0)
             for one in run

@@ -370,5 +370,5 @@ async def test_renewed_grease_counts_from_zero_and_after_a_restart_too(
     await asyncio.sleep(0)
     assert again.runtime.estimate.revolutions == 0.0
     assert live.alarms._outbox.flush(30)
-    (event,) = [line for line in live.store.alarm_journal().items if line.kind == "grease renewed"]
+    (event,) = [line for line in live.store.alarms.journal().items if line.kind == "grease renewed"]
     assert (event.who, event.comment) == ("engineer eva", "regreased")

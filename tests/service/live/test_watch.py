@@ -71,7 +71,7 @@ class Machine:
 
     def events(self) -> list[tuple[str, str]]:
         assert self.outbox.flush(30)
-        lines = self.store.alarm_journal(limit=1000).items
+        lines = self.store.alarms.journal(limit=1000).items
         return [(line.kind, line.who) for line in lines[::-1] if line.alarm_id is None]
 
     def close(self) -> None:

@@ -23,7 +23,7 @@ async def lines_when(store: Store, outbox: Outbox, count: int) -> list[AuditEntr
     async with asyncio.timeout(60):
         while True:
             assert await asyncio.to_thread(outbox.flush, 30)
-            lines = store.audit().items
+            lines = store.audit.page().items
             if len(lines) >= count:
                 return list(lines)[::-1]
             await asyncio.sleep(0.02)

@@ -57,8 +57,8 @@ async def test_many_that_ask_at_once_share_one_look_up(
     authenticator = Authenticator(store)
     key = create_key(store, "viewer")
     look_ups = []
-    find = store.find_api_key
-    monkeypatch.setattr(store, "find_api_key", lambda sha256: look_ups.append(1) or find(sha256))
+    find = store.access.find_key
+    monkeypatch.setattr(store.access, "find_key", lambda sha256: look_ups.append(1) or find(sha256))
     found = await asyncio.gather(*(authenticator.by_key(key.text) for _ in range(100)))
     assert None not in found
     assert len(look_ups) == 1
@@ -138,7 +138,7 @@ async def test_using_a_session_keeps_it_alive(store: Store, tmp_path: Path) -> N
     assert principal.expires_us is not None
     assert opened.expires_us is not None
     assert principal.expires_us >= opened.expires_us
-    kept = store.find_session(fingerprint(cookie))
+    kept = store.access.find_session(fingerprint(cookie))
     assert kept is not None
     assert kept.expires_us == principal.expires_us
 
@@ -211,12 +211,13 @@ class Hanging:
     """A store whose look-ups hang while it is told to; a database that is frozen, not gone."""
 
     def __init__(self, store: Store) -> None:
-        self.store, self.runs = store, threading.Event()
+        self._access, self.runs = store.access, threading.Event()
+        self.access = self
         self.runs.set()
         self.asked: list[str] = []
 
     def __getattr__(self, name: str) -> Any:
-        asked = getattr(self.store, name)
+        asked = getattr(self._access, name)
 
         def look(*arguments: Any, **named: Any) -> Any:
             self.asked.append(name)
@@ -277,7 +278,7 @@ async def test_known_callers_do_not_wait_behind_unknown_ones(store: Store) -> No
     hanging.asked.clear()
     asking = asyncio.create_task(authenticator.by_key(known.text))
     async with asyncio.timeout(60):
-        while "find_api_key" not in hanging.asked:  # noqa: ASYNC110 - nobody tells
+        while "find_key" not in hanging.asked:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.01)
     hanging.runs.set()
     assert await asking is not None

@@ -67,14 +67,14 @@ def test_hash_under_another_prefix_opens_nothing(store: Store, tmp_path: Path) -
     with sqlite3.connect(tmp_path / "bearing-twin.db") as connection:
         connection.execute("UPDATE api_keys SET prefix = 'bt_ffffffff'")
     connection.close()
-    assert store.find_api_key(fingerprint(key.text)) is not None
+    assert store.access.find_key(fingerprint(key.text)) is not None
     assert verify_key(store, key.text) is None
 
 
 def test_expired_key_opens_nothing(store: Store) -> None:
     text = "bt_12345678_" + "A" * 43
     now_us = wall_us()
-    store.add_api_key(
+    store.access.add_key(
         prefix=text[:11],
         sha256=fingerprint(text),
         role="viewer",

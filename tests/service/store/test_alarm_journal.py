@@ -32,61 +32,61 @@ def line(time_us: int, alarm: Alarm = ALARM) -> AlarmTransition:
 
 
 def test_an_alarm_is_kept_until_it_is_over(store: Store) -> None:
-    store.save_alarm(ALARM, [line(100)])
-    assert store.load_alarms() == [ALARM]
+    store.alarms.save(ALARM, [line(100)])
+    assert store.alarms.load() == [ALARM]
     acked = replace(ALARM, state="ACKED", acknowledged_by="eva", acknowledged_at_us=150)
-    store.save_alarm(acked)
-    assert store.load_alarms() == [acked]
-    store.save_alarm(replace(acked, state="NORM", returned_at_us=200), [line(200)])
-    assert store.load_alarms() == []
+    store.alarms.save(acked)
+    assert store.alarms.load() == [acked]
+    store.alarms.save(replace(acked, state="NORM", returned_at_us=200), [line(200)])
+    assert store.alarms.load() == []
     again = replace(ALARM, id="two", raised_at_us=300)
-    store.save_alarm(again, [line(300, again)])
-    assert store.load_alarms() == [again]
-    assert [one.time_us for one in store.alarm_journal().items] == [300, 200, 100]
+    store.alarms.save(again, [line(300, again)])
+    assert store.alarms.load() == [again]
+    assert [one.time_us for one in store.alarms.journal().items] == [300, 200, 100]
 
 
 def test_of_one_condition_one_alarm_is_open(store: Store) -> None:
-    store.save_alarm(ALARM)
-    store.save_alarm(replace(ALARM, id="other level", level="warning"))
+    store.alarms.save(ALARM)
+    store.alarms.save(replace(ALARM, id="other level", level="warning"))
     with pytest.raises(IntegrityError):
-        store.save_alarm(replace(ALARM, id="two"), [line(5, replace(ALARM, id="two"))])
-    assert len(store.load_alarms()) == 2
-    assert store.alarm_journal().items == []  # the line went with the alarm
+        store.alarms.save(replace(ALARM, id="two"), [line(5, replace(ALARM, id="two"))])
+    assert len(store.alarms.load()) == 2
+    assert store.alarms.journal().items == []  # the line went with the alarm
 
 
 def test_the_journal_comes_in_pages_newest_first(store: Store) -> None:
     for time_us in range(7):
-        store.save_alarm(ALARM, [line(time_us)])
+        store.alarms.save(ALARM, [line(time_us)])
     seen = []
     cursor = None
     while True:
-        page = store.alarm_journal(JournalFilter(start_us=1, end_us=6), limit=2, cursor=cursor)
+        page = store.alarms.journal(JournalFilter(start_us=1, end_us=6), limit=2, cursor=cursor)
         seen += [one.time_us for one in page.items]
         cursor = page.next_cursor
         if cursor is None:
             break
         assert len(page.items) == 2
     assert seen == [5, 4, 3, 2, 1]
-    assert store.alarm_journal(limit=7).next_cursor is None
-    assert store.alarm_journal(limit=1).items == [line(6)]
+    assert store.alarms.journal(limit=7).next_cursor is None
+    assert store.alarms.journal(limit=1).items == [line(6)]
 
 
 def test_the_journal_is_filtered_by_asset_alarm_and_class(store: Store) -> None:
     other = replace(ALARM, id="two", asset="b")
     event = replace(line(3), alarm_id=None, kind="model drift", event="", from_state="")
-    store.save_alarm(ALARM, [line(1), line(2)])
-    store.save_alarm(other, [line(4, other)])
-    store.save_alarm(None, [event])
+    store.alarms.save(ALARM, [line(1), line(2)])
+    store.alarms.save(other, [line(4, other)])
+    store.alarms.save(None, [event])
 
     def times(**wanted: Any) -> list[int]:
-        return [one.time_us for one in store.alarm_journal(JournalFilter(**wanted)).items]
+        return [one.time_us for one in store.alarms.journal(JournalFilter(**wanted)).items]
 
     assert times(asset="b") == [4]
     assert times(alarm_id="one") == [2, 1]
     assert times(events=True) == [3]
     assert sorted(times(events=False)) == [1, 2, 4]
     assert times(asset="a", events=False, start_us=2) == [2]
-    assert store.alarm_journal(JournalFilter(events=True)).items == [event]
+    assert store.alarms.journal(JournalFilter(events=True)).items == [event]
 
 
 def test_annunciations_are_counted_per_ten_minutes_and_by_kind(store: Store) -> None:
@@ -97,17 +97,17 @@ def test_annunciations_are_counted_per_ten_minutes_and_by_kind(store: Store) -> 
         replace(line(now_us), from_state="UNACK", to_state="UNACK", event="comment"),
         replace(line(now_us), from_state="UNACK", to_state="ACKED", event="acknowledge"),
     ]
-    store.save_alarm(ALARM, [*raised, *noise])
-    store.save_alarm(other, [line(now_us, other)])
-    counts = store.annunciations(now_us)
+    store.alarms.save(ALARM, [*raised, *noise])
+    store.alarms.save(other, [line(now_us, other)])
+    counts = store.alarms.annunciations(now_us)
     assert (counts.in_last_10_min, counts.in_last_24_h, counts.most_in_10_min) == (3, 8, 3)
     assert counts.by_priority == {1: 7, 2: 1}
     assert [(one.channel, one.count) for one in counts.most_frequent] == [
         ("t_inner_ring_c", 7),
         ("c", 1),
     ]
-    assert store.annunciations(now_us, "b").in_last_24_h == 1
-    assert store.annunciations(now_us, "none").in_last_10_min == 0
+    assert store.alarms.annunciations(now_us, "b").in_last_24_h == 1
+    assert store.alarms.annunciations(now_us, "none").in_last_10_min == 0
 
 
 def test_an_older_store_keeps_its_alarms(tmp_path: Path) -> None:
@@ -130,24 +130,24 @@ def test_an_older_store_keeps_its_alarms(tmp_path: Path) -> None:
         )
     engine.dispose()
     with Store.open("", tmp_path) as store:
-        assert [(one.state, one.present) for one in store.load_alarms()] == [
+        assert [(one.state, one.present) for one in store.alarms.load()] == [
             ("ACKED", True),
             ("RTNUN", False),
         ]
-        (kept,) = store.alarm_journal().items
+        (kept,) = store.alarms.journal().items
         assert (kept.alarm_id, kept.event, kept.priority) == ("one", "", None)
-        store.save_alarm(None, [replace(kept, alarm_id=None)])
+        store.alarms.save(None, [replace(kept, alarm_id=None)])
 
 
 def test_old_lines_go_and_with_them_alarms_that_are_over(store: Store) -> None:
     over, standing = replace(ALARM, id="over", level="warning"), ALARM
     event = replace(line(3), alarm_id=None)
-    store.save_alarm(over, [line(1, over)])
-    store.save_alarm(replace(over, state="NORM", since_us=2), [line(2, over)])
+    store.alarms.save(over, [line(1, over)])
+    store.alarms.save(replace(over, state="NORM", since_us=2), [line(2, over)])
     later = replace(over, id="later", state="NORM", since_us=9)
-    store.save_alarm(later, [line(9, later)])
-    store.save_alarm(standing, [line(1), line(8)])
-    store.save_alarm(None, [event])
-    assert store.expire_journal(5) == 5, "four lines and the alarm that is over"
-    assert [kept.time_us for kept in store.alarm_journal().items] == [8, 9]
-    assert store.load_alarms() == [standing]
+    store.alarms.save(later, [line(9, later)])
+    store.alarms.save(standing, [line(1), line(8)])
+    store.alarms.save(None, [event])
+    assert store.alarms.expire(5) == 5, "four lines and the alarm that is over"
+    assert [kept.time_us for kept in store.alarms.journal().items] == [8, 9]
+    assert store.alarms.load() == [standing]

@@ -17,10 +17,10 @@ def entry(number: int) -> AuditEntry:
 
 def test_lines_are_read_back_newest_first_in_pages(store: Store) -> None:
     for number in range(5):
-        store.add_audit_entry(entry(number))
-    first = store.audit(limit=3)
+        store.audit.add(entry(number))
+    first = store.audit.page(limit=3)
     assert first.items == [entry(4), entry(3), entry(2)]
-    rest = store.audit(limit=3, cursor=first.next_cursor)
+    rest = store.audit.page(limit=3, cursor=first.next_cursor)
     assert rest.items == [entry(1), entry(0)]
     assert rest.next_cursor is None
 
@@ -28,13 +28,13 @@ def test_lines_are_read_back_newest_first_in_pages(store: Store) -> None:
 @pytest.mark.parametrize("change", ["UPDATE audit SET who = 'nobody'", "DELETE FROM audit"])
 def test_the_database_takes_no_change_of_a_line(store: Store, change: str) -> None:
     written = entry(time.time_ns() // 1000 - 364 * DAY_US)
-    store.add_audit_entry(written)
+    store.audit.add(written)
     with (
         pytest.raises((DatabaseError, StoreUnavailableError), match="only grows"),
         store._database.writing() as connection,
     ):
         connection.execute(text(change))
-    assert store.audit().items == [written]
+    assert store.audit.page().items == [written]
 
 
 def test_lines_that_are_old_enough_go(store: Store) -> None:
@@ -42,7 +42,7 @@ def test_lines_that_are_old_enough_go(store: Store) -> None:
     old, young = entry(now_us - 400 * DAY_US), entry(now_us - 370 * DAY_US)
     with store._database.writing() as connection:
         connection.execute(insert(AuditRow), [asdict(old)] * 1500)
-    store.add_audit_entry(young)
-    assert store.expire_audit(now_us - 390 * DAY_US) == 1500
-    assert store.audit().items == [young]
-    assert store.expire_audit(now_us - 390 * DAY_US) == 0
+    store.audit.add(young)
+    assert store.audit.expire(now_us - 390 * DAY_US) == 1500
+    assert store.audit.page().items == [young]
+    assert store.audit.expire(now_us - 390 * DAY_US) == 0

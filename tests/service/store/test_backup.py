@@ -32,7 +32,7 @@ def written_to(store: Store) -> Iterator[None]:
         time_us = 0
         while not stop.is_set():
             time_us += 1
-            store.write_samples(
+            store.samples.write(
                 [Sample("a", f"c{n}", time_us, float(time_us), 192, 0) for n in range(CHANNELS)]
             )
             begun.set()
@@ -49,7 +49,7 @@ def written_to(store: Store) -> Iterator[None]:
 
 def holds_whole_batches(store: Store) -> bool:
     """Tell whether the store holds some batches, the first ones, each whole."""
-    found = store.read_samples("a", None, 0, 2**62, 10**6)
+    found = store.samples.read("a", None, 0, 2**62, 10**6)
     last = max(one.time_us for one in found)
     return len(found) == CHANNELS * last and all(one.value == one.time_us for one in found)
 
@@ -65,7 +65,7 @@ def test_an_sqlite_file_is_copied_while_it_is_written_and_restored(tmp_path: Pat
     (tmp_path / "backup.db").rename(restored / FILE_NAME)
     with Store.open("", restored) as store:
         assert holds_whole_batches(store)
-        assert store.write_samples([Sample("a", "c0", 2**50, 1.0, 192, 0)]) == (1, 0)
+        assert store.samples.write([Sample("a", "c0", 2**50, 1.0, 192, 0)]) == (1, 0)
     with contextlib.closing(sqlite3.connect(restored / FILE_NAME)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
 
@@ -89,7 +89,7 @@ def test_a_postgresql_database_is_dumped_while_it_is_written_and_restored(
     run(programs, restore, {**places, "postgresql://USER@HOST/NEW": restored})
     with Store.open(restored, tmp_path) as store:
         assert holds_whole_batches(store)
-        assert store.write_samples([Sample("a", "c0", 2**50, 1.0, 192, 0)]) == (1, 0)
+        assert store.samples.write([Sample("a", "c0", 2**50, 1.0, 192, 0)]) == (1, 0)
 
 
 def run(programs: Path, command: list[str], replaced: dict[str, str]) -> None:

@@ -37,16 +37,18 @@ COUNT = 2000
 
 def filled(store: Store) -> str:
     """Fill a store; returns the prefix of a key that is logged in."""
-    store.write_samples([Sample("a", "x", k, float(k), 192, 0) for k in range(COUNT)])
+    store.samples.write([Sample("a", "x", k, float(k), 192, 0) for k in range(COUNT)])
     key = create_key(store, "admin").record
     now_us = time.time_ns() // 1000
-    store.add_session(sha256="s", key_id=key.id, created_us=now_us, expires_us=now_us + 10**12)
+    store.access.add_session(
+        sha256="s", key_id=key.id, created_us=now_us, expires_us=now_us + 10**12
+    )
     return key.prefix
 
 
 def holds_it(store: Store, prefix: str) -> bool:
-    found = store.read_samples("a", None, 0, 2**62, 10**6)
-    assert store.find_session("s") is None, "sessions have ended"
+    found = store.samples.read("a", None, 0, 2**62, 10**6)
+    assert store.access.find_session("s") is None, "sessions have ended"
     return len(found) == COUNT and prefix in [key.prefix for key in list_keys(store)]
 
 
@@ -60,7 +62,7 @@ def test_a_backup_of_sqlite_is_restored_with_its_rows_and_without_sessions(tmp_p
         with pytest.raises(StoreError, match="is there already; expected a new name"):
             back_up(url, out)
         revoke_key(store, prefix)
-        store.write_samples([Sample("a", "x", COUNT, 1.0, 192, 0)])
+        store.samples.write([Sample("a", "x", COUNT, 1.0, 192, 0)])
     assert stat.S_IMODE(out.stat().st_mode) == 0o600
     with pytest.raises(StoreError, match=r"is not empty; expected --force"):
         restore(url, out, force=False)
@@ -70,7 +72,7 @@ def test_a_backup_of_sqlite_is_restored_with_its_rows_and_without_sessions(tmp_p
         assert holds_it(store, prefix)
         # What was revoked since is valid again: one command ends that.
         assert [key.prefix for key in revoke_all_keys(store)] == [prefix]
-        assert [line.action for line in store.audit(1).items] == ["key.revoke"]
+        assert [line.action for line in store.audit.page(1).items] == ["key.revoke"]
         assert revoke_all_keys(store) == []
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -128,7 +130,7 @@ def test_a_backup_of_postgresql_is_restored(
             back_up(url, out)
         monkeypatch.setenv("PATH", str(found[0]))
         assert back_up(url, out)["samples"] == COUNT
-        store.write_samples([Sample("a", "x", COUNT, 1.0, 192, 0)])
+        store.samples.write([Sample("a", "x", COUNT, 1.0, 192, 0)])
     assert stat.S_IMODE(out.stat().st_mode) == 0o600
     assert restore(new, out, force=False)["samples"] == COUNT
     with pytest.raises(StoreError, match="is not empty; expected --force"):
@@ -137,7 +139,7 @@ def test_a_backup_of_postgresql_is_restored(
     for one in (url, new):
         with Store.open(one.render_as_string(hide_password=False), tmp_path) as store:
             assert holds_it(store, prefix)
-            assert store.write_samples([Sample("a", "x", 2**50, 1.0, 192, 0)]) == (1, 0)
+            assert store.samples.write([Sample("a", "x", 2**50, 1.0, 192, 0)]) == (1, 0)
     out.write_bytes(out.read_bytes()[:-2000])
     with pytest.raises(StoreError):
         restore(url, out, force=True)

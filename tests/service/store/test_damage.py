@@ -114,11 +114,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     spool.append([sample(k) for k in range(SAMPLES)])
     spool.close()
     with Store.open("", folder) as store:
-        store.write_samples([sample(k) for k in range(SAMPLES)])
-        store.refresh_rollups(2**62)
+        store.samples.write([sample(k) for k in range(SAMPLES)])
+        store.rollups.refresh(2**62)
         for k in range(20):
-            store.add_model_version("bench-1", "candidate", "", {"k": ["x" * 300] * 20}, k)
-            store.add_audit_entry(AuditEntry(k, "eva", "", "alarm.shelve", f"alarm {k}"))
+            store.models.add("bench-1", "candidate", "", {"k": ["x" * 300] * 20}, k)
+            store.audit.add(AuditEntry(k, "eva", "", "alarm.shelve", f"alarm {k}"))
     empty = folder / "outbox"
     empty.mkdir()
     with Store.open("", empty) as store:
@@ -205,7 +205,7 @@ def check_outbox(whole: Path, folder: Path, rng: random.Random) -> str:
                 time.sleep(0.01)
             assert not outbox.waiting
             lost = outbox.lost
-        found = [one.target for one in store.audit(LINES + 10).items]
+        found = [one.target for one in store.audit.page(LINES + 10).items]
     assert kept <= set(found)
     assert len(found) == len(set(found))
     assert set(found) <= {entry(k).target for k in range(LINES)}
@@ -243,7 +243,7 @@ def check_store(whole: Path, folder: Path, rng: random.Random) -> str:
     named = ""
     try:
         with Store.open("", folder) as store:
-            store.load_alarms(), store.active_model("bench-1"), store.latest("bench-1")
+            store.alarms.load(), store.models.active("bench-1"), store.samples.latest("bench-1")
     except (StoreError, StoreDamagedError) as error:
         named = str(error)
         assert STORE in named

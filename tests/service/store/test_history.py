@@ -22,7 +22,7 @@ Series = dict[tuple[str, int], tuple[float, int]]
 
 def fill(store: Store, series: Series, unit_us: int = 1) -> str:
     asset = uuid.uuid4().hex
-    store.write_samples(
+    store.samples.write(
         [
             Sample(asset, channel, time * unit_us, value, quality, 0)
             for (channel, time), (value, quality) in series.items()
@@ -37,7 +37,7 @@ def test_rollups_are_those_of_numpy(
     shared_store: Store, series: Series, bucket: int, span: tuple[int, int]
 ) -> None:
     asset = fill(shared_store, series)
-    rollups = shared_store.read_rollup(asset, None, *span, bucket, 1000)
+    rollups = shared_store.history.read(asset, None, *span, bucket, 1000)
 
     starts = {(time - time % bucket, channel) for channel, time in series}
     starts = {key for key in starts if span[0] <= key[0] < span[1]}
@@ -67,31 +67,31 @@ def test_rollups_page_by_page_are_all_of_them(
     paged: list[Rollup] = []
     while True:
         after = (paged[-1].time_us, paged[-1].channel) if paged else None
-        items = shared_store.read_rollup(asset, ["a", "b"], 0, 500, bucket, page, after)
+        items = shared_store.history.read(asset, ["a", "b"], 0, 500, bucket, page, after)
         paged += items
         if len(items) < page:
             break
-    assert paged == shared_store.read_rollup(asset, ["b", "a"], 0, 500, bucket, 1000)
+    assert paged == shared_store.history.read(asset, ["b", "a"], 0, 500, bucket, 1000)
 
 
 def test_a_long_gap_costs_a_page_nothing(store: Store) -> None:
     year_us = 365 * 86_400_000_000
-    store.write_samples([Sample("a", "x", year * year_us, 1.0, 192, 0) for year in (1, 40)])
-    rollups = store.read_rollup("a", None, 0, 50 * year_us, 1_000_000, 10)
+    store.samples.write([Sample("a", "x", year * year_us, 1.0, 192, 0) for year in (1, 40)])
+    rollups = store.history.read("a", None, 0, 50 * year_us, 1_000_000, 10)
     assert [rollup.time_us for rollup in rollups] == [year_us, 40 * year_us]
 
 
 def test_a_page_never_cuts_a_bucket(store: Store) -> None:
-    store.write_samples([Sample("a", "x", time_us, 1.0, 192, 0) for time_us in (5, 21, 27, 33)])
-    first = store.read_rollup("a", None, 0, 99, 10, 2)
+    store.samples.write([Sample("a", "x", time_us, 1.0, 192, 0) for time_us in (5, 21, 27, 33)])
+    first = store.history.read("a", None, 0, 99, 10, 2)
     assert [(rollup.time_us, rollup.count) for rollup in first] == [(0, 1), (20, 2)]
-    rest = store.read_rollup("a", None, 0, 99, 10, 2, (20, "x"))
+    rest = store.history.read("a", None, 0, 99, 10, 2, (20, "x"))
     assert [(rollup.time_us, rollup.count) for rollup in rest] == [(30, 1)]
 
 
 def test_a_bucket_without_length_is_refused(store: Store) -> None:
     with pytest.raises(ValueError, match="bucket_us = 0"):
-        store.read_rollup("a", None, 0, 1, 0, 1)
+        store.history.read("a", None, 0, 1, 0, 1)
 
 
 @given(
@@ -107,7 +107,7 @@ def test_minute_averages_are_those_of_numpy(
     asset = fill(shared_store, series, unit_us)
     channels = ["a", "b", "never stored"]
     start_us, end_us = (edge * unit_us for edge in span)
-    table = shared_store.minute_averages(asset, channels, start_us, end_us, offset_us)
+    table = shared_store.history.minute_averages(asset, channels, start_us, end_us, offset_us)
 
     rows = [
         (channel, (time * unit_us - offset_us) // 60_000_000 * 60_000_000 + offset_us, *sample)
@@ -149,7 +149,7 @@ def test_rollups_are_right_whenever_they_were_computed(
     asset = uuid.uuid4().hex
     series: Series = {}
     for part, until in zip(parts, refreshed, strict=False):
-        shared_store.write_samples(
+        shared_store.samples.write(
             [
                 Sample(asset, channel, half * 500_000, value, quality, 0)
                 for (channel, half), (value, quality) in part.items()
@@ -158,13 +158,13 @@ def test_rollups_are_right_whenever_they_were_computed(
         for key, (value, quality) in part.items():
             if key not in series or (series[key][1] < 192 <= quality):
                 series[key] = (value, quality)
-        while shared_store.refresh_rollups(until * HOUR_US):
+        while shared_store.rollups.refresh(until * HOUR_US):
             pass
     rollups: list[Rollup] = []
     while True:
         after = (rollups[-1].time_us, rollups[-1].channel) if rollups else None
         bucket_us = bucket_s * 1_000_000
-        items = shared_store.read_rollup(asset, None, 0, 7 * HOUR_US, bucket_us, page, after)
+        items = shared_store.history.read(asset, None, 0, 7 * HOUR_US, bucket_us, page, after)
         rollups += items
         if len(items) < page:
             break
@@ -186,52 +186,52 @@ def test_rollups_are_right_whenever_they_were_computed(
 
 def test_old_samples_are_condensed_before_they_go(store: Store) -> None:
     times_us = [k * 500_000 for k in range(0, 3 * 7200, 7)]
-    store.write_samples(
+    store.samples.write(
         [Sample("a", "x", time_us, float(time_us % 97), 192, 0) for time_us in times_us]
     )
     day_us = 24 * HOUR_US
 
     def all_levels() -> list[list[Rollup]]:
         return [
-            store.read_rollup("a", None, 0, 9 * HOUR_US, seconds * 1_000_000, 10**6)
+            store.history.read("a", None, 0, 9 * HOUR_US, seconds * 1_000_000, 10**6)
             for seconds in (1, 60, 3600)
         ]
 
     before = all_levels()
     # Days are counted back from the newest sample.
-    store.write_samples([Sample("b", "x", day_us + 2 * HOUR_US + 5, 1.0, 192, 0)])
+    store.samples.write([Sample("b", "x", day_us + 2 * HOUR_US + 5, 1.0, 192, 0)])
     retention = Retention(raw_days=1.0)
-    removed = store.expire(retention, day_us + 2 * HOUR_US + 5)
+    removed = store.rollups.expire(retention, day_us + 2 * HOUR_US + 5)
     assert removed == sum(time_us < 2 * HOUR_US for time_us in times_us)
     for level, now in zip(before, all_levels(), strict=True):
         assert [(r.time_us, r.count, r.min, r.max) for r in now] == [
             (r.time_us, r.count, r.min, r.max) for r in level
         ]
         assert [r.mean for r in now] == pytest.approx([r.mean for r in level])
-    raw = store.read_samples("a", None, 0, 9 * HOUR_US, 10**6)
+    raw = store.samples.read("a", None, 0, 9 * HOUR_US, 10**6)
     assert raw[0].time_us >= 2 * HOUR_US
 
     # What is sent again, or comes this late, changes nothing that is condensed already.
-    assert store.write_samples([Sample("a", "x", 500_000, 1e9, 192, 0)]) == (0, 0)
-    while store.refresh_rollups(10 * HOUR_US):
+    assert store.samples.write([Sample("a", "x", 500_000, 1e9, 192, 0)]) == (0, 0)
+    while store.rollups.refresh(10 * HOUR_US):
         pass
     assert [len(level) for level in all_levels()] == [len(level) for level in before]
-    assert store.expire(retention, day_us + 2 * HOUR_US + 5) == 0
+    assert store.rollups.expire(retention, day_us + 2 * HOUR_US + 5) == 0
 
     # Each level has its own end.
-    store.expire(Retention(minute_days=1.0), day_us + 2 * HOUR_US)
+    store.rollups.expire(Retention(minute_days=1.0), day_us + 2 * HOUR_US)
     seconds, minutes, hours = all_levels()
     assert seconds[0].time_us == hours[0].time_us == 0
     assert minutes[0].time_us == 2 * HOUR_US
 
 
 def test_a_late_sample_before_its_hour_is_condensed_still_counts(store: Store) -> None:
-    store.write_samples([Sample("a", "x", 5, 1.0, 192, 0)])
-    store.refresh_rollups(HOUR_US)
-    store.write_samples([Sample("a", "x", 6, 3.0, 192, 0)])
-    store.write_samples([Sample("b", "x", 20 * HOUR_US, 3.0, 192, 0)])
-    assert store.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
-    (hour,) = store.read_rollup("a", None, 0, HOUR_US, HOUR_US, 9)
+    store.samples.write([Sample("a", "x", 5, 1.0, 192, 0)])
+    store.rollups.refresh(HOUR_US)
+    store.samples.write([Sample("a", "x", 6, 3.0, 192, 0)])
+    store.samples.write([Sample("b", "x", 20 * HOUR_US, 3.0, 192, 0)])
+    assert store.rollups.expire(Retention(raw_days=0.5), 20 * HOUR_US) == 2
+    (hour,) = store.history.read("a", None, 0, HOUR_US, HOUR_US, 9)
     assert (hour.mean, hour.min, hour.max, hour.count) == (2.0, 1.0, 3.0, 2)
 
 
@@ -239,7 +239,7 @@ def test_the_memory_of_a_read_does_not_grow_with_the_number_of_channels(store: S
     rows = 4000
     for number in range(40):
         asset = "one" if number == 0 else "many"
-        store.write_samples(
+        store.samples.write(
             [Sample(asset, f"c{number:02}", 1_000_000 * k, 1.0, 192, 0) for k in range(rows)]
         )
 
@@ -252,10 +252,10 @@ def test_the_memory_of_a_read_does_not_grow_with_the_number_of_channels(store: S
             tracemalloc.stop()
 
     def samples(asset: str) -> int:
-        return len(store.read_samples(asset, None, 0, 10**10, rows))
+        return len(store.samples.read(asset, None, 0, 10**10, rows))
 
     def rollups(asset: str) -> int:
-        return len(store.read_rollup(asset, None, 0, 10**10, 1_000_000, rows))
+        return len(store.history.read(asset, None, 0, 10**10, 1_000_000, rows))
 
     for read in (samples, rollups):
         read("one")  # what is made once

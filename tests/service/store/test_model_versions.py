@@ -10,59 +10,59 @@ from service.store.tables import ModelVersionRow
 
 def test_versions_count_from_one_per_asset(store: Store) -> None:
     document = {"parameters": {"k1": 0.25}, "windows": [], "nothing": None}
-    assert store.add_model_version("a", "candidate", "new", document, 10) == 1
-    assert store.add_model_version("a", "rejected", "too hot", {}, 11) == 2
-    assert store.add_model_version("b", "candidate", "", {}, 12) == 1
-    assert [m.version for m in store.model_versions("a")] == [1, 2]
-    model = store.model_version("a", 1)
+    assert store.models.add("a", "candidate", "new", document, 10) == 1
+    assert store.models.add("a", "rejected", "too hot", {}, 11) == 2
+    assert store.models.add("b", "candidate", "", {}, 12) == 1
+    assert [m.version for m in store.models.versions("a")] == [1, 2]
+    model = store.models.version("a", 1)
     assert model is not None
     assert (model.status, model.reason, model.created_at_us) == ("candidate", "new", 10)
     assert model.document == document
-    assert store.model_version("a", 3) is None
-    assert store.active_model("a") is None
+    assert store.models.version("a", 3) is None
+    assert store.models.active("a") is None
 
 
 def test_a_model_becomes_active_through_activation_alone(store: Store) -> None:
     with pytest.raises(ValueError, match="'active': a new model is"):
-        store.add_model_version("a", "active", "", {}, 1)
+        store.models.add("a", "active", "", {}, 1)
 
 
 def test_activation_retires_the_one_before_and_is_journaled(store: Store) -> None:
     for _ in range(2):
-        store.add_model_version("a", "candidate", "", {}, 1)
-    store.add_model_version("b", "candidate", "", {}, 1)
-    store.activate("b", 1, "service", "first", 5)
-    assert store.activate("a", 1, "service", "gates passed", 10).status == "active"
-    store.activate("a", 2, "eva", "better", 20)
-    assert store.activate("a", 2, "eva", "again", 21).reason == "better"
-    store.activate("a", 1, "eva", "roll back", 30)
-    assert [(m.version, m.status) for m in store.model_versions("a")] == [
+        store.models.add("a", "candidate", "", {}, 1)
+    store.models.add("b", "candidate", "", {}, 1)
+    store.models.activate("b", 1, "service", "first", 5)
+    assert store.models.activate("a", 1, "service", "gates passed", 10).status == "active"
+    store.models.activate("a", 2, "eva", "better", 20)
+    assert store.models.activate("a", 2, "eva", "again", 21).reason == "better"
+    store.models.activate("a", 1, "eva", "roll back", 30)
+    assert [(m.version, m.status) for m in store.models.versions("a")] == [
         (1, "active"),
         (2, "retired"),
     ]
-    assert store.activations("a") == [
+    assert store.models.activations("a") == [
         Activation("a", 1, 10, "service", "gates passed"),
         Activation("a", 2, 20, "eva", "better"),
         Activation("a", 1, 30, "eva", "roll back"),
     ]
-    active = store.active_model("b")
+    active = store.models.active("b")
     assert active is not None
     assert active.version == 1
 
 
 def test_a_version_that_is_not_there_cannot_be_activated(store: Store) -> None:
-    store.add_model_version("a", "candidate", "", {}, 1)
-    store.activate("a", 1, "eva", "", 2)
+    store.models.add("a", "candidate", "", {}, 1)
+    store.models.activate("a", 1, "eva", "", 2)
     with pytest.raises(KeyError, match="no model version 7"):
-        store.activate("a", 7, "eva", "", 3)
-    active = store.active_model("a")
+        store.models.activate("a", 7, "eva", "", 3)
+    active = store.models.active("a")
     assert active is not None
     assert active.version == 1
 
 
 def test_the_database_itself_holds_one_active_model_per_asset(store: Store) -> None:
-    store.add_model_version("a", "candidate", "", {}, 1)
-    store.activate("a", 1, "eva", "", 2)
+    store.models.add("a", "candidate", "", {}, 1)
+    store.models.activate("a", 1, "eva", "", 2)
     second = insert(ModelVersionRow).values(
         asset="a", version=2, status="active", reason="", created_at_us=1, document={}
     )
@@ -73,9 +73,9 @@ def test_the_database_itself_holds_one_active_model_per_asset(store: Store) -> N
 def test_many_at_once_get_versions_of_their_own(store: Store) -> None:
     with ThreadPoolExecutor(8) as pool:
         versions = list(
-            pool.map(lambda _: store.add_model_version("a", "candidate", "", {}, 1), range(24))
+            pool.map(lambda _: store.models.add("a", "candidate", "", {}, 1), range(24))
         )
         assert sorted(versions) == list(range(1, 25))
-        list(pool.map(lambda version: store.activate("a", version, "x", "", 2), versions))
-    assert [m.status for m in store.model_versions("a")].count("active") == 1
-    assert len(store.activations("a")) == 24
+        list(pool.map(lambda version: store.models.activate("a", version, "x", "", 2), versions))
+    assert [m.status for m in store.models.versions("a")].count("active") == 1
+    assert len(store.models.activations("a")) == 24

@@ -67,8 +67,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 def told(store: Store) -> list[int]:
     """What journal and trail hold, in the order in which each was written."""
-    journal = [line.time_us for line in store.alarm_journal().items[::-1]]
-    assert [entry.time_us for entry in store.audit().items] == [2]
+    journal = [line.time_us for line in store.alarms.journal().items[::-1]]
+    assert [entry.time_us for entry in store.audit.page().items] == [2]
     return journal
 
 
@@ -86,7 +86,7 @@ def test_changes_are_written_in_order(store: Store, tmp_path: Path) -> None:
         record(outbox, *STORY)
         assert outbox.flush(PATIENCE_S)
         assert (outbox.waiting, told(store)) == (0, [1, 3, 4, 5])
-        assert [alarm.id for alarm in store.load_alarms()] == ["2nd"]
+        assert [alarm.id for alarm in store.alarms.load()] == ["2nd"]
 
 
 def test_a_locked_store_makes_nobody_wait_and_a_restart_writes_first_what_waits(
@@ -166,7 +166,7 @@ def test_a_killed_process_loses_nothing(tmp_path: Path) -> None:
         child.communicate("go on\n", timeout=PATIENCE_S)
     assert child.returncode == -signal.SIGKILL
     with Store.open("", tmp_path) as store:
-        assert store.alarm_journal().items == []
+        assert store.alarms.journal().items == []
         with Outbox.open(tmp_path, store) as outbox:
             assert [alarm.id for alarm in outbox.load_alarms()] == ["2nd"]
             assert outbox.flush(PATIENCE_S)
@@ -195,7 +195,7 @@ def test_a_full_disk_still_takes_much_and_what_it_refuses_goes_straight_on(
         outbox.record(long_change(3000))
         wait_until(written(outbox), PATIENCE_S, "the store has it without the disk")
         assert "readonly" in str(outbox.disk_problem)
-        times = [line.time_us for line in sqlite_store.alarm_journal(limit=2000).items[::-1]]
+        times = [line.time_us for line in sqlite_store.alarms.journal(limit=2000).items[::-1]]
         assert times == [*range(1000, 1100), *range(2000, 2200), 3000]
 
 
@@ -217,4 +217,4 @@ def test_what_is_refused_holds_nothing_up(sqlite_store: Store, tmp_path: Path) -
     with Outbox.open(tmp_path, sqlite_store) as outbox:
         outbox.record(change(4, "ACKED"))
         assert outbox.flush(PATIENCE_S)
-    assert [line.time_us for line in sqlite_store.alarm_journal().items] == [4, 1]
+    assert [line.time_us for line in sqlite_store.alarms.journal().items] == [4, 1]

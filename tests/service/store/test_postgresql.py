@@ -24,9 +24,9 @@ def test_tables_are_made_when_asked_for_and_not_by_a_service(
     with pytest.raises(StoreError, match=r"service\.database_url.*run 'bearing-twin db upgrade'"):
         Store.open(url, tmp_path)
     with Store.open(url, tmp_path, migrate=True) as store:
-        assert store.write_samples([sample(1)]) == (1, 0)
+        assert store.samples.write([sample(1)]) == (1, 0)
     with Store.open(url, tmp_path) as store:
-        assert store.write_samples([sample(1)]) == (0, 1)
+        assert store.samples.write([sample(1)]) == (0, 1)
 
 
 def test_another_programs_tables_are_left_alone(postgresql: PostgreSQL, tmp_path: Path) -> None:
@@ -42,8 +42,8 @@ def test_another_programs_tables_are_left_alone(postgresql: PostgreSQL, tmp_path
 def test_samples_lie_in_partitions_made_as_needed(postgresql: PostgreSQL, tmp_path: Path) -> None:
     with Store.open(postgresql.database(), tmp_path) as store:
         times = [0, PARTITION_US - 1, PARTITION_US, 700 * PARTITION_US]
-        assert store.write_samples([sample(t) for t in times]) == (4, 0)
-        assert store.write_samples([sample(t) for t in times]) == (0, 4)
+        assert store.samples.write([sample(t) for t in times]) == (4, 0)
+        assert store.samples.write([sample(t) for t in times]) == (0, 4)
         with store._database.reading() as connection:
             names = connection.exec_driver_sql(
                 "SELECT inhrelid::regclass::text, "
@@ -55,7 +55,7 @@ def test_samples_lie_in_partitions_made_as_needed(postgresql: PostgreSQL, tmp_pa
             ).all()
         assert names == [("samples_p0", 2), ("samples_p1", 1), ("samples_p700", 1)]
         assert not any("samples_p1" in line for (line,) in plan), "others are not looked at"
-        found = store.read_samples("a", None, 0, 2**62, 10)
+        found = store.samples.read("a", None, 0, 2**62, 10)
         assert [one.time_us for one in found] == times
 
 
@@ -72,27 +72,27 @@ def test_a_partition_of_a_batch_that_failed_is_made_again(
             raise LaterError
 
     with Store.open(postgresql.database(), tmp_path) as store:
-        store.write_samples([sample(PARTITION_US)])
+        store.samples.write([sample(PARTITION_US)])
         with store._database.reading() as connection:
             channel_id = connection.exec_driver_sql("SELECT min(id) FROM channels").scalar_one()
         with pytest.raises(LaterError):
             write_and_fail(store, channel_id)
-        assert store.write_samples([sample(5)]) == (1, 0)
+        assert store.samples.write([sample(5)]) == (1, 0)
 
 
 def test_a_server_that_is_away_is_no_answer_in_time_and_is_found_again(tmp_path: Path) -> None:
     with running_postgresql() as server, Store.open(server.database(), tmp_path) as store:
-        assert store.write_samples([sample(1)]) == (1, 0)
+        assert store.samples.write([sample(1)]) == (1, 0)
         server.stop()
         for _ in range(2):
             with pytest.raises(StoreUnavailableError) as caught:
-                store.write_samples([sample(2)], 1.0)
+                store.samples.write([sample(2)], 1.0)
             assert "\n" not in str(caught.value)
         with pytest.raises(StoreUnavailableError):
-            store.read_samples("a", None, 0, 9, 9)
+            store.samples.read("a", None, 0, 9, 9)
         server.start()
-        assert store.write_samples([sample(1), sample(2)]) == (1, 1)
-        assert [one.time_us for one in store.read_samples("a", None, 0, 9, 9)] == [1, 2]
+        assert store.samples.write([sample(1), sample(2)]) == (1, 1)
+        assert [one.time_us for one in store.samples.read("a", None, 0, 9, 9)] == [1, 2]
 
 
 def test_without_a_server_the_error_is_one_line_without_the_password(tmp_path: Path) -> None:

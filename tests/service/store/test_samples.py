@@ -20,21 +20,21 @@ def sample(time_us: int, value: float = 1.0, quality: int = 192, channel: str = 
 
 
 def stored(store: Store, asset: str = "bench-1") -> list[StoredSample]:
-    return store.read_samples(asset, None, 0, 2**62, 10_000)
+    return store.samples.read(asset, None, 0, 2**62, 10_000)
 
 
 def test_samples_come_back_in_order_of_time_then_channel(store: Store) -> None:
-    counts = store.write_samples(
+    counts = store.samples.write(
         [sample(20, 2.5, channel="b"), sample(10), sample(20, 3.5, channel="a")]
     )
     assert counts == WriteCounts(3, 0)
     assert stored(store) == [("x", 10, 1.0, 192), ("a", 20, 3.5, 192), ("b", 20, 2.5, 192)]
-    assert store.channels("bench-1") == ["a", "b", "x"]
-    assert store.channels("bench-2") == []
+    assert store.samples.channels("bench-1") == ["a", "b", "x"]
+    assert store.samples.channels("bench-2") == []
 
 
 def test_nothing_to_write_is_no_error(store: Store) -> None:
-    assert store.write_samples([]) == (0, 0)
+    assert store.samples.write([]) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,11 @@ def test_a_time_is_stored_once(
     together: bool,
 ) -> None:
     if together:
-        written = store.write_samples([sample(7, *first), sample(7, *second)])
+        written = store.samples.write([sample(7, *first), sample(7, *second)])
         assert written == (1 + counts[0], counts[1])
     else:
-        assert store.write_samples([sample(7, *first)]) == (1, 0)
-        assert store.write_samples([sample(7, *second)]) == counts
+        assert store.samples.write([sample(7, *first)]) == (1, 0)
+        assert store.samples.write([sample(7, *second)]) == counts
     assert stored(store) == [("x", 7, *kept)]
 
 
@@ -101,14 +101,14 @@ def test_any_batches_give_what_the_rule_says_page_by_page(
             if old is None or (not is_good(old[1]) and is_good(quality)):
                 expected[one.time_us, one.channel] = (value, quality)
                 changes += 1
-        counts = shared_store.write_samples([one._replace(asset=asset) for one in batch])
+        counts = shared_store.samples.write([one._replace(asset=asset) for one in batch])
         total = WriteCounts(*(a + b for a, b in zip(total, counts, strict=True)))
     assert total == (changes, sum(map(len, batches)) - changes)
 
     paged: list[StoredSample] = []
     while True:
         after = (paged[-1].time_us, paged[-1].channel) if paged else None
-        items = shared_store.read_samples(asset, None, 0, 100, page, after)
+        items = shared_store.samples.read(asset, None, 0, 100, page, after)
         paged += items
         if len(items) < page:
             break
@@ -123,7 +123,7 @@ def test_a_batch_of_many_statements_follows_the_same_rule(store: Store) -> None:
     again = [sample(t, -1.0) for t in range(50, 2600)]
     # Bad and then good in one batch are two changes, good over good is a duplicate.
     expected = (2500 + 2300 + (2600 - 50 - 2300), 2300)
-    assert store.write_samples([*bad, *good, *again]) == expected
+    assert store.samples.write([*bad, *good, *again]) == expected
     found = stored(store)
     assert [one.time_us for one in found] == list(range(2600))
     assert [one.value for one in found[:50]] == [None] * 50
@@ -133,15 +133,15 @@ def test_a_batch_of_many_statements_follows_the_same_rule(store: Store) -> None:
 
 
 def test_a_span_has_its_start_and_not_its_end(store: Store) -> None:
-    store.write_samples([sample(time_us) for time_us in (10, 20, 30)])
-    assert [s.time_us for s in store.read_samples("bench-1", ["x"], 10, 30, 9)] == [10, 20]
-    assert store.read_samples("bench-1", ["x"], 31, 99, 9) == []
-    assert store.read_samples("bench-1", ["no such"], 0, 99, 9) == []
-    assert store.read_samples("nobody", None, 0, 99, 9) == []
+    store.samples.write([sample(time_us) for time_us in (10, 20, 30)])
+    assert [s.time_us for s in store.samples.read("bench-1", ["x"], 10, 30, 9)] == [10, 20]
+    assert store.samples.read("bench-1", ["x"], 31, 99, 9) == []
+    assert store.samples.read("bench-1", ["no such"], 0, 99, 9) == []
+    assert store.samples.read("nobody", None, 0, 99, 9) == []
 
 
 def test_assets_do_not_see_each_other(store: Store) -> None:
-    store.write_samples([sample(1), sample(1, 9.0)._replace(asset="bench-2")])
+    store.samples.write([sample(1), sample(1, 9.0)._replace(asset="bench-2")])
     assert stored(store) == [("x", 1, 1.0, 192)]
     assert stored(store, "bench-2") == [("x", 1, 9.0, 192)]
 
@@ -151,17 +151,17 @@ def test_assets_do_not_see_each_other(store: Store) -> None:
 )
 def test_a_sample_that_cannot_be_is_refused_with_its_batch(store: Store, wrong: Sample) -> None:
     with pytest.raises(ValueError, match="expected a time after 1970 and a quality byte"):
-        store.write_samples([sample(5), wrong])
+        store.samples.write([sample(5), wrong])
     assert stored(store) == []
-    store.write_samples([sample(5)])
+    store.samples.write([sample(5)])
     assert len(stored(store)) == 1
 
 
 def test_latest_and_first_and_what_is_open(store: Store) -> None:
-    assert store.latest("bench-1") == {}
-    assert store.first_time_us("bench-1") is None
-    assert store.open_ends() == {}
-    store.write_samples(
+    assert store.samples.latest("bench-1") == {}
+    assert store.samples.first_time_us("bench-1") is None
+    assert store.samples.open_ends() == {}
+    store.samples.write(
         [
             sample(30, 3.0),
             sample(10, 1.0),
@@ -170,10 +170,10 @@ def test_latest_and_first_and_what_is_open(store: Store) -> None:
             sample(40, 7.0, 64, channel="z"),
         ]
     )
-    assert store.latest("bench-1") == {
+    assert store.samples.latest("bench-1") == {
         "x": ("x", 30, 3.0, 192),
         "y": ("y", 25, None, 24),
         "z": ("z", 40, 7.0, 64),
     }
-    assert store.first_time_us("bench-1") == 10
-    assert store.open_ends() == {("bench-1", "x"): 30, ("bench-1", "z"): 40}
+    assert store.samples.first_time_us("bench-1") == 10
+    assert store.samples.open_ends() == {("bench-1", "x"): 30, ("bench-1", "z"): 40}

@@ -21,7 +21,7 @@ store = Store.open("", pathlib.Path(sys.argv[1]))
 for number in itertools.count():
     # the last 50 of every batch are sent again with the next one
     times = range(max(number * 450 - 50, 0), number * 450 + 450)
-    store.write_samples([Sample("a", f"c{t % 5}", t, float(t), 192, t) for t in times])
+    store.samples.write([Sample("a", f"c{t % 5}", t, float(t), 192, t) for t in times])
     print(times[-1], flush=True)
 """
 
@@ -44,13 +44,13 @@ def test_a_killed_writer_loses_nothing_that_it_acknowledged(
     with Store.open("", tmp_path) as store:
         with store._database.reading() as connection:
             assert connection.exec_driver_sql("PRAGMA integrity_check").scalar() == "ok"
-        samples = store.read_samples("a", None, 0, 2**62, 10**7)
+        samples = store.samples.read("a", None, 0, 2**62, 10**7)
         times = [sample.time_us for sample in samples]
         assert times == list(range(len(times)))  # whole batches, in order, no time twice
         assert len(times) % 450 == 0
         assert times[-1] >= acknowledged
         again = [Sample("a", f"c{t % 5}", t, float(t), 192, t) for t in times]
-        assert store.write_samples(again) == (0, len(times))
+        assert store.samples.write(again) == (0, len(times))
 
 
 def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
@@ -61,10 +61,10 @@ def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
         rounds = 0
         while True:
             last = stop.is_set()
-            samples = store.read_samples("a", None, 0, 2**62, 10**6)
+            samples = store.samples.read("a", None, 0, 2**62, 10**6)
             assert len(samples) % size == 0
             assert [s.time_us for s in samples] == list(range(len(samples)))
-            store.latest("a")
+            store.samples.latest("a")
             rounds += 1
             if last:
                 return rounds
@@ -73,12 +73,12 @@ def test_readers_see_whole_batches_while_a_writer_writes(store: Store) -> None:
         readers = [pool.submit(read) for _ in range(3)]
         for number in range(batches):
             times = range(number * size, (number + 1) * size)
-            store.write_samples([Sample("a", f"c{t % 3}", t, 1.0, 192, t) for t in times])
-            store.save_asset_state("a", {"number": number})
+            store.samples.write([Sample("a", f"c{t % 3}", t, 1.0, 192, t) for t in times])
+            store.states.save("a", {"number": number})
         stop.set()
         assert all(reader.result(timeout=180) > 0 for reader in readers)
-    assert store.load_asset_state("a") == {"number": batches - 1}
-    assert len(store.read_samples("a", None, 0, 2**62, 10**6)) == batches * size
+    assert store.states.load("a") == {"number": batches - 1}
+    assert len(store.samples.read("a", None, 0, 2**62, 10**6)) == batches * size
 
 
 def test_writers_of_one_process_and_of_another_take_turns(tmp_path: Path) -> None:
@@ -86,14 +86,14 @@ def test_writers_of_one_process_and_of_another_take_turns(tmp_path: Path) -> Non
 
         def write(number: int) -> int:
             writer = (store, other)[number % 2]
-            return writer.write_samples(
+            return writer.samples.write(
                 [Sample("a", f"c{number}", t, 1.0, 192, t) for t in range(50)]
             ).stored
 
         with ThreadPoolExecutor(8) as pool:
             assert list(pool.map(write, range(40))) == [50] * 40
-        assert len(store.channels("a")) == 40
-        assert len(other.read_samples("a", None, 0, 99, 10**5)) == 2000
+        assert len(store.samples.channels("a")) == 40
+        assert len(other.samples.read("a", None, 0, 99, 10**5)) == 2000
 
 
 def test_two_programs_that_read_before_they_write_do_not_trip_each_other(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_two_programs_that_read_before_they_write_do_not_trip_each_other(tmp_pat
 
         def add(number: int) -> int:
             writer = (store, other)[number % 2]
-            return writer.add_model_version("a", "candidate", "", {}, number)
+            return writer.models.add("a", "candidate", "", {}, number)
 
         with ThreadPoolExecutor(8) as pool:
             assert sorted(pool.map(add, range(40))) == list(range(1, 41))
@@ -109,17 +109,17 @@ def test_two_programs_that_read_before_they_write_do_not_trip_each_other(tmp_pat
 
 def test_a_store_locked_by_another_program_says_so_in_time_and_comes_back(tmp_path: Path) -> None:
     with Store.open("", tmp_path) as store:
-        store.write_samples([Sample("a", "x", 1, 1.0, 192, 0)])
+        store.samples.write([Sample("a", "x", 1, 1.0, 192, 0)])
         intruder = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)
         intruder.execute("BEGIN EXCLUSIVE")
         started = time.monotonic()
         with pytest.raises(StoreUnavailableError, match=r"bearing-twin.db: database is locked"):
-            store.write_samples([Sample("a", "y", 2, 1.0, 192, 0)], patience_s=0.3)
+            store.samples.write([Sample("a", "y", 2, 1.0, 192, 0)], patience_s=0.3)
         assert time.monotonic() - started > 0.2
-        assert len(store.read_samples("a", None, 0, 9, 9)) == 1  # readers go on
+        assert len(store.samples.read("a", None, 0, 9, 9)) == 1  # readers go on
         intruder.rollback()
         intruder.close()
-        assert store.write_samples([Sample("a", "y", 2, 1.0, 192, 0)]) == (1, 0)
+        assert store.samples.write([Sample("a", "y", 2, 1.0, 192, 0)]) == (1, 0)
 
 
 def test_a_short_write_waits_for_a_long_one(store: Store) -> None:
@@ -134,11 +134,11 @@ def test_a_short_write_waits_for_a_long_one(store: Store) -> None:
     thread.start()
     inside.wait()
     with pytest.raises(StoreUnavailableError, match="busy with another write"):
-        store.write_samples([Sample("a", "x", 1, 1.0, 192, 0)], patience_s=0.05)
+        store.samples.write([Sample("a", "x", 1, 1.0, 192, 0)], patience_s=0.05)
     threading.Timer(0.5, go_on.set).start()
-    store.save_asset_state("a", {})
+    store.states.save("a", {})
     thread.join()
-    assert store.load_asset_state("a") == {}
+    assert store.states.load("a") == {}
 
 
 def test_a_full_disk_is_a_state_of_the_store_and_passes(sqlite_store: Store) -> None:
@@ -150,7 +150,7 @@ def test_a_full_disk_is_a_state_of_the_store_and_passes(sqlite_store: Store) -> 
 
     limit_pages(40)
     with pytest.raises(StoreUnavailableError, match="full"):
-        sqlite_store.write_samples(samples)
-    assert sqlite_store.read_samples("a", None, 0, 2**62, 10) == []
+        sqlite_store.samples.write(samples)
+    assert sqlite_store.samples.read("a", None, 0, 2**62, 10) == []
     limit_pages(2**30)
-    assert sqlite_store.write_samples(samples) == (50_000, 0)
+    assert sqlite_store.samples.write(samples) == (50_000, 0)

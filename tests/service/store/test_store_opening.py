@@ -33,10 +33,10 @@ def python(code: str, *arguments: str) -> "subprocess.Popen[str]":
 def test_a_new_store_is_made_with_its_directory_and_found_again(tmp_path: Path) -> None:
     data_dir = tmp_path / "not" / "there"
     with Store.open("", data_dir) as store:
-        store.write_samples([Sample("a", "x", 5, 1.0, 192, 5)])
+        store.samples.write([Sample("a", "x", 5, 1.0, 192, 5)])
     assert (data_dir / FILE_NAME).is_file()
     with Store.open("", data_dir) as store:
-        assert store.latest("a")["x"].value == 1.0
+        assert store.samples.latest("a")["x"].value == 1.0
 
 
 def test_a_url_names_another_file(tmp_path: Path) -> None:
@@ -102,8 +102,8 @@ def test_an_older_file_loses_its_check_of_channels_and_no_sample(tmp_path: Path)
         old.execute("INSERT INTO samples VALUES (7, 5, 1.5, 192)")
         old.commit()
     with Store.open("", tmp_path) as store:
-        assert store.read_samples("a", None, 0, 9, 9) == [("x", 5, 1.5, 192)]
-        assert store.write_samples([Sample("a", "y", 6, 2.5, 192, 6)]) == (1, 0)
+        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192)]
+        assert store.samples.write([Sample("a", "y", 6, 2.5, 192, 6)]) == (1, 0)
     with contextlib.closing(sqlite3.connect(path)) as new:
         assert not new.execute("PRAGMA foreign_key_list(samples)").fetchall()
         assert new.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
@@ -202,13 +202,13 @@ def test_programs_that_start_together_make_one_store(tmp_path: Path) -> None:
         "from service.store import Store\n"
         "sys.stdin.read()\n"
         "with Store.open('', pathlib.Path(sys.argv[1])) as store:\n"
-        "    store.write_samples([Sample('a', 'x', int(sys.argv[2]), 1.0, 192, 0)])\n"
+        "    store.samples.write([Sample('a', 'x', int(sys.argv[2]), 1.0, 192, 0)])\n"
     )
     programs = [python(code, str(tmp_path), str(number)) for number in range(4)]
     results = [program.communicate(timeout=180)[0] for program in programs]
     assert results == [""] * 4
     with Store.open("", tmp_path) as store:
-        assert len(store.read_samples("a", None, 0, 10, 10)) == 4
+        assert len(store.samples.read("a", None, 0, 10, 10)) == 4
 
 
 HOLD = (
@@ -227,10 +227,10 @@ def test_a_second_service_on_the_directory_is_refused_and_told_of_the_first(tmp_
     with pytest.raises(DataDirectoryInUseError, match=rf"{tmp_path}.*\(process {first.pid}\)"):
         lock_data_directory(tmp_path)
     with Store.open("", tmp_path) as store:  # a tool beside the service
-        key = store.add_api_key(
+        key = store.access.add_key(
             prefix="p", sha256="h", role="viewer", created_us=1, expires_us=None
         )
-        assert store.find_api_key("h") == key
+        assert store.access.find_key("h") == key
     first.communicate(timeout=180)
     lock_data_directory(tmp_path).close()
 

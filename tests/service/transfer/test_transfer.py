@@ -56,7 +56,7 @@ def run(tmp_path: Path) -> Run:
 
 def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
     with Store.open("", tmp_path / "data") as store:
-        rows = store.read_samples("a", None, 0, 2**62, 10**6)
+        rows = store.samples.read("a", None, 0, 2**62, 10**6)
     return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
 
 
@@ -176,7 +176,7 @@ def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run, suffix
         for k in range(500)
     ]
     with Store.open("", tmp_path / "data") as store:
-        store.write_samples(samples)
+        store.samples.write(samples)
     before = stored(tmp_path)
     out = tmp_path / f"out.{suffix}"
     assert run("export", "--out", out)[1]["rows"] == 500
@@ -188,7 +188,7 @@ def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run, suffix
 
 def test_parquet_carries_units_and_the_rollups_their_extremes(tmp_path: Path, run: Run) -> None:
     with Store.open("", tmp_path / "data") as store:
-        store.write_samples(
+        store.samples.write(
             [
                 Sample("a", name, START_US + k * 10_000_000, float(k), 192, 0)
                 for k in range(12)
@@ -207,7 +207,7 @@ def test_parquet_carries_units_and_the_rollups_their_extremes(tmp_path: Path, ru
 
 def test_minutes_are_what_identify_reads(tmp_path: Path, run: Run) -> None:
     with Store.open("", tmp_path / "data") as store:
-        store.write_samples(
+        store.samples.write(
             [
                 Sample("a", name, START_US + k * 1_000_000, float(k // 60), 192, 0)
                 for k in range(180)
@@ -290,7 +290,7 @@ def test_samples_some_microseconds_apart_survive_export_and_import(
     # Frames of a CAN bus that a busy service reads in one go.
     frames = [Sample("a", "load_n", START_US + 30 * k, 1000.0 + k, 192, 0) for k in range(2000)]
     with Store.open("", tmp_path / "data") as store:
-        assert store.write_samples(frames) == (2000, 0)
+        assert store.samples.write(frames) == (2000, 0)
     before = stored(tmp_path)
     out = tmp_path / f"frames{suffix}"
     status, report, _ = run("export", "--out", out)
@@ -308,7 +308,7 @@ def test_samples_some_microseconds_apart_survive_export_and_import(
 
 def test_what_is_not_configured_any_more_can_be_exported(tmp_path: Path, run: Run) -> None:
     with Store.open("", tmp_path / "data") as store:
-        store.write_samples([Sample("old", "load_n", START_US, 1.0, 192, 0)])
+        store.samples.write([Sample("old", "load_n", START_US, 1.0, 192, 0)])
     out = tmp_path / "old.csv"
     config = tmp_path / "c.toml"
     arguments = ["export", "--out", str(out), "-c", str(config), "--asset"]

@@ -108,7 +108,7 @@ async def get_journal(
         pages = _pages(turns, caller, context.store, wanted, before)
         leave = partial(turns.long_reads.leave, caller)
         return HeldResponse(pages, leave, media_type=CSV, headers=_FILE)
-    page = await turns.read(caller, context.store.alarm_journal, wanted, limit or LIMIT, before)
+    page = await turns.read(caller, context.store.alarms.journal, wanted, limit or LIMIT, before)
     following = None
     if page.next_cursor is not None:
         following = encode_cursor(JournalPlace(before=page.next_cursor))
@@ -136,7 +136,7 @@ def get_statistics(
     """
     context.outbox.flush(_FLUSH_S)
     now_us = context.clock.now_us()
-    counts = context.store.annunciations(now_us, asset)
+    counts = context.store.alarms.annunciations(now_us, asset)
     return json_response(statistics_document(counts, context.alarms.active(asset), now_us))
 
 
@@ -147,7 +147,7 @@ async def _pages(
     turns: Turns, caller: str, store: Store, wanted: JournalFilter, before: int | None
 ) -> AsyncIterator[str]:
     def read(before: int | None) -> tuple[str, int | None]:
-        page = store.alarm_journal(wanted, LIMIT_MAX, before)
+        page = store.alarms.journal(wanted, LIMIT_MAX, before)
         return _csv_lines(page.items), page.next_cursor
 
     yield _csv([_COLUMNS])

@@ -34,7 +34,7 @@ async def get_audit(
     """Every change that somebody asked for, newest first; the trail only grows."""
     before = None if cursor is None else decode_cursor(cursor, Before).before
     await trail.flush()
-    page = await to_thread.run_sync(context.store.audit, limit, before)
+    page = await to_thread.run_sync(context.store.audit.page, limit, before)
     following = None
     if page.next_cursor is not None:
         following = encode_cursor(Before(before=page.next_cursor))

@@ -146,7 +146,7 @@ def get_drift(
     A change is reported when noise and model error explain the difference from an earlier version
     in less than one case of a hundred, or when small differences add up over versions.
     """
-    versions = context.store.model_versions(asset.id)
+    versions = context.store.models.versions(asset.id)
     identified = [one for one in versions if one.document["windows"]]
     return json_response({"items": [_item(one) for one in identified[-limit:]], "next": None})
 

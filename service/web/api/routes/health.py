@@ -117,7 +117,7 @@ async def _store(context: ServiceContext) -> Check:
     if problem is None:  # else it was asked a moment ago
         try:
             async with asyncio.timeout(_STORE_ANSWERS_S):
-                await to_thread.run_sync(context.store.unfinished_jobs, abandon_on_cancel=True)
+                await to_thread.run_sync(context.store.jobs.unfinished, abandon_on_cancel=True)
         except TimeoutError:
             problem = f"no answer within {_STORE_ANSWERS_S:g} s"
         except StoreUnavailableError as error:

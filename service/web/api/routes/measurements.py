@@ -181,7 +181,7 @@ async def post_measurements(
     now_us, rate = context.clock.now_us(), context.clock.rate
 
     async def judged() -> Verdict:
-        kept_from_us = context.store.kept_from_us
+        kept_from_us = context.store.samples.kept_from_us
         given = (body.samples, asset.id, channels, now_us, rate, kept_from_us)
         verdict: Verdict = await in_thread(request, len(body.samples), judge, *given)
         return verdict
@@ -266,7 +266,7 @@ async def _parquet(
     sink = _Sink()
 
     def begin() -> ParquetPages:
-        return ParquetPages(sink, asset, place, place.channels or store.channels(asset))
+        return ParquetPages(sink, asset, place, place.channels or store.samples.channels(asset))
 
     def write(place: Place) -> Place | None:
         page = read_page(store, asset, place, _PARQUET_PAGE_ROWS)
@@ -326,7 +326,7 @@ def _new_query(
 ) -> Place:
     store = context.store
     if channels is not None:
-        known = set(asset.channels) | set(store.channels(asset.id))
+        known = set(asset.channels) | set(store.samples.channels(asset.id))
         for name in channels:
             if name not in known:
                 raise parameter_problem(

@@ -38,7 +38,7 @@ def list_models(
     context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
 ) -> Response:
     """All versions, newest first; informed combinations are counted, not spelled out."""
-    newest_first = context.store.model_versions(asset.id)[::-1]
+    newest_first = context.store.models.versions(asset.id)[::-1]
     page, following = page_of(newest_first, limit, cursor, lambda model: model.version)
     items = [model_json(version, combinations=False) for version in page]
     return json_response({"items": items, "next": following}, headers=next_link(request, following))
@@ -54,7 +54,7 @@ def list_activations(
     context: Context, asset: Asset, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
 ) -> Response:
     """The activation journal, newest first: who changed the active version, when and why."""
-    newest_first = list(enumerate(context.store.activations(asset.id)))[::-1]
+    newest_first = list(enumerate(context.store.models.activations(asset.id)))[::-1]
     page, following = page_of(newest_first, limit, cursor, lambda numbered: numbered[0])
     items = [
         {
@@ -76,7 +76,7 @@ def list_activations(
 )
 def get_model(context: Context, asset: Asset, version: Version) -> Response:
     """Parameters with intervals, what the data inform, scores beside the naive forecasts."""
-    model = context.store.model_version(asset.id, version)
+    model = context.store.models.version(asset.id, version)
     if model is None:
         raise _no_version(asset, version)
     return json_response(model_json(model))

@@ -153,7 +153,7 @@ async def test_wrong_keys_are_noted_and_an_address_has_only_so_many(
 
         await apart(guess)
         assert outbox.flush(30)
-    lines = [line for line in store.audit().items if line.action == "key.refuse"]
+    lines = [line for line in store.audit.page().items if line.action == "key.refuse"]
     # One line at once; the others of this minute are counted (see the tests of the audit trail).
     assert [(line.who, line.address, line.detail) for line in lines] == [
         ("unknown", "127.0.0.1", "a wrong key (bt_00000000)")

@@ -177,38 +177,40 @@ class MemoryJobs:
         who: str,
     ) -> tuple[Mapping[str, Any], bool]:
         try:
-            job, created = self._store.add_job(
+            job, created = self._store.jobs.add(
                 asset_id,
                 request.model_dump(mode="json") | {"who": who},
                 self._clock.now_us(),
                 idempotency_key,
             )
         except ActiveJobError as error:
-            in_the_way = self._store.job(error.job_id)
+            in_the_way = self._store.jobs.get(error.job_id)
             assert in_the_way is not None
             raise JobConflictError(job_document(in_the_way)) from error
         return job_document(job), created
 
     async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
-        job = self._store.job(job_id)
+        job = self._store.jobs.get(job_id)
         return job_document(job) if job and job.asset == asset_id else None
 
     async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
-        return [job_document(job) for job in self._store.jobs(asset_id)]
+        return [job_document(job) for job in self._store.jobs.of_asset(asset_id)]
 
     async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
-        self._store.update_job(job_id, status="cancelled")
+        self._store.jobs.update(job_id, status="cancelled")
         return await self.job(asset_id, job_id)
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
     ) -> Mapping[str, Any]:
-        wanted = self._store.model_version(asset_id, version)
+        wanted = self._store.models.version(asset_id, version)
         if wanted is None:
             raise KeyError(version)
         if wanted.status == "rejected" and not (force and comment):
             raise ActivationRefusedError(f"version {version} was rejected: {wanted.reason}")
-        active = self._store.activate(asset_id, version, who, comment or "", self._clock.now_us())
+        active = self._store.models.activate(
+            asset_id, version, who, comment or "", self._clock.now_us()
+        )
         return model_document(active)
 
 
@@ -252,7 +254,7 @@ class World:
 
     def write(self, asset: str, channel: str, start_us: int, values: Sequence[float]) -> None:
         """Store one sample per second."""
-        self.store.write_samples(
+        self.store.samples.write(
             [
                 Sample(asset, channel, start_us + 1_000_000 * number, value, 192, start_us)
                 for number, value in enumerate(values)

@@ -113,21 +113,21 @@ async def test_the_trail_comes_in_pages(world: Any) -> None:
         response = await world.client("admin").get(path)
         seen += [line["target"] for line in response.json()["items"]]
         path = response.links["next"]["url"] if response.json()["next"] else ""
-    assert seen == [f"key {key.prefix}" for key in reversed(world.store.api_keys())]
+    assert seen == [f"key {key.prefix}" for key in reversed(world.store.access.list_keys())]
 
 
 async def test_what_the_store_cannot_take_now_is_written_later(
     world: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alarm, write = world.raise_alarm(), world.store.add_audit_entry
+    alarm, write = world.raise_alarm(), world.store.audit.add
 
     def refuse(*_: Any) -> None:
         raise StoreUnavailableError("away")
 
-    monkeypatch.setattr(world.store, "add_audit_entry", refuse)
+    monkeypatch.setattr(world.store.audit, "add", refuse)
     acknowledged = await world.client("operator").post(f"/api/v1/alarms/{alarm}/acknowledge")
     assert acknowledged.status_code == 200
-    monkeypatch.setattr(world.store, "add_audit_entry", write)
+    monkeypatch.setattr(world.store.audit, "add", write)
     written = functools.partial(world.context.outbox.flush, 30)
     await asyncio.to_thread(wait_until, written, 30, "the store has the line")
     (line,) = await lines(world)

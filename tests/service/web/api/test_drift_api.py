@@ -56,7 +56,7 @@ async def test_series_shows_identified_versions_oldest_first(world: Any) -> None
     old = _document(None, 9)
     del old["drift"]
     for document in (first, old, _document(FOUND, 10)):
-        world.store.add_model_version("bench-1", "candidate", "", document, now_us)
+        world.store.models.add("bench-1", "candidate", "", document, now_us)
     answer = await world.client("engineer").get(DRIFT)
     assert answer.status_code == 200
     items = DriftSeries.model_validate(answer.json()).items

@@ -311,7 +311,7 @@ async def test_the_largest_times_of_cursors_are_answered(world: Any) -> None:
 
 async def test_samples_some_microseconds_apart_have_times_of_their_own(world: Any) -> None:
     start_us = (world.clock.now_us() - 10**7) // 1000 * 1000
-    world.store.write_samples(
+    world.store.samples.write(
         [Sample("bench-1", INNER, start_us + 30 * k, float(k), 192, 0) for k in range(40)]
     )
     found = await get(world, start=rfc3339_exact(start_us + 30), end=rfc3339_exact(start_us + 90))

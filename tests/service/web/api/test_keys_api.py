@@ -87,5 +87,5 @@ async def test_keys_come_in_pages(world: Any) -> None:
         assert 1 <= len(document["items"]) <= 2
         seen += [key["id"] for key in document["items"]]
         path = response.links["next"]["url"] if document["next"] else ""
-    assert seen == [key.id for key in reversed(world.store.api_keys())]
+    assert seen == [key.id for key in reversed(world.store.access.list_keys())]
     assert (await admin.get(f"{KEYS}?cursor=abc")).status_code == 422

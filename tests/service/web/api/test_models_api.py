@@ -21,8 +21,8 @@ DOCUMENT = {
 def models(world: Any) -> Any:
     """Version 1 active, 2 a candidate, 3 rejected."""
     for status, reason in (("candidate", ""), ("candidate", ""), ("rejected", "loses")):
-        world.store.add_model_version("bench-1", status, reason, DOCUMENT, world.clock.now_us())
-    world.store.activate("bench-1", 1, "service", "first", world.clock.now_us())
+        world.store.models.add("bench-1", status, reason, DOCUMENT, world.clock.now_us())
+    world.store.models.activate("bench-1", 1, "service", "first", world.clock.now_us())
     return world
 
 
@@ -59,7 +59,7 @@ async def test_what_the_data_inform_is_counted_in_the_list_and_spelled_out_for_o
         "combinations": [{"combination": "0.80 k1 + 0.60 k2", "verdict": "informed"}],
     }
     extra = {"identifiability": told, "paper_view": {"f2": {"value": 0.7}}}
-    world.store.add_model_version("bench-1", "candidate", "", DOCUMENT | extra, 1)
+    world.store.models.add("bench-1", "candidate", "", DOCUMENT | extra, 1)
     client = world.client("engineer")
     version = (await client.get(MODELS)).json()["items"][0]["version"]
     whole = (await client.get(f"{MODELS}/{version}")).json()
@@ -84,7 +84,9 @@ async def test_activating_and_rolling_back_are_journaled(models: Any) -> None:
     assert ModelDocument.model_validate(response.json()).status == "active"
     await activate(models, 1, {"comment": "back again"})
     who = f"engineer {models.keys['engineer'][:11]}"
-    assert [(a.version, a.who, a.comment) for a in models.store.activations("bench-1")][1:] == [
+    assert [(a.version, a.who, a.comment) for a in models.store.models.activations("bench-1")][
+        1:
+    ] == [
         (2, who, ""),
         (1, who, "back again"),
     ]
@@ -102,13 +104,13 @@ async def test_rejected_version_needs_force_and_comment(models: Any, body: Any) 
     response = await activate(models, 3, body)
     assert response.status_code == 409
     assert "loses" in response.json()["detail"]
-    assert models.store.active_model("bench-1").version == 1
+    assert models.store.models.active("bench-1").version == 1
 
 
 async def test_rejected_version_can_be_forced(models: Any) -> None:
     response = await activate(models, 3, {"force": True, "comment": "known better"})
     assert response.status_code == 200
-    assert models.store.active_model("bench-1").version == 3
+    assert models.store.models.active("bench-1").version == 3
 
 
 async def test_unknown_version_is_not_found(models: Any) -> None:

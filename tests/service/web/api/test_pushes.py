@@ -29,7 +29,7 @@ async def push(world: Any, *samples: Any) -> Pushed:
 
 def stored(world: Any) -> list[tuple[str, float | None, int]]:
     now_us = world.clock.now_us()
-    rows = world.store.read_samples("rig-2", None, 0, now_us + 10**12, 100)
+    rows = world.store.samples.read("rig-2", None, 0, now_us + 10**12, 100)
     return [(row.channel, row.value, row.quality) for row in rows]
 
 
@@ -111,7 +111,7 @@ async def test_channel_with_a_wire_takes_no_pushes(world: Any) -> None:
     pointers = [error["pointer"] for error in response.json()["errors"]]
     assert sorted(pointers) == ["/samples/0/channel", "/samples/1/channel"]
     assert "pt100" in response.text
-    assert world.store.channels("bench-1") == []
+    assert world.store.samples.channels("bench-1") == []
 
 
 async def test_body_without_samples_is_refused(world: Any) -> None:
@@ -227,7 +227,7 @@ async def test_a_body_that_cannot_be_unpacked_is_refused(
 async def test_samples_from_before_what_is_kept_are_rejected_and_counted(world: Any) -> None:
     day_s = 86_400
     await push(world, sample(world, 50 * day_s), sample(world, 1))
-    world.store.expire(Retention(raw_days=10.0), world.clock.now_us())
+    world.store.rollups.expire(Retention(raw_days=10.0), world.clock.now_us())
     answer = await push(world, sample(world, 60 * day_s), sample(world), sample(world, 55 * day_s))
     assert (answer.accepted, answer.duplicates) == (1, 0)
     assert [one.index for one in answer.rejected] == [0, 2]
@@ -242,7 +242,7 @@ async def test_samples_that_were_removed_meanwhile_are_rejected_too(world: Any) 
     day_s = 86_400
     await push(world, sample(world, 50 * day_s), sample(world, 1))
     with Store.open("", world.data_dir) as other:  # another program removes it
-        other.expire(Retention(raw_days=10.0), world.clock.now_us())
+        other.rollups.expire(Retention(raw_days=10.0), world.clock.now_us())
     answer = await push(world, sample(world, 60 * day_s), sample(world))
     assert (answer.accepted, answer.duplicates) == (1, 0)
     assert [one.index for one in answer.rejected] == [0]

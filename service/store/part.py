@@ -17,7 +17,7 @@ _DELIVERY_PATIENCE_S = 1.0
 _PORTION = 1000
 
 
-class Section:
+class StorePart:
     """One part of the store: the methods that belong to one noun, on a shared database.
 
     All methods are synchronous and may be called from any thread; callers on an event loop go
