@@ -9,14 +9,14 @@ from service.store.records import Job
 
 # Before this part of the way nobody can say how long the rest takes.
 _LEAST_FRACTION = 0.02
-_MOST_TOLD = 50
+_MOST_KEPT = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """The latest word of a worker on its job, and when and how far it was when it first spoke.
+class ReportedProgress:
+    """What a worker reported last of its job, and when and how far it was at its first report.
 
-    A worker that goes on from a checkpoint begins far along: only what it did itself tells its
+    A worker that goes on from a checkpoint begins far along: only what it did itself shows its
     speed.
     """
 
@@ -33,41 +33,43 @@ class Told:
         return (1.0 - self.progress.fraction) / done * (self.now_s - self.first_s)
 
 
-class LastWords:
-    """What the workers said last, of the latest jobs."""
+class ProgressCache:
+    """What the workers reported last, of the latest jobs."""
 
     def __init__(self) -> None:
-        self._told: dict[str, Told] = {}
+        self._reported: dict[str, ReportedProgress] = {}
 
-    def get(self, job_id: str) -> Told | None:
-        """Return the last word on a job; None where there was none."""
-        return self._told.get(job_id)
+    def get(self, job_id: str) -> ReportedProgress | None:
+        """Return the last report on a job; None where there was none."""
+        return self._reported.get(job_id)
 
     def remember(self, job_id: str, progress: Progress, now_s: float) -> None:
-        """Keep what a worker says at a wall time in s, and forget what is long past."""
-        before = self._told.pop(job_id, None)
+        """Keep what a worker reports at a wall time in s, and forget what is long past."""
+        before = self._reported.pop(job_id, None)
         if before is None or progress.fraction < before.progress.fraction:
-            self._told[job_id] = Told(progress, now_s, progress.fraction, now_s)
+            self._reported[job_id] = ReportedProgress(progress, now_s, progress.fraction, now_s)
         else:
-            self._told[job_id] = replace(before, progress=progress, now_s=now_s)
-        while len(self._told) > _MOST_TOLD:
-            del self._told[next(iter(self._told))]
+            self._reported[job_id] = replace(before, progress=progress, now_s=now_s)
+        while len(self._reported) > _MOST_KEPT:
+            del self._reported[next(iter(self._reported))]
 
 
-def job_json(job: Job, told: Told | None = None, convergence: bool = False) -> dict[str, Any]:
+def job_json(
+    job: Job, reported: ReportedProgress | None = None, convergence: bool = False
+) -> dict[str, Any]:
     """A job in the shape of the REST contract.
 
     Parameters
     ----------
     job
         From the store.
-    told
-        The latest word of the worker, where there was one.
+    reported
+        What the worker reported last, where it did.
     convergence
         Whether to show how the best fitness fell.
     """
-    running = told is not None and job.status == "running"
-    seconds_left = told.seconds_left() if told is not None and running else None
+    running = reported is not None and job.status == "running"
+    seconds_left = reported.seconds_left() if reported is not None and running else None
     shown: dict[str, Any] = {
         "id": job.id,
         "status": job.status,
@@ -85,10 +87,10 @@ def job_json(job: Job, told: Told | None = None, convergence: bool = False) -> d
         "budget": job.request.get("budget"),
         "requested_by": job.request["who"],
         "attempts": job.attempts,
-        "phase": told.progress.phase if told is not None and running else None,
+        "phase": reported.progress.phase if reported is not None and running else None,
         "seconds_left": round(seconds_left, 1) if seconds_left is not None else None,
-        "active_fitness": told.progress.active_fitness if told is not None else None,
+        "active_fitness": reported.progress.active_fitness if reported is not None else None,
     }
     if convergence:
-        shown["convergence"] = told.progress.convergence if told is not None else []
+        shown["convergence"] = reported.progress.convergence if reported is not None else []
     return shown

@@ -21,9 +21,10 @@ from adapters.protocol import Clock
 from service.bus.stream import Bus
 from service.clock import rfc3339
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
+from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
-from service.jobs.documents import LastWords, job_json
+from service.jobs.documents import ProgressCache, job_json
 from service.jobs.drift import earlier_versions, tell, with_drift
 from service.jobs.executor import (
     STALLED_AFTER_WALL_S,
@@ -38,8 +39,7 @@ from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
 from service.security.keys import wall_us
 from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavailableError
-from service.store.jobs import UNFINISHED
-from service.store.records import Job, JobStatus, ModelStatus, ModelVersion
+from service.store.records import Job, ModelStatus, ModelVersion
 
 STORE_RETRY_WALL_S = 2.0
 STOP_WALL_S = 1.0
@@ -102,7 +102,10 @@ class IdentificationJobs:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
         self._activations = Activations(store, clock, assets)
-        self._told = LastWords()
+        self._progress = ProgressCache()
+        # Jobs whose latest attempt the store broke off, and whose progress it does not have.
+        self._interrupted: set[str] = set()
+        self._behind: set[str] = set()
         # Whether a job is cancelled or its result takes effect is decided for good under this.
         self._deciding = asyncio.Lock()
 
@@ -116,8 +119,7 @@ class IdentificationJobs:
         for job in unfinished:
             if job.asset not in self._assets:
                 continue
-            if job.status == "running":
-                await self._update(job.id, only_if=["running"], status="queued", progress=0.0)
+            await self._change(job.id, "interrupt", progress=0.0)
             self._begin(job)
 
     async def stop(self) -> None:
@@ -133,12 +135,8 @@ class IdentificationJobs:
                     self._store.jobs.unfinished, abandon_on_cancel=True
                 ):
                     # A clean stop is no failed attempt.
-                    await self._update(
-                        job.id,
-                        only_if=["running"],
-                        status="queued",
-                        progress=0.0,
-                        attempts=max(job.attempts - 1, 0),
+                    await self._change(
+                        job.id, "interrupt", progress=0.0, attempts=max(job.attempts - 1, 0)
                     )
         except (StoreUnavailableError, TimeoutError) as error:
             _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
@@ -216,7 +214,7 @@ class IdentificationJobs:
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
-        document = job_json(job, self._told.get(job_id), convergence=True)
+        document = job_json(job, self._progress.get(job_id), convergence=True)
         if job.model_version is None:
             return document
         # What came of the job has its whole course; what was told last ends somewhat before.
@@ -231,7 +229,7 @@ class IdentificationJobs:
     async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
         """Jobs of an asset, newest first."""
         jobs = await anyio.to_thread.run_sync(self._store.jobs.of_asset, asset_id)
-        return [job_json(job, self._told.get(job.id)) for job in jobs]
+        return [job_json(job, self._progress.get(job.id)) for job in jobs]
 
     async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
         """Stop a job that has not ended; the answer shows its present state."""
@@ -239,14 +237,14 @@ class IdentificationJobs:
         if job is None or job.asset != asset_id:
             return None
         async with self._deciding:
-            cancelled = await self._update(
-                job_id, status="cancelled", ended_at_us=self._clock.now_us(), error="cancelled"
+            cancelled = await self._change(
+                job_id, "cancel", ended_at_us=self._clock.now_us(), error="cancelled"
             )
         if cancelled is None:  # it had ended before
             return await self.job(asset_id, job_id)
         await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
         self._publish(cancelled)
-        return job_json(cancelled, self._told.get(job_id))
+        return job_json(cancelled, self._progress.get(job_id))
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
@@ -262,7 +260,12 @@ class IdentificationJobs:
     def _begin(self, job: Job) -> None:
         task = asyncio.create_task(self._run(job.id), name=job.asset)
         self._tasks[job.id] = task
-        task.add_done_callback(lambda _: self._tasks.pop(job.id, None))
+        task.add_done_callback(lambda _: self._forget(job.id))
+
+    def _forget(self, job_id: str) -> None:
+        self._tasks.pop(job_id, None)
+        self._interrupted.discard(job_id)
+        self._behind.discard(job_id)
 
     async def _run(self, job_id: str) -> None:
         async with self._one_at_a_time:
@@ -285,7 +288,7 @@ class IdentificationJobs:
                 await self._take_effect(job, known)
                 return True
             if job.attempts >= MOST_ATTEMPTS:
-                await self._end(job_id, "failed", f"gave up after {job.attempts} attempts")
+                await self._end(job_id, "fail", f"gave up after {job.attempts} attempts")
                 return True
             await self._attempt(job, folder)
         except BrokenProcessPool:
@@ -297,7 +300,7 @@ class IdentificationJobs:
             self._replace_worker()
             if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
                 return False
-            await self._end(job_id, "failed", str(error))
+            await self._end(job_id, "fail", str(error))
         except StoreUnavailableError as error:
             _log.warning("job_waits_for_the_store", job=job_id, error=str(error))
             await asyncio.sleep(STORE_RETRY_WALL_S)
@@ -305,24 +308,29 @@ class IdentificationJobs:
         except Exception as error:
             # Whatever went wrong in one job is that job's failure, not the service's.
             _log.exception("job_failed", job=job_id)
-            await self._end(job_id, "failed", f"{type(error).__name__}: {error}")
+            await self._end(job_id, "fail", f"{type(error).__name__}: {error}")
         return True
 
     async def _attempt(self, job: Job, folder: JobFolder) -> None:
         # The folder comes first: from now on a cancellation leaves its mark there.
         await anyio.to_thread.run_sync(folder.make)
-        started = await self._update(
+        started = await self._change(
             job.id,
-            status="running",
-            attempts=job.attempts + 1,
+            "start",
+            attempts=job.attempts if job.id in self._interrupted else job.attempts + 1,
             progress=0.0,
             started_at_us=self._clock.now_us(),
         )
         if started is None:
             return
+        self._interrupted.discard(job.id)
         self._publish(started)
         began = asyncio.get_running_loop().time()
-        await self._finish(started, await self._work(started, folder))
+        try:
+            await self._finish(started, await self._work(started, folder))
+        except StoreUnavailableError:
+            self._interrupted.add(job.id)  # the attempt did not fail: it is made again
+            raise
         self._observe_seconds(asyncio.get_running_loop().time() - began)
 
     async def _model_of(self, job: Job) -> ModelVersion | None:
@@ -359,27 +367,35 @@ class IdentificationJobs:
         progress = await anyio.to_thread.run_sync(folder.read_progress)
         if progress is None:
             return
-        self._told.remember(job_id, progress, asyncio.get_running_loop().time())
-        changed = await self._update(
-            job_id,
-            only_if=["running"],
-            progress=round(progress.fraction, 4),
-            best_fitness=progress.best_fitness,
-            evaluations=progress.evaluations,
-        )
+        self._progress.remember(job_id, progress, asyncio.get_running_loop().time())
+        try:
+            changed = await self._change(
+                job_id,
+                "progress",
+                progress=round(progress.fraction, 4),
+                best_fitness=progress.best_fitness,
+                evaluations=progress.evaluations,
+            )
+        except StoreUnavailableError as error:
+            # The worker goes on; the row gets what it has done when the store is back.
+            if job_id not in self._behind:
+                _log.warning("job_progress_waits_for_the_store", job=job_id, error=str(error))
+            self._behind.add(job_id)
+            return
+        self._behind.discard(job_id)
         if changed is not None:
             self._publish(changed)
 
     async def _finish(self, job: Job, result: JobResult) -> None:
         if result.cancelled:
-            await self._end(job.id, "cancelled", "cancelled")
+            await self._end(job.id, "cancel", "cancelled")
             return
         document = identified_document(job, result, self._assets[job.asset].settings)
         status: ModelStatus = "candidate" if result.accepted else "rejected"
         async with self._deciding:
-            still_wanted = await self._update(
+            still_wanted = await self._change(
                 job.id,
-                only_if=["running"],
+                "progress",
                 best_fitness=result.best_fitness,
                 evaluations=result.evaluations,
             )
@@ -406,9 +422,9 @@ class IdentificationJobs:
             await self.activate(job.asset, version.version, AUTOMATIC, version.reason, force=False)
             target = f"asset {job.asset}, version {version.version}"
             self._note("model.activate", target, version.reason)
-        ended = await self._update(
+        ended = await self._change(
             job.id,
-            status="succeeded",
+            "succeed",
             progress=1.0,
             ended_at_us=self._clock.now_us(),
             model_version=version.version,
@@ -427,11 +443,11 @@ class IdentificationJobs:
         """Write what the service does by itself into the audit trail."""
         self._outbox.record(AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail))
 
-    async def _end(self, job_id: str, status: JobStatus, error: str) -> None:
+    async def _end(self, job_id: str, event: JobEvent, error: str) -> None:
         while True:
             try:
-                ended = await self._update(
-                    job_id, status=status, error=error, ended_at_us=self._clock.now_us()
+                ended = await self._change(
+                    job_id, event, error=error, ended_at_us=self._clock.now_us()
                 )
             except StoreUnavailableError as away:
                 _log.warning("job_waits_for_the_store", job=job_id, error=str(away))
@@ -441,14 +457,19 @@ class IdentificationJobs:
                 self._publish(ended)
             return
 
-    async def _update(self, job_id: str, **changes: Any) -> Job | None:
+    async def _change(self, job_id: str, event: JobEvent, **changes: Any) -> Job | None:
+        """Let an event change a job; None when its state is one that the event does not change."""
+        transition = TRANSITIONS[event]
         # A service that stops does not wait for a store that does not answer.
         return await anyio.to_thread.run_sync(
-            lambda: self._store.jobs.update(job_id, **changes), abandon_on_cancel=True
+            lambda: self._store.jobs.update(
+                job_id, only_if=transition.before, status=transition.after, **changes
+            ),
+            abandon_on_cancel=True,
         )
 
     def _publish(self, job: Job) -> None:
-        self._bus.publish("job", job.asset, job_json(job, self._told.get(job.id)))
+        self._bus.publish("job", job.asset, job_json(job, self._progress.get(job.id)))
 
     def _replace_worker(self) -> None:
         self._shut_down_executor()

@@ -148,9 +148,9 @@ def _fit(
         method=order.method,
         budget=order.budget,
         seed=order.seed,
-        progress=_Teller(order.folder, active_fitness, (resume or {}).get("history", ())),
+        progress=_ProgressReporter(order.folder, active_fitness, (resume or {}).get("history", ())),
         cancelled=lambda: _is_stopped(order.folder),
-        save=_Saver(order.folder),
+        save=_CheckpointWriter(order.folder),
         resume=resume,
     )
 
@@ -161,7 +161,7 @@ def _is_stopped(folder: JobFolder) -> bool:
     return folder.cancelled
 
 
-class _Saver:
+class _CheckpointWriter:
     """Writes checkpoints to the job's folder, not too often."""
 
     def __init__(self, folder: JobFolder) -> None:
@@ -174,7 +174,7 @@ class _Saver:
             self._saved_at = time.monotonic()
 
 
-class _Teller:
+class _ProgressReporter:
     """Writes an identification's progress to the job's folder, a few times a second."""
 
     def __init__(
@@ -186,13 +186,16 @@ class _Teller:
         self._folder = folder
         self._active_fitness = active_fitness
         self._convergence = Convergence(history)
-        self._told_at = 0.0
+        self._reported_at = 0.0
 
     def __call__(self, progress: FitProgress) -> None:
         self._convergence.add(progress.evaluations, progress.best_fitness)
-        if time.monotonic() - self._told_at < PROGRESS_EVERY_WALL_S and progress.phase != "done":
+        if (
+            time.monotonic() - self._reported_at < PROGRESS_EVERY_WALL_S
+            and progress.phase != "done"
+        ):
             return
-        self._told_at = time.monotonic()
+        self._reported_at = time.monotonic()
         fitness = progress.best_fitness
         self._folder.write_progress(
             Progress(

@@ -1,19 +1,18 @@
 """Identification jobs: rows, so that a job outlives the service that started it."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import fields
 from typing import Unpack
 from uuid import uuid4
 
 from sqlalchemy import insert, select, update
 
+from service.domain.job_states import UNFINISHED, JobStatus
 from service.store.errors import ActiveJobError
 from service.store.part import StorePart
-from service.store.records import Job, JobChanges, JobStatus, JsonDocument
+from service.store.records import Job, JobChanges, JsonDocument
 from service.store.tables import JobRow
 
-#: Statuses of a job that has not ended.
-UNFINISHED: Sequence[JobStatus] = ("queued", "running")
 _COLUMNS = tuple(getattr(JobRow, field.name) for field in fields(Job))
 
 

@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from service.domain.job_states import JobStatus
+
 ModelStatus = Literal["candidate", "active", "retired", "rejected"]
-JobStatus = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 Role = Literal["viewer", "operator", "engineer", "admin", "gateway"]
 
 JsonDocument = dict[str, Any]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.documents import LastWords
+from service.jobs.documents import ProgressCache
 from service.jobs.workspace import MOST_POINTS, Convergence, JobFolder, Progress, clear_folders
 
 HALF = Progress(fraction=0.5, phase="noa", evaluations=1200, best_fitness=0.73)
@@ -97,14 +97,14 @@ def test_convergence_stays_short_and_keeps_its_ends() -> None:
     assert evaluations == sorted(set(evaluations))
 
 
-def left(words: LastWords) -> float | None:
+def left(words: ProgressCache) -> float | None:
     told = words.get("a")
     assert told is not None
     return told.seconds_left()
 
 
 def test_the_time_left_follows_the_pace_of_this_attempt() -> None:
-    words = LastWords()
+    words = ProgressCache()
     for number, fraction in enumerate((0.5, 0.505)):
         words.remember("a", Progress(fraction, "search", 100, 1.0), 1000.0 + 10.0 * number)
         assert left(words) is None
