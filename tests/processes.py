@@ -22,6 +22,7 @@ from service.store import Store
 
 START_S = 90.0
 STOP_S = 60.0
+HASTY_S = 5.0
 
 Found = TypeVar("Found")
 
@@ -56,6 +57,18 @@ def wait_until(
         if time.monotonic() > deadline:
             raise AssertionError(f"not within {timeout_s:g} s: {what}")
         time.sleep(every_s)
+
+
+def hasty(*arguments: str) -> list[str]:
+    """A command line of ``bearing-twin`` that waits for another service for seconds only.
+
+    What a user starts waits up to a minute, and then does the same.
+    """
+    text = (
+        "import service.app.start as start; from service.cli import main; "
+        f"start.LEAVE_S = start.LEAVE_DATABASE_S = {HASTY_S}; main()"
+    )
+    return [sys.executable, "-c", text, *arguments]
 
 
 class Command:

@@ -94,19 +94,12 @@ def problems() -> list[str]:
     return []
 
 
-def is_problem(message: ConsoleMessage) -> bool:
-    """Whether the browser complains; not of the page's question who is logged in: nobody yet."""
-    if message.location["url"].endswith("/api/v1/session"):
-        return False
-    return message.type in ("error", "warning")
-
-
 @pytest.fixture
 def screen(context: BrowserContext, plant: Plant, problems: list[str]) -> Callable[..., Page]:
     """Open a view of the dashboard, logged in with a role."""
 
     def note(message: ConsoleMessage) -> None:
-        if is_problem(message):
+        if message.type in ("error", "warning"):
             problems.append(message.text)
 
     def open_view(view: str, role: str = "admin") -> Page:

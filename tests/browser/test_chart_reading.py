@@ -130,7 +130,8 @@ def test_no_view_hides_what_scrolls_from_the_keyboard(
     for view in ("engineer", "history", "operator"):
         page.goto(f"{plant.address}/#{view}/{BEARING}")
         expect(page.locator("nav.tabs a[aria-current]")).to_have_text(view.capitalize())
-        page.wait_for_timeout(1000)
+        expect(page.locator("main h1").first).to_be_attached()
+        expect(page.locator("#banner")).not_to_be_empty()
         found += violations(page, view)
     context.close()
     assert not found, "\n".join(found)

@@ -7,7 +7,6 @@ import pytest
 from playwright.sync_api import BrowserContext, ConsoleMessage, Page, Response, expect
 
 from service.security.keys import create_key
-from tests.browser.conftest import is_problem
 from tests.processes import Site, wait_until
 
 pytestmark = [pytest.mark.browser, pytest.mark.wires]
@@ -43,7 +42,7 @@ def page(context: BrowserContext, site: Site, problems: list[str]) -> Page:
     page.set_default_timeout(WAIT_MS)
 
     def note(message: ConsoleMessage) -> None:
-        if is_problem(message):
+        if message.type in ("error", "warning"):
             problems.append(message.text)
 
     page.on("console", note)

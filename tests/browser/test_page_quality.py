@@ -99,6 +99,7 @@ def test_every_view_meets_wcag_aa(screen: Screen, plant: Plant, axe: str) -> Non
         page.goto(f"{plant.address}/#{view}")
         title = view.split("/")[0].capitalize().replace("Whatif", "What-if")
         expect(page.locator("nav.tabs a[aria-current]")).to_have_text(title)
+        expect(page.locator("main h1, main .card").first).to_be_attached()
         page.wait_for_timeout(500)
         found += violations(page, view)
     plant.silent.update((BEARING, GEARBOX))

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,8 @@ import pytest
 from faults.hall import BASE, CAN, MODBUS, Hall, lock_store
 from faults.test_store_away import small_disk
 from postgresql import running_postgresql
-from processes import wait_until
+from processes import HASTY_S, hasty, wait_until
 
-from service.app.start import LEAVE_S
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.store import lock_data_directory
 from service.store.opening import FILE_NAME
@@ -27,16 +26,17 @@ from service.web.listening import bind
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]
 PATIENCE_S = 120.0
+COMMAND = (sys.executable, "-m", "service")
 
 
 class Starting:
     """A service that was started and has not said yet that it is ready."""
 
-    def __init__(self, configuration: Path, log: Path) -> None:
+    def __init__(self, configuration: Path, log: Path, command: Sequence[str]) -> None:
         self.log = log
         with log.open("ab") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service", "serve", "-c", str(configuration)],
+                [*command, "serve", "-c", str(configuration)],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
@@ -79,8 +79,8 @@ class Starting:
 
 
 @contextmanager
-def starting(hall: Hall) -> Iterator[Starting]:
-    service = Starting(hall.configuration, hall.folder / "serve.log")
+def starting(hall: Hall, command: Sequence[str] = COMMAND) -> Iterator[Starting]:
+    service = Starting(hall.configuration, hall.folder / "serve.log", command)
     try:
         yield service
     finally:
@@ -132,10 +132,14 @@ def assert_nothing_is_missing(hall: Hall) -> None:
 
 
 def survive(
-    hall: Hall, why: str, come_back: Callable[[], object], waits_for: str = "the store"
+    hall: Hall,
+    why: str,
+    come_back: Callable[[], object],
+    waits_for: str = "the store",
+    command: Sequence[str] = COMMAND,
 ) -> None:
     """Start without the store, let it come, and look for every sample since the start."""
-    with devices(hall), starting(hall) as service:
+    with devices(hall), starting(hall, command) as service:
         wait_until(lambda: service.waits(why), PATIENCE_S, f"it waits because of: {why}")
         wait_until(lambda: spooled(hall) > 100, PATIENCE_S, "samples on the spool")
         answer = hall.client.get("/readyz")
@@ -182,13 +186,12 @@ def test_a_store_that_is_locked_for_long_at_the_start(tmp_path: Path) -> None:
     hall = Hall(tmp_path)
     try:
         release = lock_store(hall.folder / "data" / FILE_NAME)
-        began = time.monotonic()
 
-        def come_back() -> None:
-            time.sleep(max(0.0, began + 40.0 - time.monotonic()))
+        def come_back() -> None:  # later than another service would have to leave
+            time.sleep(2.0 * HASTY_S)
             release()
 
-        survive(hall, "database is locked", come_back)
+        survive(hall, "database is locked", come_back, command=hasty())
     finally:
         hall.close()
 
@@ -226,8 +229,8 @@ def test_a_port_that_is_given_up_late(tmp_path: Path) -> None:
 
 def test_a_port_that_stays_taken_ends_with_75_and_what_was_acquired_stays(tmp_path: Path) -> None:
     hall = Hall(tmp_path)
-    with bind("127.0.0.1", hall.port), devices(hall), starting(hall) as service:
-        assert service.process.wait(LEAVE_S + PATIENCE_S) == os.EX_TEMPFAIL
+    with bind("127.0.0.1", hall.port), devices(hall), starting(hall, hasty()) as service:
+        assert service.process.wait(PATIENCE_S) == os.EX_TEMPFAIL
         last = service.log.read_text().splitlines()[-1]
         assert f"service.port = {hall.port}: cannot listen there" in last
     with devices(hall), starting(hall) as service:

@@ -4,7 +4,6 @@ import asyncio
 import os
 import random
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ import pytest
 from faults.conftest import Extent
 from faults.hall import STARTED_S, Count, Hall, Outcome, lock_store
 from postgresql import running_postgresql
-from processes import wait_until
+from processes import hasty, wait_until
 
 from service.app.start import serve
 from service.clock import ProcessClock
@@ -117,7 +116,7 @@ def test_the_disk_of_the_store_is_full(tmp_path: Path, extent: Extent, tell: Tel
 def test_a_second_service_on_the_same_data_is_refused(hall: Hall, tell: Tell) -> None:
     hall.begin()
     second = subprocess.run(
-        [sys.executable, "-m", "service", "serve", "-c", str(hall.configuration)],
+        hasty("serve", "-c", str(hall.configuration)),
         capture_output=True,
         text=True,
         timeout=120,

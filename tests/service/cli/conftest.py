@@ -2,11 +2,11 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
+from forking import Commands
 from processes import Command, free_port
 
 ASSET = """
@@ -22,22 +22,21 @@ t_inner_ring_c = { source = "push" }
 """
 
 
+@pytest.fixture(scope="session")
+def commands() -> Iterator[Commands]:
+    commands = Commands()
+    yield commands
+    commands.close()
+
+
 @pytest.fixture
-def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def cli(commands: Commands, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run ``bearing-twin ARGUMENTS`` in an empty directory to its end."""
 
     def run(
         *arguments: str, environment: Mapping[str, str] | None = None
     ) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "service", *arguments],
-            cwd=tmp_path,
-            env=os.environ | (environment or {}),
-            capture_output=True,
-            text=True,
-            timeout=180,
-            check=False,
-        )
+        return commands.run(arguments, tmp_path, os.environ | (environment or {}))
 
     return run
 
@@ -74,6 +73,12 @@ def postponed(
         return line
 
     return run
+
+
+@pytest.fixture(scope="session")
+def asset() -> str:
+    """Lines of a configuration file: a machine whose values are pushed."""
+    return ASSET
 
 
 @pytest.fixture

@@ -1,11 +1,17 @@
 """What a user can mend: exit status 2 and one line that names it."""
 
+import os
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from processes import free_port
 
+PATIENCE_S = 240.0
 SOURCE = """
 [[sources]]
 name = "drive"
@@ -22,6 +28,23 @@ low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
 speed_rpm = {{ source = "drive", message = "{message}", signal = "Speed" }}
 """
 DBC = Path(__file__).parents[3] / "adapters" / "virtual_bench" / "bench.dbc"
+
+
+@dataclass
+class Waiting:
+    """A service that waits for a port that somebody else has."""
+
+    process: "subprocess.Popen[str]"
+    taken: int
+
+    def postponed(self) -> str:
+        """Its last line, once it has given up: it may be tried again."""
+        out, error = self.process.communicate(timeout=PATIENCE_S)
+        assert self.process.returncode == os.EX_TEMPFAIL, error[-3000:]
+        assert out == ""
+        line = error.splitlines()[-1]
+        assert line.startswith("bearing-twin: ")
+        return line
 
 
 @pytest.fixture
@@ -58,16 +81,6 @@ def test_a_truth_file_that_cannot_be_written(refused: Callable[..., str]) -> Non
         "--can-port", "0",
     )  # fmt: skip
     assert "no/such/folder/truth.csv" in line
-
-
-def test_a_port_of_the_service_in_use(
-    postponed: Callable[..., str], configure: Callable[..., Path], taken: int
-) -> None:
-    config = configure()
-    config.write_text(config.read_text().replace("port =", "port = " + str(taken) + " #"))
-    line = postponed("serve", "-c", str(config))
-    assert f"service.port = {taken}" in line
-    assert "expected a free port" in line
 
 
 def test_a_port_of_the_demo_in_use_is_told_at_once(
@@ -168,10 +181,41 @@ def test_a_key_that_there_is_not(refused: Callable[..., str]) -> None:
     assert "bt_none" in refused("keys", "revoke", "bt_none")
 
 
-def test_an_opcua_endpoint_in_use_is_named(
-    configure: Callable[..., Path], postponed: Callable[..., str], taken: int
-) -> None:
-    endpoint = f"opc.tcp://127.0.0.1:{taken}/bearing-twin"
-    config = configure(f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n')
-    line = postponed("serve", "-c", str(config))
+@pytest.fixture(scope="module", autouse=True)
+def waiting(tmp_path_factory: pytest.TempPathFactory, asset: str) -> Iterator[dict[str, Waiting]]:
+    """Services whose ports are taken, started at once: they wait for half a minute."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        endpoint = f"opc.tcp://127.0.0.1:{taken}/bearing-twin"
+        texts = {
+            "service": f"[service]\nport = {taken}\n",
+            "opcua": f"[service]\nport = {free_port()}\n"
+            f'[opcua]\nenabled = true\nendpoint = "{endpoint}"\n',
+        }
+        started = {}
+        for name, text in texts.items():
+            file = tmp_path_factory.mktemp(name) / "site.toml"
+            file.write_text(f"{text}\n{asset}")
+            process = subprocess.Popen(
+                [sys.executable, "-m", "service", "serve", "-c", str(file)],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            )  # fmt: skip
+            started[name] = Waiting(process, taken)
+        yield started
+        for service in started.values():
+            service.process.kill()
+            service.process.communicate()
+
+
+def test_a_port_of_the_service_in_use(waiting: dict[str, Waiting]) -> None:
+    line = waiting["service"].postponed()
+    assert f"service.port = {waiting['service'].taken}" in line
+    assert "expected a free port" in line
+
+
+def test_an_opcua_endpoint_in_use_is_named(waiting: dict[str, Waiting]) -> None:
+    line = waiting["opcua"].postponed()
+    endpoint = f"opc.tcp://127.0.0.1:{waiting['opcua'].taken}/bearing-twin"
     assert f"opcua.endpoint = '{endpoint}': cannot listen there (Address already in use)" in line

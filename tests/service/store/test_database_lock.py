@@ -1,6 +1,5 @@
 import os
 import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import psycopg
 import pytest
 from postgresql import PostgreSQL, running_postgresql
-from processes import wait_until
+from processes import hasty, wait_until
 
 from service.store import DatabaseInUseError, StoreError, lock_database
 from service.store.database_lock import DatabaseLock
@@ -40,7 +39,7 @@ def test_a_second_service_with_a_directory_of_its_own_is_refused(
         with pytest.raises(DatabaseInUseError, match=r"another service .* process \d+\)"):
             held(url, tmp_path)
         second = subprocess.run(
-            [sys.executable, "-m", "service", "serve", "-c", str(configuration)],
+            hasty("serve", "-c", str(configuration)),
             capture_output=True,
             text=True,
             timeout=280,
