@@ -11,6 +11,7 @@ import typer
 
 from service.cli.serve import ConfigFile
 from service.clock import rfc3339
+from service.domain.roles import ROLES
 from service.site.settings import load_settings
 
 # What only some commands need is imported where it is needed: the help must not wait for it.
@@ -34,7 +35,7 @@ def _store(config: ConfigFile) -> Iterator["Store"]:
 
 @keys.command()
 def create(
-    role: Annotated[str, typer.Option(help="viewer, operator, engineer, admin or gateway.")],
+    role: Annotated[str, typer.Option(help=f"{', '.join(ROLES[:-1])} or {ROLES[-1]}.")],
     expires_in_days: Annotated[
         float | None, typer.Option(help="Days after which the key expires; default never.")
     ] = None,

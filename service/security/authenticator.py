@@ -16,9 +16,10 @@ from typing import TypeVar
 import structlog
 from anyio import CapacityLimiter, to_thread
 
+from service.domain.roles import Role
 from service.security.keys import fingerprint, verify_key, wall_us
 from service.security.limits import RateLimit
-from service.store import ApiKey, Role, Store, StoreUnavailableError
+from service.store import ApiKey, Store, StoreUnavailableError
 
 MEMORY_S = 0.6
 MEMORY_WITHOUT_STORE_S = 600.0

@@ -11,8 +11,8 @@ import secrets
 import time
 from dataclasses import dataclass
 
-from service.security.roles import ROLES
-from service.store import ApiKey, AuditEntry, Role, Store
+from service.domain.roles import ROLES, Role
+from service.store import ApiKey, AuditEntry, Store
 
 _KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
 _PREFIX_LENGTH = len("bt_00000000")

@@ -8,9 +8,10 @@ from uuid import uuid4
 
 from sqlalchemy import RowMapping, delete, insert, select, update
 
+from service.domain.roles import Role
 from service.store.audit import add_line
 from service.store.part import StorePart
-from service.store.records import ApiKey, AuditEntry, BrowserSession, Role
+from service.store.records import ApiKey, AuditEntry, BrowserSession
 from service.store.tables import ApiKeyRow, BrowserSessionRow
 
 _KEY_COLUMNS = (

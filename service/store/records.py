@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.domain.job_states import JobStatus
+from service.domain.roles import Role
 
 ModelStatus = Literal["candidate", "active", "retired", "rejected"]
-Role = Literal["viewer", "operator", "engineer", "admin", "gateway"]
 
 JsonDocument = dict[str, Any]
 

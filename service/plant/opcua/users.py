@@ -8,9 +8,9 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
 
+from service.domain.roles import VIEWER
 from service.security import AuditTrail, Authenticator, guesses
 from service.security.keys import key_prefix
-from service.security.roles import VIEWER
 from service.store import StoreUnavailableError
 
 _log = structlog.get_logger(__name__)

@@ -16,9 +16,9 @@ from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
+from service.domain.roles import Roles
 from service.security import Actor, AuditTrail, Authenticator, Principal, guesses
 from service.security.keys import key_prefix
-from service.security.roles import Roles
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
 from service.web.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem, parameter_problem

@@ -4,6 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
+from service.domain.roles import Role
+
 Time = Annotated[
     str,
     WithJsonSchema(
@@ -398,7 +400,7 @@ class KeyDocument(_Answer):
 
     id: str = Field(examples=["9b1f0c2d3e4f5a6b7c8d9e0f1a2b3c4d"])
     prefix: str = Field(examples=["bt_1a2b3c4d"])
-    role: Literal["viewer", "operator", "engineer", "admin", "gateway"]
+    role: Role
     label: str = Field(examples=["control room"])
     created_at: Time
     expires_at: Time | None = Field(description="Null: it does not expire.")

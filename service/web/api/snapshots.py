@@ -16,7 +16,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.domain.interfaces import AssetTwin
-from service.security.roles import VIEWER
+from service.domain.roles import VIEWER
 from service.web.api.access import known_caller
 from service.web.api.entity_tags import entity_tag, tagged_response
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from service.domain.roles import ROLES
 from service.security import (
     UnknownKeyError,
     UnknownRoleError,
@@ -13,7 +14,6 @@ from service.security import (
     verify_key,
 )
 from service.security.keys import MICROSECONDS_PER_DAY, fingerprint, wall_us
-from service.security.roles import ROLES
 from service.store import Store
 
 

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from service.domain.requests import MAX_PROFILE_HOURS
-from service.security.roles import ENGINEER
+from service.domain.roles import ENGINEER
 from service.web.api.access import secured
 from service.web.api.deps import Asset, json_response
 from service.web.api.planning import AdviceDocument

@@ -19,8 +19,8 @@ from service.documents.alarms import (
     statistics_document,
     transition_document,
 )
+from service.domain.roles import VIEWER
 from service.domain.times import Instant
-from service.security.roles import VIEWER
 from service.spreadsheets import cell
 from service.store import AlarmTransition, JournalFilter, Store
 from service.web.api.access import secured

@@ -22,7 +22,7 @@ from service.documents.alarms import (
     FailedAlarm,
     alarm_document,
 )
-from service.security.roles import ENGINEER, OPERATOR, VIEWER
+from service.domain.roles import ENGINEER, OPERATOR, VIEWER
 from service.store import Alarm
 from service.web.api.access import Caller, secured
 from service.web.api.alarm_bodies import (

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from service.domain.requests import GreaseRenewedRequest
-from service.security.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
+from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
 from service.web.api.access import Caller, secured
 from service.web.api.bodies import (
     AssetDocument,

@@ -6,7 +6,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from service.clock import rfc3339
-from service.security.roles import ADMIN
+from service.domain.roles import ADMIN
 from service.web.api.access import secured
 from service.web.api.bodies import AuditList
 from service.web.api.cursors import (

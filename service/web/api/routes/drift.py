@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from service.clock import rfc3339
-from service.security.roles import ENGINEER
+from service.domain.roles import ENGINEER
 from service.store.records import ModelVersion
 from service.web.api.access import secured
 from service.web.api.bodies import Number, Page, Time

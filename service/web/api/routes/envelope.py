@@ -4,7 +4,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.security.roles import VIEWER
+from service.domain.roles import VIEWER
 from service.web.api.access import secured
 from service.web.api.deps import Asset, json_response
 from service.web.api.planning import EnvelopeDocument

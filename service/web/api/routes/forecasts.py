@@ -10,7 +10,7 @@ from starlette.responses import Response, StreamingResponse
 
 from service.domain.errors import NotReadyError, RequestRefusedError
 from service.domain.requests import ForecastRequest
-from service.security.roles import OPERATOR, VIEWER
+from service.domain.roles import OPERATOR, VIEWER
 from service.web.api.access import secured
 from service.web.api.bodies import LiveForecast, WhatIf
 from service.web.api.deps import Asset, json_response

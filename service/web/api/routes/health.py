@@ -13,8 +13,8 @@ from starlette.responses import Response
 
 from adapters.samples import is_good
 from service.domain.interfaces import AssetTwin
+from service.domain.roles import VIEWER
 from service.security.loopback import is_loopback
-from service.security.roles import VIEWER
 from service.store import StoreUnavailableError
 from service.web.api.access import authenticate, problems, public, unauthorized
 from service.web.api.bodies import Alive, Ready

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from service.domain.requests import IdentificationRequest
-from service.security.roles import ENGINEER
+from service.domain.roles import ENGINEER
 from service.web.api.access import LOCATION, RETRY_AFTER, Caller, secured
 from service.web.api.bodies import JobDocument, JobList, WindowList
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of

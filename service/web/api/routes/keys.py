@@ -10,10 +10,10 @@ from starlette.responses import Response
 
 from service.clock import rfc3339
 from service.domain.requests import RequestBody
+from service.domain.roles import ADMIN, Role
 from service.security import UnknownKeyError, create_key, list_keys, revoke_key
 from service.security.keys import LABEL_LENGTH, LABEL_PATTERN
-from service.security.roles import ADMIN
-from service.store import ApiKey, Role
+from service.store import ApiKey
 from service.web.api.access import LOCATION, Caller, actor, secured
 from service.web.api.bodies import KeyDocument, KeyList, NewKeyDocument
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of

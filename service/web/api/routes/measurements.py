@@ -12,8 +12,8 @@ from starlette.responses import Response, StreamingResponse
 
 from adapters.tables import TableFileError
 from service.domain.interfaces import AssetTwin
+from service.domain.roles import PUSH, VIEWER
 from service.domain.times import Instant
-from service.security.roles import PUSH, VIEWER
 from service.store import Store, StoreUnavailableError
 from service.transfer.exporting import ParquetPages
 from service.transfer.pages import (

@@ -9,8 +9,8 @@ from starlette.responses import Response
 
 from service.clock import rfc3339
 from service.domain.requests import RequestBody
+from service.domain.roles import ENGINEER
 from service.jobs.models import model_json
-from service.security.roles import ENGINEER
 from service.web.api.access import Caller, secured
 from service.web.api.bodies import ActivationList, ModelDocument, ModelList
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of

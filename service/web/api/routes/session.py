@@ -7,9 +7,9 @@ from starlette.responses import Response
 
 from service.clock import rfc3339
 from service.domain.requests import RequestBody
+from service.domain.roles import VIEWER
 from service.security import Authenticator, Principal
 from service.security.authenticator import LONGEST_SESSION_S
-from service.security.roles import VIEWER
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
 from service.web.api.access import (

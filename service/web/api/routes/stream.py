@@ -13,8 +13,8 @@ from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from service.bus.stream import Bus, Subscription, SubscriptionClosedError
+from service.domain.roles import VIEWER
 from service.security import AuditTrail, Authenticator, Principal
-from service.security.roles import VIEWER
 from service.web.api.access import (
     authenticate,
     refuse_other_sites,

@@ -1,13 +1,12 @@
-"""Roles, and which of them a call asks for.
+"""The roles, and which of them a call asks for; a new one is a row here and one in ``app.js``.
 
 Viewer, operator, engineer and admin each may do all that the one before may. A gateway stands
-beside them: it pushes measurements and reads the list of assets, nothing else.
+apart: it pushes measurements and reads the list of assets, nothing else.
 """
 
-from typing import Final, get_args
+from typing import Final, Literal, get_args
 
-from service.store import Role
-
+Role = Literal["viewer", "operator", "engineer", "admin", "gateway"]
 Roles = frozenset[Role]
 
 ROLES: Final[tuple[Role, ...]] = get_args(Role)
