@@ -89,3 +89,10 @@ def test_pages_outside_the_site_have_no_dead_links(page: str) -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_every_page_opens_with_what_its_reader_can_do(page: Path) -> None:
+    title, opening = page.read_text().split("\n\n")[:2]
+    assert title.startswith("# ")
+    assert re.match(r"(After this page|Here) you ", opening)
