@@ -84,11 +84,11 @@ def test_a_shelved_alarm_comes_back_by_itself(
     shelve = dialog.get_by_role("button", name="Shelve", exact=True)
     shelve.click()  # neither time nor reason: nothing happens
     expect(dialog).to_be_visible()
-    dialog.get_by_label("For how many minutes").fill("481")
+    dialog.get_by_label("Duration in minutes").fill("481")
     dialog.get_by_label("Reason").fill("thermocouple is being moved")
     shelve.click()  # more than 8 h
     expect(dialog).to_be_visible()
-    dialog.get_by_label("For how many minutes").fill(str(SHELVED_MIN))
+    dialog.get_by_label("Duration in minutes").fill(str(SHELVED_MIN))
     with page.expect_response(lambda response: response.url.endswith("/shelve")) as answer:
         shelve.click()
     assert answer.value.json()["state"] == "SHLVD"
@@ -111,7 +111,7 @@ def test_bulk_acknowledge_comment_and_journal(
     expect(dialog.locator(".past li").first).to_contain_text("raised")
     dialog.get_by_role("button", name="Comment").click()
     page.get_by_label("Comment (goes to the journal)").fill("grease was changed")
-    page.get_by_role("button", name="Keep comment").click()
+    page.get_by_role("button", name="Save comment").click()
     line = page.locator(".jt tbody tr", has_text="grease was changed")
     expect(line).to_be_visible()
 
@@ -154,7 +154,7 @@ def test_what_is_not_there_is_shelved_and_taken_out_before_it_comes(
     row = page.locator(".al", has_text=re.compile("Inner ring over alarm"))
     expect(row).to_have_attribute("data-state", "NORM")
     row.get_by_role("button", name=re.compile("^Shelve")).click()
-    page.get_by_label("For how many minutes").fill("480")
+    page.get_by_label("Duration in minutes").fill("480")
     page.get_by_label("Reason").fill("hot air is blown at it")
     page.get_by_role("dialog").get_by_role("button", name="Shelve", exact=True).click()
     expect(row).to_have_attribute("data-state", "SHLVD")

@@ -31,7 +31,7 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
         assert page.locator("main").evaluate("(main) => main.inert")
         page.get_by_role("button", name="12 h").focus()
         assert page.evaluate("document.activeElement === document.body")
-        expect(page.locator("#lost")).to_contain_text(re.compile("next try in|trying"))
+        expect(page.locator("#lost")).to_contain_text(re.compile("next try in|Retrying"))
     finally:
         plant.service.process.send_signal(signal.SIGCONT)
     page.evaluate("document.querySelector('#lost .btn')?.click()")  # it may be back by itself

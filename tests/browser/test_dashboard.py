@@ -179,7 +179,7 @@ def test_envelope_is_drawn_and_asked_about(page: Page, problems: list[str]) -> N
 def test_a_point_of_the_envelope_can_be_asked_about(page: Page, problems: list[str]) -> None:
     """Before the first identification the answer is that there is nothing to improve yet."""
     page.goto(page.url.split("#")[0] + "#envelope")
-    page.get_by_role("button", name="How to learn this point").click()
+    page.get_by_role("button", name="Reduce uncertainty here").click()
     answered = page.locator(".e-adv .problem:not(:empty), .adv table").first
     expect(answered).to_be_visible()
     if answered.evaluate("(element) => element.className") == "problem":

@@ -130,8 +130,8 @@ def test_process_clock_finds_the_rate_and_runs_on(parts: Page) -> None:
         parts,
         "const { ProcessClock } = await import('/js/clock.js');"
         "const clock = new ProcessClock();"
-        "clock.tell(1e12, 5e11);"
-        "clock.tell(1e12 + 3 * 120e3, 5e11 + 3000);"
+        "clock.update(1e12, 5e11);"
+        "clock.update(1e12 + 3 * 120e3, 5e11 + 3000);"
         "const [first, began] = [clock.now(), performance.now()];"
         "await new Promise((done) => setTimeout(done, 200));"
         "const wall = performance.now() - began;"
@@ -357,7 +357,7 @@ def test_advice_shows_steps_refusals_and_the_stop_rule(parts: Page) -> None:
         "4200 rpm, 2000 N 45 min, then 3400 N 45 min",
         "± 26.0",
         "± 6.5",
-        "runaway not excluded",
+        "thermal runaway not ruled out",
         "1 step refused",
         "changes speed and load at once",
         "Change one quantity at a time.",

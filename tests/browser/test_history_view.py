@@ -73,7 +73,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     for name in ("Inner ring", "Outer ring", "Speed", "Load"):
         page.get_by_role("checkbox", name=re.compile(f"^{name} ?[°rN]")).uncheck()
     choose(page, past, past + LENGTH_S * US)
-    expect(status).to_contain_text("mean, minimum and maximum of every 15 s")
+    expect(status).to_contain_text("mean, minimum and maximum per 15 s")
     assert violet(page) > 500, "half an hour of bad samples is hatched"
     row = page.locator(".p-hval tr", has_text="Ambient")
     expect(row.locator("td").nth(1)).to_have_text("20.0")
@@ -104,7 +104,7 @@ def test_what_is_seen_is_saved(screen: Screen, past: int, problems: list[str], f
     choose(page, past + 60 * US, past + 660 * US)
     expect(page.locator(".p-past [role=status]")).to_have_text("600 values: raw samples")
     with page.expect_download() as saved:
-        page.get_by_role("button", name=f"Save as {format}").click()
+        page.get_by_role("button", name=f"Save the shown data as {format}").click()
     path = saved.value.path()
     if parquet is None:
         rows = path.read_text(encoding="utf-8").split()

@@ -47,7 +47,7 @@ def test_a_call_without_a_session_leads_to_the_login_and_back(
     page = screen(f"alarms/{BEARING}", "operator")
     expect(page.locator(".p-journal tbody tr").first).to_be_visible()
     page.context.clear_cookies()
-    page.get_by_label("Span of time").select_option("last 24 h")
+    page.get_by_label("Time range").select_option("last 24 h")
     expect(page.locator(".login .problem")).to_have_text(re.compile("session has ended"))
     expect(page.get_by_text("X-API-Key")).to_have_count(0)
     page.get_by_label("Access key").fill(plant.key_of("operator"))
@@ -59,10 +59,10 @@ def test_a_call_without_a_session_leads_to_the_login_and_back(
 @pytest.mark.parametrize(
     ("link", "text"),
     [
-        ("operator/bench-of-old", "no asset “bench-of-old” here. It may have been renamed."),
-        ("history/%E0%A4%A", "no asset “%E0%A4%A” here."),
-        ("nosuchview", "There is no view “nosuchview” here."),
-        ("toString/press-1", "There is no view “toString” here."),
+        ("operator/bench-of-old", "Unknown asset “bench-of-old”. It may have been renamed."),
+        ("history/%E0%A4%A", "Unknown asset “%E0%A4%A”."),
+        ("nosuchview", "Unknown view “nosuchview”."),
+        ("toString/press-1", "Unknown view “toString”."),
     ],
 )
 def test_a_link_that_leads_nowhere_shows_nothing_else(

@@ -86,7 +86,7 @@ def test_the_first_hour_says_what_is_missing_and_how_to_send_it(parts: Page) -> 
     for said in (
         "Waiting for first data",
         "pt100: connection refused",
-        "push: nothing has been posted yet",
+        "push: no values posted yet",
         "Ambient (ambient_c): no channel is configured",
         'curl -H "X-API-Key: $KEY"',
         '{"samples":[{"channel":"speed_rpm","time":"2026-11-22T08:00:00.000Z"',

@@ -100,7 +100,7 @@ def test_a_link_of_another_site_logs_nobody_in_unasked(
         page.goto(site)
         if by != "script":
             page.get_by_text("Free coffee").click()
-        expect(page.get_by_text("This link brings the key")).to_contain_text(made["prefix"])
+        expect(page.get_by_text("This link contains the key")).to_contain_text(made["prefix"])
     assert made["key"] not in page.url
     assert session_of(context, plant) is None
     page.get_by_role("button", name="Log in").click()  # its user knows the link

@@ -141,7 +141,7 @@ def test_a_version_that_failed_a_gate_is_not_offered(parts: Page) -> None:
     candidate, rejected, active, retired = run(parts, script, gates=gates)
     assert (candidate["offered"], retired["offered"]) == (True, True)
     assert (active["offered"], rejected["offered"], rejected["kept"]) == (False, False, True)
-    assert rejected["text"] == "v3 is kept, not offered: 1 of 2 gates passed. bad."
+    assert rejected["text"] == "v3 is stored, not offered: 1 of 2 gates passed. bad."
 
 
 def test_high_risk_spans_and_holes_are_found_in_the_minutes(parts: Page) -> None:

@@ -239,7 +239,7 @@ def test_envelope_is_walked_with_the_keyboard(open_view: Any, problems: list[str
         canvas.press(key)
         assert point() == (speed + move[0], load + move[1]), key
     said = page.locator("#probe .kv")
-    for row in ("Steady, median", "median time to it", "Thermal runaway"):
+    for row in ("Steady, median", "median time", "Thermal runaway"):
         expect(said).to_contain_text(row)
     assert problems == []
 
@@ -276,7 +276,7 @@ def test_engineer_chooses_identifies_cancels_compares_activates_and_rolls_back(
     choose_windows(page)
     cancel_a_search(page, site)
 
-    page.get_by_role("button", name="Take all windows").click()
+    page.get_by_role("button", name="Use all windows").click()
     page.get_by_role("combobox", name="Method").select_option("refine")
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.locator(".e-job h2")).to_have_text("Re-identification, became v2")
@@ -291,7 +291,7 @@ def test_engineer_chooses_identifies_cancels_compares_activates_and_rolls_back(
     expect(versions.get_by_label("with")).to_have_value("2")
     expect(versions.locator("thead").first).to_contain_text("v2 candidate")
     expect(versions.locator(".vt tbody tr", has_text="extrapolation to")).to_have_count(1)
-    versions.locator("summary", has_text="What the data inform").click()
+    versions.locator("summary", has_text="Identifiability").click()
     expect(versions.locator("details[open]")).to_contain_text("v2: ")
     expect(page.locator(".e-drift")).to_contain_text("in v2, 95 %")
 
@@ -312,7 +312,7 @@ def test_engineer_chooses_identifies_cancels_compares_activates_and_rolls_back(
 
 def choose_windows(page: Page) -> None:
     """Leave a window out, try a span beyond the region, and be refused."""
-    page.get_by_role("button", name="Choose by hand").click()
+    page.get_by_role("button", name="Select manually").click()
     windows = page.locator(".wtl [data-window]")
     windows.first.click()
     expect(windows.first).to_have_attribute("aria-checked", "false")
@@ -320,7 +320,7 @@ def choose_windows(page: Page) -> None:
     windows.first.press("Space")
     expect(windows.first).to_have_attribute("aria-checked", "true")
     windows.first.click()
-    risky = page.locator(".wtl g", has=page.locator("title", has_text="never learned from"))
+    risky = page.locator(".wtl g", has=page.locator("title", has_text="never used for training"))
     box = risky.first.locator("rect").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] - 5, box["y"] + 20)
@@ -330,8 +330,8 @@ def choose_windows(page: Page) -> None:
     expect(page.locator(".wtl [data-own]")).to_have_count(1)
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.locator(".e-job .problem")).to_contain_text("outside the low-risk region")
-    row = page.locator(".wt tr", has_text="a span by hand")
-    row.get_by_role("button", name="Leave out").click()
+    row = page.locator(".wt tr", has_text="added manually")
+    row.get_by_role("button", name="Exclude").click()
     expect(page.locator(".wtl [data-own]")).to_have_count(0)
 
 
@@ -341,7 +341,7 @@ def cancel_a_search(page: Page, site: Site) -> None:
     page.get_by_role("spinbutton", name="Budget in evaluations").fill("5000000")
     page.get_by_role("button", name="Start", exact=True).click()
     panel = page.locator(".e-job")
-    expect(panel.locator("header")).to_contain_text("NOA explores")
+    expect(panel.locator("header")).to_contain_text("NOA search")
     expect(panel.locator("[role=status]")).to_have_text(re.compile(r"[1-9]\d* of 5000000 eval"))
     assert page.get_by_role("button", name="Start", exact=True).is_disabled()
     panel.get_by_role("button", name="Cancel").click()
@@ -386,10 +386,10 @@ def test_a_version_that_failed_a_gate_is_activated_only_against_it(
         store.models.add(ASSET, "rejected", "loses", document, made.created_at_us + 1)
     page = open_view("#engineer")
     verdict = page.locator(".e-ver .act")
-    expect(verdict).to_contain_text("v3 is kept, not offered: 4 of 5 gates passed. loses.")
+    expect(verdict).to_contain_text("v3 is stored, not offered: 4 of 5 gates passed. loses.")
     expect(page.get_by_role("button", name="Activate v3…")).to_be_disabled()
-    page.get_by_role("button", name="Activate against the gates…").click()
-    give_reason(page, "known better", "Activate against the gates")
+    page.get_by_role("button", name="Activate despite failed gates…").click()
+    give_reason(page, "known better", "Activate despite failed gates")
     expect(page.locator(".e-jou")).to_contain_text("known better")
     assert site.tag("model.version") == 3
     assert problems == []

@@ -1,7 +1,7 @@
 // What to measure next: the panel that asks the twin how to learn about a high-risk point.
 import { assetPath, call } from './api.js';
 import { h, put, scrollable, setText } from './dom.js';
-import { celsius, channelName, fixed, spanText } from './format.js';
+import { celsius, channelName, fixed, labelText, spanText } from './format.js';
 import { icon } from './icons.js';
 
 const SHOWN = 6;
@@ -31,12 +31,12 @@ export class AdvicePanel {
     const [speed, speedLabel] = field('speed_rpm', 'Speed', 'rpm', 20000);
     const [load, loadLabel] = field('load_n', 'Load', 'N', 200000);
     this.inputs = { speed_rpm: speed, load_n: load };
-    this.button = h('button', { class: 'btn', type: 'submit' }, 'Ask');
+    this.button = h('button', { class: 'btn', type: 'submit' }, 'Suggest');
     this.status = h('p', { class: 's mut', role: 'status' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
     this.result = scrollable('adv wide', 'Suggested test steps');
     this.element = h('section', { class: 'panel e-adv' },
-      h('header', {}, h('h2', {}, 'What to measure next'),
+      h('header', {}, h('h2', {}, 'Suggested test steps'),
         h('span', { class: 's mut' }, 'to narrow the forecast at a high-risk point')),
       h('form', {
         class: 'row ask',
@@ -78,7 +78,7 @@ export class AdvicePanel {
     for (const [name, input] of Object.entries(this.inputs)) query[name] = Number(input.value);
     this.button.disabled = true;
     setText(this.problem, '');
-    setText(this.status, 'The twin compares steps …');
+    setText(this.status, 'Comparing steps …');
     try {
       const answer = await call(assetPath(this.page.live.assetId, '/advice'),
         { query, timeoutMs: PATIENCE_MS });
@@ -100,10 +100,10 @@ export class AdvicePanel {
     put(this.result,
       h('p', { class: 's' }, `${channelName(sensor)} at ${fixed(target.speed_rpm, 0)} rpm, `
         + `${fixed(target.load_n, 0)} N: `, h('b', {}, celsius(now.q50)), ' ', kelvin(now.half_width_k),
-      target.labels.map((label) => [' ', h('span', { class: 'chip dash' }, label)])),
+      target.labels.map((label) => [' ', h('span', { class: 'chip dash' }, labelText(label))])),
       !answer.worth_while && h('p', { class: 's b' },
-        steps.length ? 'No step of the low-risk region narrows this by a tenth.'
-          : 'Every step is refused at present.'),
+        steps.length ? 'No low-risk step narrows this forecast by 10 % or more.'
+          : 'All steps are refused now.'),
       steps.length > 0 && this.stepTable(steps, sensor, now.half_width_k),
       excluded.length > 0 && this.refusals(excluded),
       this.approach(rule, sensor));
@@ -120,7 +120,7 @@ export class AdvicePanel {
       h('td', {}, step.why));
     const more = steps.length - SHOWN;
     return h('table', {}, h('thead', {}, h('tr', {},
-      ['Low-risk step', 'now', 'after', 'narrower by', 'peak, 97.5 %', 'why'].map((text, i) =>
+      ['Low-risk step', 'Now', 'After', 'Narrower by', 'Peak, 97.5 %', 'Reason'].map((text, i) =>
         h('th', { class: [1, 2, 4].includes(i) ? 'r' : null }, text)))),
     h('tbody', {}, steps.slice(0, SHOWN).map(row),
       more > 0 && h('tr', {}, h('td', { class: 'mut', colspan: 6 },
@@ -145,11 +145,11 @@ export class AdvicePanel {
       h('td', { class: 'r nw b' }, celsius(level.stop_above_c[sensor])),
       h('td', {}, level.allowed ? [icon('ok'), ' allowed'] : [icon(2, 'dashed'), ' ', level.reason],
         level.runaway_not_excluded && level.allowed
-          && [' ', h('span', { class: 'chip dash' }, 'runaway not excluded')]));
-    return h('details', { class: 's' }, h('summary', {}, 'How to approach the point itself'),
+          && [' ', h('span', { class: 'chip dash' }, labelText('runaway not excluded'))]));
+    return h('details', { class: 's' }, h('summary', {}, 'Approach to the point'),
       h('ol', {}, rule.rules.map((text) => h('li', {}, text))),
       h('table', {}, h('thead', {}, h('tr', {},
-        ['', 'Level', `${channelName(sensor)} expected`, 'stop above', ''].map((text, i) =>
+        ['', 'Level', `${channelName(sensor)} expected`, 'Stop above', ''].map((text, i) =>
           h('th', { class: i === 2 || i === 3 ? 'r' : null }, text)))),
       h('tbody', {}, rule.levels.map(row))));
   }

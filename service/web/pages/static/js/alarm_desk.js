@@ -27,11 +27,11 @@ const ACTIONS = {
     ask: (alarm) => askShelve(alarm.message),
   },
   comment: {
-    text: 'Comment…', role: 'operator', failure: 'Comment not kept',
+    text: 'Comment…', role: 'operator', failure: 'Comment not saved',
     applies: (alarm) => alarm.state !== 'NORM',
     ask: (alarm) => asComment(askReason({
-      title: `Comment: ${alarm.message}`, text: 'For those who look at this alarm after you.',
-      label: 'Comment (goes to the journal)', action: 'Keep comment',
+      title: `Comment: ${alarm.message}`, text: 'Everyone who opens this alarm can read it.',
+      label: 'Comment (goes to the journal)', action: 'Save comment',
     })),
   },
   'out-of-service': {
@@ -39,7 +39,7 @@ const ACTIONS = {
     applies: (alarm) => alarm.state !== 'OOSRV',
     ask: (alarm) => asComment(askReason({
       title: `Out of service: ${alarm.message}`,
-      text: 'It stays silent until somebody returns it to service.', action: 'Take out of service',
+      text: 'The alarm is off until an engineer returns it to service.', action: 'Take out of service',
     })),
   },
 };
@@ -78,7 +78,7 @@ export class AlarmDesk {
     return this.roleRefusal(ACTIONS[name].role);
   }
 
-  /** Ask what has to be asked, tell the service, and show what it has confirmed. */
+  /** Ask for the input, send it, and show what the service confirms. */
   async take(name, alarm) {
     const body = await ACTIONS[name].ask(alarm);
     if (body === null) return;

@@ -42,7 +42,7 @@ async function showPast(list, alarm) {
     const mine = items.filter((line) => line.alarm_id === alarm.id);
     put(list, mine.map((line) => h('li', {}, at(line.time), ` ${transitionText(line)}`,
       line.who && ` by ${line.who}`, line.comment && h('q', {}, line.comment))));
-    if (!mine.length) put(list, h('li', { class: 'mut' }, 'Nothing yet.'));
+    if (!mine.length) put(list, h('li', { class: 'mut' }, 'No entries.'));
   } catch (error) {
     put(list, h('li', { class: 'mut' }, `The journal cannot be read: ${error.message}.`));
   }

@@ -22,7 +22,7 @@ export class AlarmList {
     put(box, this.list, this.empty);
   }
 
-  /** alarms: a Map by id; live(alarm): what forecast and sensor of its asset say now. */
+  /** alarms: a Map by id; live(alarm): the present values of its asset's forecast and sensor. */
   update(alarms, live) {
     const shown = ranked(alarms);
     this.empty.hidden = shown.length > 0;

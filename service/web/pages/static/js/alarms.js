@@ -1,4 +1,4 @@
-// Alarms after ISA-18.2: the state is said by colour, by shape and by text.
+// Alarms after ISA-18.2: colour, shape and text show the state.
 import { fixed, isNumber, joined, milliseconds, percent, spanText } from './format.js';
 import { icon } from './icons.js';
 import { isActive, isDistrust } from './readings.js';
@@ -8,7 +8,7 @@ const STATES = {
   UNACK: { text: 'UNACKNOWLEDGED', look: 'filled', rank: 0 },
   ACKED: { text: 'ACKNOWLEDGED', look: 'filled', rank: 1 },
   RTNUN: { text: 'RETURNED, UNACK', look: 'hollow', rank: 2 },
-  LATCH: { text: 'LATCHED, RESET IT', look: 'hollow', rank: 3 },
+  LATCH: { text: 'LATCHED, RESET REQUIRED', look: 'hollow', rank: 3 },
   SHLVD: { text: 'SHELVED', look: 'shelved', rank: 4 },
   DSUPR: { text: 'SUPPRESSED', look: 'suppressed', rank: 5 },
   OOSRV: { text: 'OUT OF SERVICE', look: 'struck', rank: 6 },
@@ -18,9 +18,9 @@ const ASIDE = { SHLVD: 'shelved', DSUPR: 'by design', OOSRV: 'out of service' };
 export const stateOf = (alarm) => STATES[alarm.state];
 export const needsAcknowledge = (alarm) => alarm.state === 'UNACK' || alarm.state === 'RTNUN';
 export const isShown = (alarm) => alarm.state in STATES;
-/** Suppressed by somebody or by design: shown in grey, never counted. */
+/** Suppressed by a user or by design: shown in grey, never counted. */
 export const isAside = (alarm) => alarm.state in ASIDE;
-/** A measured temperature stands over a limit, as far as anybody knows. */
+/** A measured temperature stands over a limit. */
 export const isStanding = (alarm) => isActive(alarm) && STANDING_KINDS.includes(alarm.kind);
 /** About a limit of the machine, measured or predicted. */
 export const isLimit = (alarm) => Boolean(alarm.limit_level);
@@ -51,8 +51,8 @@ export function suppressedText(alarms) {
   const aside = alarms.filter(isAside);
   const parts = Object.entries(ASIDE).map(([state, name]) =>
     [name, aside.filter((alarm) => alarm.state === state).length]);
-  const told = parts.filter(([, count]) => count).map(([name, count]) => `${name} ${count}`);
-  return aside.length ? `${aside.length} suppressed (${told.join(', ')})` : '';
+  const counts = parts.filter(([, count]) => count).map(([name, count]) => `${name} ${count}`);
+  return aside.length ? `${aside.length} suppressed (${counts.join(', ')})` : '';
 }
 
 export function summary(alarms) {
@@ -64,7 +64,7 @@ export function summary(alarms) {
 
 /**
  * What stands behind an alarm now: lead time and probability of a predicted one, the value of a
- * measured one. `live` says what forecast and sensor say this moment, newer than the alarm's own.
+ * measured one. `live` has the present values of forecast and sensor, newer than the alarm's own.
  */
 export function detailText(alarm, live) {
   if (alarm.state === 'SHLVD') return joined(timeLeft(alarm, live));
@@ -112,7 +112,7 @@ function timeLeft(alarm, live) {
   return Number.isFinite(leftS) ? `${spanText(leftS)} left` : 'shelved';
 }
 
-/** Who put the alarm into its state; empty where nobody did. */
+/** Who put the alarm into its state; empty where no user did. */
 export function whoOf(alarm) {
   if (alarm.state === 'ACKED') return alarm.acknowledged_by ?? '';
   return alarm.state === 'SHLVD' ? alarm.shelved_by ?? '' : '';
@@ -127,7 +127,7 @@ export function symbol(alarm, size, inverse = false) {
   return icon(alarm.priority, inverse ? 'inverse' : look, size);
 }
 
-/** Take in an alarm as the service tells it; one that is over and acknowledged leaves the list. */
+/** Take in an alarm as the service sends it; an alarm that is normal and acknowledged leaves the list. */
 export function applyAlarm(store, alarm) {
   const alarms = new Map(store.get('alarms'));
   if (isShown(alarm)) alarms.set(alarm.id, alarm);

@@ -54,7 +54,7 @@ const live = new Live(clock, () => start('Your key is no longer valid, or your s
 onRefusedKey(() => live.isLoggedOut());
 const main = find('#main');
 let session = null;
-let offeredKey = ''; // of a link that somebody followed, not logged in with yet
+let offeredKey = ''; // of a link, not used for a login yet
 let assets = [];
 let view = null;
 let latest = 0; // number of the view that was asked for last
@@ -74,9 +74,9 @@ const viewName = () => {
 /** Why the address leads nowhere, or ''. */
 const nowhere = () => {
   const { view: name, asset } = readHash();
-  if (name && !Object.hasOwn(VIEWS, name)) return `There is no view “${name}” here.`;
+  if (name && !Object.hasOwn(VIEWS, name)) return `Unknown view “${name}”.`;
   if (!asset || live.feeds.has(asset)) return '';
-  return `There is no asset “${asset}” here. It may have been renamed.`;
+  return `Unknown asset “${asset}”. It may have been renamed.`;
 };
 const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? id;
 
@@ -122,7 +122,7 @@ async function showView() {
   shown = nowhere() ? '' : name;
   const asked = readHash().view;
   if (VIEWS[asked] && asked !== name) {
-    notify(refusal(VIEWS[asked].from) || 'There is one asset only: this is its page.');
+    notify(refusal(VIEWS[asked].from) || 'Only one asset is configured.');
   }
   put(main).className = `v-${shown || 'nowhere'}`;
   document.body.dataset.view = shown || 'nowhere';
@@ -144,7 +144,7 @@ async function showView() {
   try {
     View = await fetchView(name);
   } catch {
-    put(main, h('p', { class: 'panel waiting' }, 'This view cannot be fetched from the service.'));
+    put(main, h('p', { class: 'panel waiting' }, 'Loading this view failed.'));
     return;
   }
   if (mine !== latest || looked !== feed) return;
@@ -208,7 +208,7 @@ function tick() {
 /** The sources of the asset that is looked at, or of all. */
 const chipsShown = (state) => (ofAll() ? driverChips(state, clock) : sourceChips(state, clock));
 
-/** A page that nobody keeps up to date looks like one, and takes no orders. */
+/** A page without connection looks out of date and takes no input. */
 function showLink() {
   const away = Boolean(feed) && live.link.status === 'away';
   document.body.classList.toggle('away', away);
@@ -244,7 +244,7 @@ async function whileAway(action) {
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       const why = error.status === 0 ? 'The service does not answer' : `Service: ${error.message}`;
-      put(main, h('p', { class: 'panel waiting', role: 'status' }, `${why}. Trying again …`));
+      put(main, h('p', { class: 'panel waiting', role: 'status' }, `${why}. Retrying …`));
       await new Promise((resolve) => setTimeout(resolve, AWAY_RETRY_MS));
     }
   }
@@ -282,7 +282,7 @@ async function start(reason = '') {
 }
 
 setInterval(tick, TICK_MS);
-setInterval(updateFrame, 1000); // times to limits run down even when nothing is told
+setInterval(updateFrame, 1000); // times to limits run down between messages
 window.addEventListener('hashchange', () => {
   if (feed) follow();
 });

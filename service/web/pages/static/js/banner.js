@@ -13,7 +13,7 @@ function ignorance(feeds) {
   const states = feeds.map((feed) => feed.store.state);
   if (states.some(({ link }) => link.status === 'away')) return 'the service does not answer';
   const waiting = states.some(({ link, alarmsKnown }) => link.status !== 'live' || !alarmsKnown);
-  return waiting ? 'asking the service' : '';
+  return waiting ? 'loading' : '';
 }
 
 export class Banner {
@@ -39,7 +39,7 @@ export class Banner {
 
   /**
    * feeds: the assets whose alarms are meant; nameOf(alarm): name to show with the alarm, or '';
-   * live(alarm): what forecast and sensor of its asset say now; blind: a limit has no data.
+   * live(alarm): the present values of its asset's forecast and sensor; blind: a limit has no data.
    */
   update(feeds, { nameOf, live, blind }) {
     const all = feeds.flatMap((feed) => [...feed.store.get('alarms').values()]);
@@ -79,7 +79,7 @@ export class Banner {
     put(this.since, `  ·  ${state} since `, timeElement(raisedMs(alarm), text));
   }
 
-  /** What waits beside the alarm that is shown. */
+  /** The other alarms that wait. */
   updateRest(all, alarm) {
     const others = all.filter((one) => needsAcknowledge(one) && one.id !== alarm?.id).length;
     setText(this.more, alarm ? `+ ${others} more` : `${others} unacknowledged`);

@@ -8,7 +8,7 @@ const ASIDE = 14;
 
 /**
  * A chart that can be read: arrow keys, Home and End move the cursor, Shift-click or Enter sets a
- * mark, Escape removes both. The values stand in a box beside the cursor, which a screen reader
+ * mark, Escape removes both. The values stand in a box next to the cursor, which a screen reader
  * reads out.
  */
 export class ChartCursor {

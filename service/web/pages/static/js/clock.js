@@ -1,16 +1,16 @@
-// Process time in the browser: told by the stream, run on in between.
+// Process time in the browser: set by the stream, extrapolated between its messages.
 const MINIMUM_SPAN_MS = 2000;
 
 export class ProcessClock {
   constructor() {
     this.rate = 1;
-    this.told = null; // { process, wall, local } of the first message of this connection
+    this.first = null; // { process, wall, local } of the first message of this connection
     this.offset = null; // process time at local time 0
   }
 
-  /** Forget the past: a service that came back may have another clock. */
+  /** Reset: a service that was restarted may have another clock. */
   reset() {
-    this.told = null;
+    this.first = null;
     this.offset = null;
   }
 
@@ -23,20 +23,20 @@ export class ProcessClock {
   }
 
   /** A message of process time `processMs`, sent at wall time `wallMs` of the service. */
-  tell(processMs, wallMs) {
+  update(processMs, wallMs) {
     if (!Number.isFinite(processMs)) return;
     const local = performance.now();
-    this.told ??= { process: processMs, wall: wallMs };
-    const span = wallMs - this.told.wall;
+    this.first ??= { process: processMs, wall: wallMs };
+    const span = wallMs - this.first.wall;
     if (span > MINIMUM_SPAN_MS) {
-      const measured = (processMs - this.told.process) / span;
+      const measured = (processMs - this.first.process) / span;
       // The message times carry milliseconds of delay: only a real change of rate counts.
       if (Math.abs(measured / this.rate - 1) > 0.1 && measured > 0.5) {
         this.setRate(measured > 1.5 ? Math.round(measured) : 1);
       }
     }
     const offset = processMs - local * this.rate;
-    // The least delayed message knows best; late ones pull only slowly, a jump is followed.
+    // The least delayed message is the best; a late one corrects slowly, a jump at once.
     const jump = this.offset === null || Math.abs(offset - this.offset) > 5000 * this.rate;
     if (jump || offset > this.offset) this.offset = offset;
     else this.offset += 0.05 * (offset - this.offset);

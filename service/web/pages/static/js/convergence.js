@@ -1,4 +1,4 @@
-// How the best fitness of an identification falls, beside what the active version reaches.
+// How the best fitness of an identification falls, next to that of the active version.
 import { token } from './dom.js';
 import { isNumber, significant } from './format.js';
 import { mount, pixelRatio, fontSize, timeAxis, valueAxis, write } from './paint.js';
@@ -78,7 +78,7 @@ export class ConvergenceChart {
         { ...look, halo: token('--panel') });
     }
     if (this.empty) {
-      write(context, 'nothing to show yet', bbox.left + bbox.width / 2,
+      write(context, 'No data yet', bbox.left + bbox.width / 2,
         bbox.top + bbox.height / 2, { ...look, align: 'center', base: 'middle' });
     }
     context.restore();

@@ -1,4 +1,4 @@
-// Dialogs: say what happens, ask what has to be asked. Escape and Cancel change nothing.
+// Dialogs: they explain an action and ask for its input. Escape and Cancel change nothing.
 import { h } from './dom.js';
 import { wholeSpan } from './format.js';
 
@@ -33,7 +33,7 @@ const confirm = (text) => h('button', { class: 'btn pri', value: 'ok' }, text);
 const reasonField = (label) => [
   h('label', { for: 'reason' }, label),
   h('input', { id: 'reason', name: 'reason', required: true, maxlength: 500, pattern: '.*\\S.*',
-    title: 'a few words' }),
+    title: 'short reason' }),
 ];
 
 /** Ask for a reason; resolves with it, or with null when the user thinks better of it. */
@@ -56,10 +56,10 @@ export async function askShelve(message) {
   const { value, data } = await openDialog({
     title: `Shelve: ${message}`,
     body: [
-      h('p', {}, 'It stays silent for this time and returns by itself.'),
-      h('label', { for: 'shelve-minutes' }, 'For how many minutes (required, at most 8 h)'),
+      h('p', {}, 'The alarm is off for this time. It returns automatically.'),
+      h('label', { for: 'shelve-minutes' }, 'Duration in minutes (required, at most 8 h)'),
       h('div', { class: 'row' }, minutes,
-        h('span', { class: 'seg', role: 'group', 'aria-label': 'Usual times' }, quick)),
+        h('span', { class: 'seg', role: 'group', 'aria-label': 'Common durations' }, quick)),
       reasonField('Reason (goes to the journal)'),
     ],
     buttons: [cancel(), confirm('Shelve')],

@@ -75,12 +75,12 @@ export class DriftPanel {
   showText({ text, unit, of }) {
     const latest = this.shown.at(-1);
     const { value, low, high } = of(latest);
-    const said = latest.text ? first(plain(latest.text)) : '';
+    const summary = latest.text ? first(plain(latest.text)) : '';
     put(this.text,
       h('p', {}, `${first(text)}: `, h('b', {}, `${significant(value)}${unit ? ` ${unit}` : ''}`),
         ` in v${latest.version}, 95 % ${significant(low)} … ${significant(high)}`),
       h('p', { class: latest.changed ? 'b' : 'mut' }, latest.changed && [icon(2, 'hollow'), ' '],
-        said && `v${latest.version}: ${said}.`));
+        summary && `v${latest.version}: ${summary}.`));
   }
 
   create(data) {

@@ -59,7 +59,7 @@ export class AssetFeed {
     if (this.depth) this.guarded(() => this.loadAll());
   }
 
-  /** What a service that was started anew had said before is void. */
+  /** Messages from before a restart of the service are void. */
   meetAnew(epoch) {
     this.epoch = epoch;
     this.store.set('alarmsKnown', false);
@@ -146,7 +146,7 @@ export class AssetFeed {
     await this.findLastValues();
   }
 
-  /** A channel that was silent when the page was opened: what it said last is in the store. */
+  /** A channel that was silent when the page was opened: its last value is in the store. */
   async findLastValues() {
     for (const channel of this.history.channels) {
       const tag = this.store.get('tags')[channel];

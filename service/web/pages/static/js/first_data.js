@@ -64,6 +64,6 @@ function bySource(asset) {
 
 const sourceRow = (source, up, detail, channels) => h('li', {},
   icon('bad', 'hollow'),
-  h('div', {}, h('b', {}, source === PUSH ? 'push: nothing has been posted yet'
+  h('div', {}, h('b', {}, source === PUSH ? 'push: no values posted yet'
     : up ? `${source}: answers, no usable value yet` : `${source}: ${detail || 'does not answer'}`),
   h('span', { class: 'names' }, channels.map(([name]) => h('span', { class: 'chip' }, name)))));

@@ -110,7 +110,7 @@ export function overSpan(fan, name, limits, fromMs, toMs) {
   return result;
 }
 
-const LET_RISE_K = 0.5; // of the upper bound, before it may be said that a span only cools
+const LET_RISE_K = 0.5; // of the upper bound, above which a span does not count as cooling
 
 /**
  * A span that begins with the median over the warning limit, brings it below and makes nothing
@@ -140,11 +140,11 @@ function staysBelow(times, values, limit, inside) {
 
 /** Time to a limit counted from now: { probability, median, earliest } in seconds or null. */
 export function timeToLimit(forecast, name, level, nowMs) {
-  const told = forecast?.time_to_limit?.[name]?.[level];
-  if (!told) return { probability: 0, median: null, earliest: null };
-  const passed = (nowMs - milliseconds(forecast.made_at)) / 1000;
-  const left = (second) => (Number.isFinite(second) ? Math.max(0, second - passed) : null);
+  const crossing = forecast?.time_to_limit?.[name]?.[level];
+  if (!crossing) return { probability: 0, median: null, earliest: null };
+  const elapsedS = (nowMs - milliseconds(forecast.made_at)) / 1000;
+  const left = (second) => (Number.isFinite(second) ? Math.max(0, second - elapsedS) : null);
   return {
-    probability: told.probability, median: left(told.median_s), earliest: left(told.earliest_s),
+    probability: crossing.probability, median: left(crossing.median_s), earliest: left(crossing.earliest_s),
   };
 }

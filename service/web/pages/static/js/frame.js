@@ -92,7 +92,7 @@ export class Header {
     put(this.key, session && keyText(session));
   }
 
-  /** views: [{ title, href, current, reason }]; a reason says why it cannot be opened. */
+  /** views: [{ title, href, current, reason }]; a reason explains why it cannot be opened. */
   showViews(views) {
     put(this.tabs, views.map(({ title, href, current, reason }) => h('a', {
       href: reason ? null : href, 'aria-current': current ? 'page' : null,
@@ -159,7 +159,7 @@ export class Header {
     const rate = clock.rate === 1 ? '' : ` ×${fixed(clock.rate, clock.rate % 1 ? 1 : 0)}`;
     setText(this.zone, now === null ? '' : `${timeZone(now)}${rate}`);
     this.clock.title = now === null ? '' : utc(now)
-      + (rate ? `, process time runs${rate} against the wall clock` : '');
+      + (rate ? `, process time runs at${rate} wall time` : '');
   }
 }
 
@@ -167,7 +167,7 @@ export class Header {
 function keyText({ label, prefix, expires_at: expires }) {
   const name = label || (prefix ? `${prefix}…` : 'this session');
   return [`Key ${name}`, expires ? [', until ', timeElement(milliseconds(expires),
-    dayTime(milliseconds(expires)))] : ', without end'];
+    dayTime(milliseconds(expires)))] : ', no expiry'];
 }
 
 /** What is lost at this moment: { title, ageS, text } or null; `whole`: only of the service. */
@@ -178,7 +178,7 @@ export function lostState(state, clock, whole = false) {
     return {
       title: 'Connection lost', ageS: (Date.now() - sinceMs) / 1000,
       text: notCurrent(clock, sinceMs),
-      aside: waitS ? `next try in ${waitS} s` : 'trying …',
+      aside: waitS ? `next try in ${waitS} s` : 'Retrying …',
     };
   }
   if (state.link.status !== 'live' || !state.asset || !Object.keys(state.tags).length) return null;
@@ -187,7 +187,7 @@ export function lostState(state, clock, whole = false) {
     .map((name) => readChannel(state, clock, name));
   if (!lost.length) return silentSource(state, clock);
   const oldest = lost.reduce((a, b) => ((a.ageS ?? Infinity) > (b.ageS ?? Infinity) ? a : b));
-  const shown = oldest.timeMs === null ? [] : ['Shown: last values of ',
+  const shown = oldest.timeMs === null ? [] : ['Last values: ',
     timeElement(oldest.timeMs, hourMinuteSecond(oldest.timeMs)), '. '];
   return {
     title: `No ${listed(lostNames(state, clock, lost))} data`, ageS: oldest.ageS,
@@ -206,13 +206,13 @@ function lostNames(state, clock, lost) {
 
 /** What follows from it for the twin. */
 function consequence(state, clock, lost) {
-  if (lost.some(({ name }) => OPERATION.includes(name))) return 'No forecast without them.';
+  if (lost.some(({ name }) => OPERATION.includes(name))) return 'No forecast without these values.';
   if (!state.forecast) return '';
   return limitedReadings(state, clock).some((reading) => reading.usable)
-    ? 'The twin goes on with the other sensors.' : 'Forecast by the twin alone.';
+    ? 'The twin continues with the other sensors.' : 'The forecast uses no sensor.';
 }
 
-/** When what is shown was of now: process time runs on while nobody answers. */
+/** The time of the values shown: process time runs on while the service does not answer. */
 function notCurrent(clock, sinceMs) {
   if (clock.now() === null) return 'Values are not current.';
   const lastMs = clock.now() - (Date.now() - sinceMs) * clock.rate;
@@ -230,12 +230,12 @@ function silentSource(state, clock) {
 
 const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/\.?$/, '.');
 
-/** The strip that says which data are lost; the growing age is not read out every second. */
+/** The strip that names the lost data; screen readers do not read its age every second. */
 export class LostStrip {
   /** tryNow(): look for the service at once. */
   constructor(box, tryNow) {
     this.box = box;
-    this.again = h('button', { class: 'btn', type: 'button', onclick: tryNow }, 'Try now');
+    this.again = h('button', { class: 'btn', type: 'button', onclick: tryNow }, 'Retry now');
     this.title = h('b', { role: 'alert' });
     this.age = h('b', { 'aria-live': 'off' });
     this.text = h('span', { class: 'x' });
@@ -278,9 +278,9 @@ export function currentJob(jobs) {
 
 const ENDINGS = {
   failed: (job) => `failed: ${job.error ?? 'no reason given'}`,
-  cancelled: () => 'was cancelled',
-  succeeded: (job) => `ended: model v${job.model_version}`,
-  queued: () => 'waits for its turn',
+  cancelled: () => 'cancelled',
+  succeeded: (job) => `finished: model v${job.model_version}`,
+  queued: () => 'queued',
 };
 
 export function jobText(job) {

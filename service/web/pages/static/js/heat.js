@@ -1,4 +1,4 @@
-// The ramp of six greys that says how hot a node is; a hue is kept for limits.
+// The ramp of six greys that shows how hot a node is; colour is kept for limits.
 import { h, s } from './dom.js';
 
 const RAMP = [20, 36, 52, 68, 84, 100];

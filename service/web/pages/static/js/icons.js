@@ -1,4 +1,4 @@
-// Alarm symbols. Shape says priority, line says reality, hatch says distrust: never colour alone.
+// Alarm symbols. Shape shows priority, line shows reality, hatch shows distrust: never colour alone.
 import { s } from './dom.js';
 
 const SHAPES = {
@@ -44,7 +44,7 @@ function mark(kind, look, colour) {
 /**
  * One symbol.
  *
- * kind: 1, 2, 3 (priority), 'bad' (untrusted), 'ok', 'none' (nothing to say).
+ * kind: 1, 2, 3 (priority), 'bad' (untrusted), 'ok', 'none' (nothing to show).
  * look: 'filled', 'hollow' (returned), 'dashed' (predicted), 'inverse' (on its own full colour),
  *       'current' (hollow in the colour of the text around it), 'shelved', 'suppressed',
  *       'struck' (out of service): grey.

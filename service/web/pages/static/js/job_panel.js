@@ -8,28 +8,28 @@ import { gateList } from './models.js';
 
 const METHODS = {
   'noa+refine': 'NOA, then refinement',
-  refine: 'refinement alone',
-  noa: 'NOA alone',
+  refine: 'refinement only',
+  noa: 'NOA only',
 };
 const PHASES = {
-  search: 'NOA explores', refinement: 'refines', sampling: 'samples the posterior',
-  gates: 'gates judge',
+  search: 'NOA search', refinement: 'refinement', sampling: 'posterior sampling',
+  gates: 'gate checks',
 };
 /** What every version is asked, in the order of the answers. */
 const GATES = {
-  fit: 'meets the data it learns from',
-  ranges: 'parameters in range and off their bounds',
-  residuals: 'residuals without structure',
-  extrapolation: 'extrapolation: what is easier predicts the most demanding point',
-  latest: 'predicts the latest data without having seen them',
+  fit: 'Training fit',
+  ranges: 'Parameter ranges',
+  residuals: 'Residual whiteness',
+  extrapolation: 'Extrapolation hold-out',
+  latest: 'Time hold-out',
 };
 const JOBS_LISTED = 6;
 const PATIENCE_MS = 30000; // days of minutes are looked through before a job is queued
-const WAIT_WORDS = { queued: 'waits for its turn', running: 'begins' };
+const WAIT_WORDS = { queued: 'Queued', running: 'Starting' };
 
 const isUnfinished = (job) => job?.status === 'running' || job?.status === 'queued';
 
-/** Seconds as one says them: 12 s, 4 min. */
+/** Seconds as text: 12 s, 4 min. */
 const leftText = (seconds) => (seconds < 100 ? `${Math.max(1, Math.round(seconds))} s`
   : spanText(seconds));
 
@@ -75,7 +75,7 @@ export class JobPanel {
     this.bar = h('div', { class: 'bar', role: 'progressbar', 'aria-label': 'Progress',
       'aria-valuemin': 0, 'aria-valuemax': 100 }, this.fill);
     this.plot = h('div', { class: 'plot cv' });
-    this.caption = h('p', { class: 'xs mut' }, 'best sum of squared residuals over evaluations');
+    this.caption = h('p', { class: 'xs mut' }, 'Best sum of squared residuals by evaluation');
     this.gates = h('div', { class: 'gatebox' });
     this.history = scrollable('jh', 'Earlier jobs');
     const form = h('form', {
@@ -95,7 +95,7 @@ export class JobPanel {
     return assetPath(this.page.live.assetId, `/identifications${rest}`);
   }
 
-  // ---------------------------------------------------------------- what the service says
+  // ---------------------------------------------------------------- messages of the service
   /** All jobs and versions, as the service has them now. */
   async update(jobs, models) {
     this.jobs = jobs;
@@ -109,19 +109,19 @@ export class JobPanel {
   hear() {
     let isNew = false;
     let ended = false;
-    for (const told of this.page.store.get('jobs').values()) {
-      const index = this.jobs.findIndex((one) => one.id === told.id);
+    for (const message of this.page.store.get('jobs').values()) {
+      const index = this.jobs.findIndex((one) => one.id === message.id);
       if (index < 0) {
-        this.jobs = [told, ...this.jobs];
+        this.jobs = [message, ...this.jobs];
         isNew = true;
       } else {
-        ended ||= isUnfinished(this.jobs[index]) && !isUnfinished(told);
-        this.jobs = this.jobs.with(index, { ...this.jobs[index], ...told });
+        ended ||= isUnfinished(this.jobs[index]) && !isUnfinished(message);
+        this.jobs = this.jobs.with(index, { ...this.jobs[index], ...message });
       }
-      const points = this.points.get(told.id) ?? [];
-      const further = told.evaluations > (points.at(-1)?.[0] ?? 0);
-      if (told.best_fitness > 0 && further) {
-        this.points.set(told.id, [...points, [told.evaluations, told.best_fitness]]);
+      const points = this.points.get(message.id) ?? [];
+      const further = message.evaluations > (points.at(-1)?.[0] ?? 0);
+      if (message.best_fitness > 0 && further) {
+        this.points.set(message.id, [...points, [message.evaluations, message.best_fitness]]);
       }
     }
     if (isNew) this.shown = null;
@@ -133,13 +133,13 @@ export class JobPanel {
     return this.jobs.find((job) => job.id === this.shown) ?? this.jobs[0] ?? null;
   }
 
-  /** The way that a job went before this page heard of it. */
+  /** The progress of a job before this page was opened. */
   async fetchPoints(job) {
     if (!job || this.points.get(job.id)?.whole) return;
     const { convergence, ...known } = await call(this.path(`/${encodeURIComponent(job.id)}`));
-    const told = this.points.get(job.id) ?? [];
+    const later = this.points.get(job.id) ?? [];
     const last = convergence.at(-1)?.[0] ?? 0;
-    const points = [...convergence, ...told.filter(([count]) => count > last)];
+    const points = [...convergence, ...later.filter(([count]) => count > last)];
     points.whole = !isUnfinished(job);
     this.points.set(job.id, points);
     this.jobs = this.jobs.map((one) => (one.id === job.id ? { ...one, ...known } : one));
@@ -150,7 +150,7 @@ export class JobPanel {
     try {
       await this.fetchPoints(job);
     } catch (error) {
-      this.page.notify(`Cannot be shown now: ${error.message}.`);
+      this.page.notify(`Loading failed: ${error.message}.`);
     }
     this.show();
   }
@@ -171,7 +171,7 @@ export class JobPanel {
         return await call(this.path(), request);
       } catch (error) {
         if (error.status !== 0) throw error;
-        // Nobody knows whether it came through: asked again with its key it is the same job.
+        // It is not known whether the request arrived: repeated with its key it is the same job.
         return call(this.path(), request);
       }
     });
@@ -206,7 +206,7 @@ export class JobPanel {
     const job = this.current();
     const running = this.jobs.find(isUnfinished);
     const away = this.page.store.get('link').status !== 'live';
-    const why = running ? 'An identification is under way.' : this.actions.problem();
+    const why = running ? 'An identification is running.' : this.actions.problem();
     this.start.disabled = Boolean(why) || away || this.busy;
     this.start.title = why;
     this.cancel.disabled = !running || away || this.busy;
@@ -215,7 +215,7 @@ export class JobPanel {
     this.phase.className = `chip${job?.status === 'failed' ? ' warn' : ''}`;
     this.attempt.hidden = !(job?.attempts > 1);
     setText(this.attempt, `attempt ${job?.attempts}`);
-    this.attempt.title = 'The worker of an earlier attempt died; this one went on from its last '
+    this.attempt.title = 'An earlier attempt ended early. This attempt continued from its last '
       + 'checkpoint.';
     const share = Math.round((job?.progress ?? 0) * 100);
     this.fill.style.width = `${share}%`;
@@ -228,7 +228,7 @@ export class JobPanel {
     this.caption.hidden = this.plot.hidden;
     this.chart.update(points, job && {
       fitness: job.active_fitness,
-      label: isUnfinished(job) ? `active v${active?.version ?? '?'}` : 'active version then',
+      label: isUnfinished(job) ? `active v${active?.version ?? '?'}` : 'active version at the time',
     });
     this.showGates(job, made);
     this.showHistory();
@@ -252,9 +252,9 @@ export class JobPanel {
     }
     if (job.status === 'cancelled') return `Cancelled ${when}.`;
     if (job.status === 'succeeded') return `${counted}.`;
-    if (!job.evaluations) return `It ${WAIT_WORDS[job.status]}.`;
+    if (!job.evaluations) return `${WAIT_WORDS[job.status]}.`;
     const left = job.seconds_left;
-    const rest = job.phase === 'gates' ? ', the gates decide now'
+    const rest = job.phase === 'gates' ? ', gate checks running'
       : left ? `, ${leftText(left)} left` : '';
     const all = job.budget && job.phase === 'search' ? ` of ${job.budget}` : '';
     return `${job.evaluations}${all} evaluations, best ${significant(job.best_fitness)}${rest}`;
@@ -266,7 +266,7 @@ export class JobPanel {
     this.gatesLook = look;
     if (made?.gates) {
       put(this.gates, h('h3', {}, made.gates.accepted ? `v${made.version} passed all gates`
-        : `v${made.version} did not pass all gates`), gateList(made));
+        : `v${made.version} failed at least one gate`), gateList(made));
     } else if (look === 'pending') {
       put(this.gates, h('ul', { class: 'gates' }, Object.values(GATES).map((text) =>
         h('li', { class: 'mut' }, h('span', {}, '·'), h('span', {}, text)))));
@@ -294,14 +294,14 @@ export class JobPanel {
           job.attempts > 1 && `, attempt ${job.attempts}`),
         h('td', { class: 'r' }, h('button', {
           class: 'btn sm', type: 'button', 'aria-pressed': String(job === shown),
-          'aria-label': `Look at the job of ${dayTime(ms)}`, onclick: () => this.look(job),
-        }, 'Look')));
+          'aria-label': `Show the job of ${dayTime(ms)}`, onclick: () => this.look(job),
+        }, 'Show')));
     };
     const more = this.jobs.length - JOBS_LISTED;
     put(this.history, this.jobs.length > 0 && h('details', { class: 's', open: this.isOpen },
       h('summary', {}, `Jobs: ${this.jobs.length}`),
       h('table', {}, h('tbody', {}, this.jobs.slice(0, JOBS_LISTED).map(row),
-        more > 0 && h('tr', {}, h('td', { class: 'mut', colspan: 6 }, `and ${more} older ones`))))));
+        more > 0 && h('tr', {}, h('td', { class: 'mut', colspan: 6 }, `and ${more} older`))))));
     const details = this.history.firstElementChild;
     details?.addEventListener('toggle', () => { this.isOpen = details.open; });
   }

@@ -17,7 +17,7 @@ export function transitionText(line) {
   if (line.event === 'comment' || (from && from === to)) return line.event ?? 'comment';
   if (from in LEFT && !(to in LEFT)) return LEFT[from];
   if (from === 'LATCH' && to === 'NORM') return 'reset';
-  if (from === 'RTNUN' && to === 'NORM') return 'acknowledged, over';
+  if (from === 'RTNUN' && to === 'NORM') return 'acknowledged after return';
   if (from === 'RTNUN' && to === 'UNACK') return 're-alarmed';
   return REACHED[to] ?? (to ? to.toLowerCase() : 'noted');
 }

@@ -21,12 +21,12 @@ export class JournalPanel {
         options.map(([value, text]) => h('option', { value }, text)));
       return element;
     };
-    this.span = select('Span of time', SPANS, again);
+    this.span = select('Time range', SPANS, again);
     this.kind = select('Alarms or events', CLASSES, () => this.show());
     this.asset = select('Asset of the journal',
       [['', 'all assets'], ...page.assets.map(({ id }) => [id, page.nameOf(id)])], again);
     this.search = h('input', {
-      type: 'search', placeholder: 'Word in the text', 'aria-label': 'Word in the text',
+      type: 'search', placeholder: 'Search text', 'aria-label': 'Search text',
       oninput: () => this.show(),
     });
     this.count = h('span', { class: 's mut', role: 'status' });
@@ -106,11 +106,11 @@ export class JournalPanel {
     put(this.body, lines.map((line) => journalRow(line, this.several && this.page.nameOf(line.asset))));
     if (!lines.length) {
       put(this.body, h('tr', {}, h('td', { colspan: 8, class: 'mut pad' },
-        this.lines.length ? 'Nothing that fits the filters.' : 'Nothing has happened yet.')));
+        this.lines.length ? 'No entry matches the filters.' : 'No entries yet.')));
     }
     this.older.hidden = !this.next;
     this.save.disabled = !lines.length;
-    setText(this.count, `${lines.length} lines${this.next ? ', older ones not loaded' : ''}`);
+    setText(this.count, `${lines.length} entries${this.next ? ', older entries not loaded' : ''}`);
   }
 
   export() {

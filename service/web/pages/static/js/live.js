@@ -17,7 +17,7 @@ export class Live {
     this.link = { status: 'connecting' };
   }
 
-  /** Follow these assets (as `GET /assets` tells them) until `stop`. */
+  /** Follow these assets (as `GET /assets` lists them) until `stop`. */
   start(assets) {
     this.stop();
     this.clock.reset();
@@ -26,10 +26,10 @@ export class Live {
     this.feeds = new Map(assets.map((asset) =>
       [asset.id, new AssetFeed(asset.id, this.clock, guarded)]));
     assets.forEach((asset) => this.feeds.get(asset.id).takeAsset(asset));
-    this.tell({ status: 'connecting' });
+    this.setLink({ status: 'connecting' });
     this.stream = new Stream(assets.map((asset) => asset.id), {
       message: (message) => this.receive(message),
-      up: () => this.tell({ status: 'live' }),
+      up: () => this.setLink({ status: 'live' }),
       down: ({ nextTryMs }) => this.goAway(nextTryMs),
       refused: () => this.isLoggedOut(),
     });
@@ -49,14 +49,14 @@ export class Live {
       [...feed.store.get('alarms').values()].map((alarm) => ({ alarm, feed })));
   }
 
-  tell(link) {
+  setLink(link) {
     this.link = link;
     this.feeds.forEach((feed) => feed.store.set('link', link));
   }
 
   goAway(nextTryMs) {
     const sinceMs = this.link.status === 'away' ? this.link.sinceMs : Date.now();
-    this.tell({ status: 'away', sinceMs, nextTryMs });
+    this.setLink({ status: 'away', sinceMs, nextTryMs });
   }
 
   /** Whether the session is over; if so, everything ends, once for all who ask meanwhile. */
@@ -88,18 +88,18 @@ export class Live {
 
   receive(message) {
     const times = [milliseconds(message.time), milliseconds(message.sent_at)];
-    const anew = message.type === 'hello' && message.epoch !== this.epoch;
-    // A service that was started anew may have another clock.
-    if (anew) this.clock.reset();
-    this.clock.tell(...times);
+    const restarted = message.type === 'hello' && message.epoch !== this.epoch;
+    // A restarted service may have another clock.
+    if (restarted) this.clock.reset();
+    this.clock.update(...times);
     if (message.asset) this.feeds.get(message.asset)?.receive(message);
     else this.feeds.forEach((feed) => feed.receive(message));
-    if (!anew) return;
+    if (!restarted) return;
     this.epoch = message.epoch;
     this.guarded(() => this.loadOthers());
   }
 
-  /** Alarms of the assets that nobody looks at. */
+  /** Alarms of the assets that are not shown. */
   async loadOthers() {
     if (this.feeds.size < 2) return;
     const alarms = await callPages('/alarms', {});

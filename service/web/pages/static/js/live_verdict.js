@@ -21,9 +21,9 @@ const withoutWord = (reason) => ({
 /** The verdict that holds now; everything is unknown where the service is silent. */
 export function currentVerdict({ link, verdict }) {
   if (link.status !== 'live') return withoutWord('the service does not answer');
-  if (!verdict) return withoutWord('asking the service');
+  if (!verdict) return withoutWord('loading');
   const silentMs = performance.now() - verdict.heardMs;
-  return silentMs > OLDEST_WALL_MS ? withoutWord('the service gives no verdict') : verdict;
+  return silentMs > OLDEST_WALL_MS ? withoutWord('no verdict from the service') : verdict;
 }
 
 /** Missing channels among what a verdict lacks. */
@@ -48,7 +48,7 @@ export function missingText(state, clock, missing) {
   const names = (some) => listed(some.map((reading) => lower(reading.name)));
   return [
     lost.length && `${names(lost)} lost for ${ageText(Math.max(...lost.map((one) => one.ageS)))}`,
-    never.length && `no value yet of ${names(never)}`,
+    never.length && `no value yet for ${names(never)}`,
     ...causes.filter((name) => Object.hasOwn(WHY, name)).map((name) => WHY[name]),
   ].filter(Boolean).join('; ');
 }

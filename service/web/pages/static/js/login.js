@@ -67,7 +67,7 @@ export function showLogin(main, reason = '', offered = '') {
     spellcheck: 'false', value: offered,
   });
   const asked = offered ? [h('p', { class: 's' },
-    'This link brings the key ', h('code', {}, offered.slice(0, PREFIX_LENGTH)),
+    'This link contains the key ', h('code', {}, offered.slice(0, PREFIX_LENGTH)),
     '. Log in with it only if you know where the link comes from.')] : [];
   const problem = h('p', { class: 'problem', role: 'alert' }, reason);
   const button = h('button', { class: 'btn pri', type: 'submit' }, 'Log in');
@@ -91,7 +91,7 @@ export function showLogin(main, reason = '', offered = '') {
     put(main, h('form', { class: 'panel login', onsubmit: submit },
       h('div', { class: 'brand' }, logo(), h('h1', {}, 'Bearing Twin')),
       ...asked, h('label', { for: 'key' }, 'Access key'), key, problem, button,
-      h('p', { class: 's mut' }, 'A key is made on the machine of the service with ',
+      h('p', { class: 's mut' }, 'An administrator creates keys on the server with ',
         h('code', {}, 'bearing-twin keys create --role operator'), '.')));
     key.focus();
   });

@@ -89,11 +89,11 @@ function scoreRows(model) {
   }));
 }
 
-/** Scores on data that a version had not seen, beside the naive forecasts on the same data. */
+/** Scores on data that a version had not seen, next to the naive forecasts on the same data. */
 export function scoreTable(models) {
   const rows = models.flatMap(scoreRows);
   if (!rows.length) {
-    return h('p', { class: 's mut' }, 'No scores yet: nothing was tested on unseen data.');
+    return h('p', { class: 's mut' }, 'No scores yet: no test on unseen data.');
   }
   const naive = [...new Set(rows.flatMap((row) => Object.keys(row.naive)))];
   const other = (value, own, note) => h('td', { class: value < own ? 'r lose' : 'r' },
@@ -109,7 +109,7 @@ export function scoreTable(models) {
         h('td', { class: loses ? 'r lose' : 'r b' }, loses && [icon(2, 'hollow'), ' '],
           fixed(row.own, 2)),
         other(row.active, row.seen ? -1 : row.own,
-          row.seen && h('span', { class: 'u' }, 'had seen it')),
+          row.seen && h('span', { class: 'u' }, 'trained on it')),
         naive.map((name) => other(row.naive[name], row.own)));
     })));
 }
@@ -118,21 +118,21 @@ export function scoreTable(models) {
 export function trainingText(model) {
   const figures = Object.entries(model.scores?.train_rms_k ?? {}).map(([channel, value]) =>
     `${channelName(channel).toLowerCase()} ${fixed(value, 2)} K`);
-  return figures.length ? `rms on its own windows: ${figures.join(', ')}` : 'not identified';
+  return figures.length ? `rms on the training windows: ${figures.join(', ')}` : 'not identified';
 }
 
-/** Which combinations of parameters the data of a version tell, which they do not. */
+/** Which combinations of parameters the data of a version inform, and which not. */
 export function combinationList(model) {
-  const told = model.identifiability;
-  if (!told) return h('p', { class: 's mut' }, `v${model.version}: nothing is known of this.`);
-  const { informed, weak, prior_only: priorOnly, rank, condition, combinations } = told;
+  const identifiability = model.identifiability;
+  if (!identifiability) return h('p', { class: 's mut' }, `v${model.version}: no identifiability data.`);
+  const { informed, weak, prior_only: priorOnly, rank, condition, combinations } = identifiability;
   const head = `v${model.version}: ${informed} informed, ${weak ?? 0} weak, ${priorOnly ?? 0} prior `
     + `only; rank ${rank}${isNumber(condition) ? `, condition ${significant(condition)}` : ''}`;
   const shown = combinations ?? [];
   const rows = shown.length > 2 * COMBINATIONS_LISTED
     ? [...shown.slice(0, COMBINATIONS_LISTED), null, ...shown.slice(-COMBINATIONS_LISTED)] : shown;
   return h('div', {}, h('p', { class: 's b' }, head), h('table', {},
-    h('thead', {}, h('tr', {}, ['Combination', 'spread left', 'Verdict'].map((text, i) =>
+    h('thead', {}, h('tr', {}, ['Combination', 'remaining spread', 'Verdict'].map((text, i) =>
       h('th', { class: i === 1 ? 'r' : null }, text)))),
     h('tbody', {}, rows.map((one) => (one === null
       ? h('tr', {}, h('td', { colspan: 3, class: 'mut' }, `… ${shown.length - 2
@@ -145,7 +145,7 @@ export function combinationList(model) {
 /** The windows a version was learned from. */
 export function windowList(model) {
   const windows = model.windows ?? [];
-  if (!windows.length) return h('p', { class: 's mut' }, `v${model.version}: learned from nothing.`);
+  if (!windows.length) return h('p', { class: 's mut' }, `v${model.version}: no training windows.`);
   return h('div', {}, h('p', { class: 's b' }, `v${model.version}: ${counted(windows.length, 'window')}`),
     h('table', {}, h('tbody', {}, windows.map((window) => {
       const [start, end] = [milliseconds(window.start), milliseconds(window.end)];
@@ -156,7 +156,7 @@ export function windowList(model) {
     }))));
 }
 
-/** What the service says of channels, in the words of the page. */
+/** A text of the service with the channel names of the page. */
 export const plainText = (text) =>
   text.replace(/\bt_\w+_c\b/g, (name) => channelName(name).toLowerCase())
     .replaceAll(' degC', ' °C').replace(/(^|[\s(])-(?=\d)/g, '$1−');
@@ -166,5 +166,5 @@ export function gateList(model) {
   return h('ul', { class: 'gates' }, (model.gates?.checks ?? []).map((gate) => h('li', {},
     gate.passed ? icon('ok') : icon(2, 'hollow'),
     h('span', {}, gate.passed ? plainText(gate.detail)
-      : ['not passed: ', plainText(gate.detail)]))));
+      : ['failed: ', plainText(gate.detail)]))));
 }

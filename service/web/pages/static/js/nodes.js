@@ -12,7 +12,7 @@ export class NodeTiles {
 
   /**
    * nodes: { name: estimate °C }, spreads: { name: its standard deviation in K }, unknown: names of
-   * those whose estimate says nothing,
+   * those without a useful estimate,
    * measured: { name: { value, usable } } of measured points (which need not be nodes),
    * alerts: { name: { priority, predicted } }, stale: all is of the past.
    */

@@ -119,7 +119,7 @@ export class PastChart {
     const nothing = this.model.names.every((name) =>
       !this.model.lines[name]?.values.some(isNumber));
     if (nothing) {
-      write(context, 'no data in this span', bbox.left + bbox.width / 2,
+      write(context, 'no data in this range', bbox.left + bbox.width / 2,
         bbox.top + bbox.height / 2, { size, align: 'center', colour: token('--ink-3') });
     }
   }

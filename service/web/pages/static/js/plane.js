@@ -33,7 +33,7 @@ export function nearestAt(plane, matrix, speed, load) {
 }
 
 /**
- * Segments [[speed, load], [speed, load]] of the line at which a matrix passes a level
+ * Segments [[speed, load], [speed, load]] of the line at which a matrix crosses a level
  * (marching squares on a grid made finer). Cells next to a null have none.
  */
 export function contour(plane, matrix, level, fine = 60) {

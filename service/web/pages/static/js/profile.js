@@ -43,14 +43,14 @@ export function requestProfile(steps, before) {
   return [{ duration_s, speed_rpm, load_n }, ...profile];
 }
 
-/** The part of a link that says what is tried. */
+/** The part of a link that holds a profile. */
 export function linkOf(steps, fromEnd) {
   const text = steps.map(({ speed_rpm, load_n, minutes }) =>
     [speed_rpm, load_n, minutes].join(FIGURE_SIGN)).join(STEP_SIGN);
   return new URLSearchParams({ steps: text, ...(fromEnd ? { from: 'end' } : {}) }).toString();
 }
 
-/** The other way round: { steps, fromEnd }, or null where a link says nothing that can be tried. */
+/** The reverse: { steps, fromEnd }, or null where a link holds no valid profile. */
 export function fromLink(query) {
   const parameters = new URLSearchParams(query);
   const steps = (parameters.get('steps') ?? '').split(STEP_SIGN).filter(Boolean).map((text) => {

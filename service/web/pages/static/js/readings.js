@@ -1,5 +1,5 @@
 // What a channel is worth right now: a value is used only while it is good, fresh and connected.
-// How old a value may be is the service's to say: by channel, and by what its verdict misses.
+// The service decides how old a value may be: by channel, and by what its verdict lacks.
 import { isNumber } from './format.js';
 
 export const GOOD = 192;
@@ -8,7 +8,7 @@ const LOST_KINDS = ['stale data', 'sensor fault'];
 export const isActive = (alarm) => alarm.state === 'UNACK' || alarm.state === 'ACKED';
 export const isDistrust = (alarm) => LOST_KINDS.includes(alarm.kind);
 
-/** What the service tells of a channel; undefined when the asset has no such channel. */
+/** The configuration of a channel; undefined when the asset has no such channel. */
 const channelOf = (asset, name) => asset?.channels.find((channel) => channel.name === name);
 
 /**
@@ -30,7 +30,7 @@ export function readChannel(state, clock, name) {
 }
 
 function whyUnusable(state, name, tag, ageS) {
-  if (state.link.status !== 'live') return 'the service is away';
+  if (state.link.status !== 'live') return 'service not connected';
   if (!tag || !isNumber(tag.goodValue)) return 'no value yet';
   const { source, max_age_s: maxAgeS } = channelOf(state.asset, name) ?? {};
   const health = state.sources.find((one) => one.name === source);
@@ -45,12 +45,12 @@ function whyUnusable(state, name, tag, ageS) {
 
 /** OPC DA quality in words. */
 function qualityText(quality) {
-  if (quality === 83) return 'the value stands still';
+  if (quality === 83) return 'value frozen';
   const words = {
     4: 'configuration error', 8: 'not connected', 12: 'device failure', 16: 'sensor failure',
     20: 'last known value', 24: 'no communication', 28: 'out of service',
     32: 'waiting for the first value', 64: 'uncertain', 68: 'last usable value',
-    80: 'sensor not accurate', 84: 'out of its range', 88: 'sub-normal',
+    80: 'sensor not accurate', 84: 'out of range', 88: 'sub-normal',
   };
   return words[quality & 0xfc] ?? (quality >= GOOD ? 'good' : quality >= 64 ? 'uncertain' : 'bad');
 }

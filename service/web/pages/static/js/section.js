@@ -1,5 +1,5 @@
 // The bearing and its housing: upper half in section, lower half in outside view (drafting
-// convention), with the 13 nodes and the air. Greys say hot; only a limit brings a hue.
+// convention), with the 13 nodes and the air. Greys show temperature; only a limit has a colour.
 import { h, put, s, setText } from './dom.js';
 import { estimated, fixed, NODE_NAMES } from './format.js';
 import { heatLegend, heatOf } from './heat.js';
@@ -87,13 +87,13 @@ export class Section {
       s('text', { class: 'n', x: 308, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
       pin(13, 297, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
       pin(14, 14, 48),
-      s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view, shortened'));
+      s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view'));
     put(box, this.svg, heatLegend());
   }
 
   /**
    * nodes: { number: °C }, spreads: { number: standard deviation in K }, unknown: numbers of those
-   * whose estimate says nothing, measured: { number: { value, usable } },
+   * without a useful estimate, measured: { number: { value, usable } },
    * alerts: { 2 or 4: { priority, predicted } }, stale: the whole picture is of the past.
    */
   update({ nodes, spreads, unknown, measured, alerts, stale }) {
@@ -109,7 +109,7 @@ export class Section {
       'stroke-dasharray': predicted ? '8 5' : null,
     })));
     const say = (node) => fixed(measured[node]?.value ?? nodes[node]);
-    this.svg.setAttribute('aria-label', `Bearing in section. Inner ring ${say(4)} degrees, `
+    this.svg.setAttribute('aria-label', `Bearing cross-section. Inner ring ${say(4)} degrees, `
       + `outer ring ${say(2)} degrees Celsius.`);
   }
 

@@ -7,7 +7,7 @@ import { currentVerdict, missingChannels, missingText } from './live_verdict.js'
 import { limitedReadings, readChannel } from './readings.js';
 import { chartSensors } from './sensors.js';
 
-export const LOADING = 'asking for the forecast';
+export const LOADING = 'loading the forecast';
 
 const OLDEST_FORECAST_S = 900;
 const OLDEST_FORECAST_WALL_S = 30;
@@ -16,7 +16,7 @@ const COLD_C = 20;
 /** Why there is no forecast to be shown, or null when there is one. */
 function whyNoForecast(state, clock, fan, missing) {
   if (!state.loaded && !state.forecast) return LOADING;
-  if (!state.asset?.active_model) return 'there is no model yet';
+  if (!state.asset?.active_model) return 'no model yet';
   if (state.asset.active_model.trusted === false) return 'the model is not trusted';
   // Without the operation the twin holds what it knew last: no forecast of what is happening.
   const blind = missing.filter((name) => OPERATION.includes(name));
@@ -24,9 +24,9 @@ function whyNoForecast(state, clock, fan, missing) {
   if (!state.forecast) return 'the twin waits for its first data';
   const ageS = (clock.now() - milliseconds(state.forecast.made_at)) / 1000;
   if (ageS > Math.max(OLDEST_FORECAST_S, OLDEST_FORECAST_WALL_S * clock.rate)) {
-    return `the last one is ${ageText(ageS)} old`;
+    return `the last forecast is ${ageText(ageS)} old`;
   }
-  return fan ? null : 'the last one has run out';
+  return fan ? null : 'the last forecast has expired';
 }
 
 /** The median crossings that lie ahead, for the chart: [{ timeMs, value, priority }]. */

@@ -51,8 +51,8 @@ export const emptyAsset = () => ({
   tags: {}, // { name: { value, quality, time (ms), unit } }
   nodes: null, // latest state message
   forecast: null,
-  verdict: null, // latest word of the service, with heardMs
+  verdict: null, // latest verdict of the service, with heardMs
   alarms: new Map(),
-  alarmsKnown: false, // whether the service has told its alarms since it was started
+  alarmsKnown: false, // whether the alarms were received since the service was started
   jobs: new Map(),
 });

@@ -83,7 +83,7 @@ export class Stream {
     const waitS = Math.min(LONGEST_WAIT_S, 2 ** (this.failures - 1));
     this.handlers.down({ nextTryMs: Date.now() + waitS * 1000 });
     this.retry = setTimeout(() => this.connect(), waitS * 1000);
-    // A refused upgrade looks like any lost line: only the session tells the difference.
+    // A refused upgrade looks like any lost line: only the session shows the difference.
     if (await this.handlers.refused()) this.stop();
   }
 

@@ -18,8 +18,8 @@ const WORDS = {
 };
 const lower = (sensor) => channelName(sensor).toLowerCase();
 
-/** No sensor is behind what is said. */
-const twinAlone = () => h('b', { class: 'bt' }, 'twin alone');
+/** The answer rests on no sensor. */
+const twinAlone = () => h('b', { class: 'bt' }, 'no sensor');
 
 /** Figures and their units stay on one line, however deep the parts are nested. */
 function keep(part) {
@@ -68,7 +68,7 @@ function gauge(reading, high) {
     h('span', { class: 'ptr', style: { left: `${at(value)}%` } }));
 }
 
-/** Figure and gauge of the temperature beside the word; struck through when it is not of now. */
+/** Figure and gauge of the temperature next to the word; struck through when it is not current. */
 function measured(reading, high) {
   if (!reading || reading.value === null) return {};
   return {
@@ -85,7 +85,7 @@ export function nowTile(now, high) {
   const { reading, standing } = now;
   const common = { label: 'Is it safe now', title: 'Now', ...measured(reading, high) };
   if (answer.word === 'unknown') {
-    // A temperature that is over its limit is said first, whatever else is missing.
+    // A temperature over its limit comes first, whatever else is missing.
     const over = answer.limit && [bold(answer.reasons[0]), '; '];
     return unknown({ ...common, why: [over, now.missingText].filter(Boolean) });
   }
@@ -248,6 +248,6 @@ export function timeToLimitTile(answer, { alone, nowMs }) {
     ...common, look: LOOKS[priority], symbol: aheadSymbol(priority), note: 'probability',
     word: [h('small', {}, 'earliest in '), spanNodes(first)],
     why: [[lower(sensor), crosses ? [', median in ', bold(spanText(median))]
-      : ', the median stays below it']],
+      : ', median stays below']],
   });
 }

@@ -11,8 +11,8 @@ export function priorityFor(warning, alarm) {
   return warning >= THRESHOLDS.atRisk ? 2 : 0;
 }
 
-/** Limits of the sensors that the forecast speaks of. */
-const foretold = (limits, forecast, fan) => Object.fromEntries(Object.entries(limits)
+/** Limits of the sensors that the forecast covers. */
+const forecastLimits = (limits, forecast, fan) => Object.fromEntries(Object.entries(limits)
   .filter(([name]) => fan.bands[name] && forecast.time_to_limit?.[name]));
 
 /** Of all sensors with limits, the one for which `rank` is highest. */
@@ -24,10 +24,10 @@ const worstSensor = (limits, assess, rank) => Object.entries(limits)
 export function judgeProfile({ forecast, fan, limits, nowMs }) {
   if (!fan) return { word: null };
   const [fromMs, toMs] = [fan.times[0], fan.times.at(-1)];
-  const known = foretold(limits, forecast, fan);
+  const known = forecastLimits(limits, forecast, fan);
   const assess = (sensor, own) => {
-    const told = (level) => timeToLimit(forecast, sensor, level, nowMs).probability;
-    return { ...overSpan(fan, sensor, own, fromMs, toMs), warning: told('warning'), alarm: told('alarm') };
+    const chance = (level) => timeToLimit(forecast, sensor, level, nowMs).probability;
+    return { ...overSpan(fan, sensor, own, fromMs, toMs), warning: chance('warning'), alarm: chance('alarm') };
   };
   const peaks = Object.entries(known).map(([sensor, own]) =>
     ({ sensor, limits: own, ...assess(sensor, own) }));
@@ -44,17 +44,17 @@ export function judgeProfile({ forecast, fan, limits, nowMs }) {
 }
 
 /**
- * Over the limit only because it begins there: what `coolsBelow` says of the sensor that takes
+ * Over the limit only because it begins there: the result of `coolsBelow` for the sensor that takes
  * longest, or null when any sensor is likely to exceed its limit in another way.
  */
 function cooling(fan, peaks, fromMs, toMs) {
   const over = peaks.filter((peak) => peak.warning >= THRESHOLDS.atRisk)
     .map(({ sensor, limits }) => ({
-      sensor, limits, found: coolsBelow(fan, sensor, limits.warning, fromMs, toMs),
+      sensor, limits, cools: coolsBelow(fan, sensor, limits.warning, fromMs, toMs),
     }));
-  if (!over.length || over.some(({ found }) => !found)) return null;
-  const { sensor, limits, found } = over.toSorted((a, b) => b.found.belowMs - a.found.belowMs)[0];
-  return { sensor, limits, ...found };
+  if (!over.length || over.some(({ cools }) => !cools)) return null;
+  const { sensor, limits, cools } = over.toSorted((a, b) => b.cools.belowMs - a.cools.belowMs)[0];
+  return { sensor, limits, ...cools };
 }
 
 /**
@@ -75,7 +75,7 @@ export function timeAlongProfile({ forecast, fan, readings, limits, nowMs }) {
   };
   const soonest = (one) => one.median ?? one.earliest ?? endS;
   const expected = (one) => one.probability >= THRESHOLDS.atRisk;
-  const worst = worstSensor(foretold(limits, forecast, fan), assess, (one) =>
+  const worst = worstSensor(forecastLimits(limits, forecast, fan), assess, (one) =>
     (expected(one) ? 1000 - soonest(one) / endS * 100 : 0)
       + (one.over && expected(one) ? 1000 : 0)
       + one.probability + 1e-3 * (one.high - one.limits.warning));

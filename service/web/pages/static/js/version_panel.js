@@ -32,11 +32,11 @@ export function offer(model) {
     const why = failed.length ? failed.map((check) => check.detail).join('; ') : model.reason;
     return {
       offered: false, kept: true,
-      text: `${v} is kept, not offered: ${checks.length - failed.length} of ${checks.length} gates `
+      text: `${v} is stored, not offered: ${checks.length - failed.length} of ${checks.length} gates `
         + `passed. ${why}.`,
     };
   }
-  if (!checks.length) return { offered: true, text: `${v} holds the priors, from before any data.` };
+  if (!checks.length) return { offered: true, text: `${v} contains the priors only, before any data.` };
   const passed = failed.length ? `passed ${checks.length - failed.length} of ${checks.length} gates`
     : 'passed all gates';
   return { offered: true, text: `${v} ${passed}${model.reason ? `; ${model.reason}` : ''}.` };
@@ -60,10 +60,10 @@ export class VersionPanel {
     this.verdict = h('p', { class: 's grow' });
     this.back = h('button', { class: 'btn', type: 'button', onclick: () => this.rollBack() });
     this.force = h('button', { class: 'btn', type: 'button', onclick: () => this.activate(true) },
-      'Activate against the gates…');
+      'Activate despite failed gates…');
     this.take = h('button', { class: 'btn pri', type: 'button', onclick: () => this.activate(false) });
     this.element = h('section', { class: 'panel e-ver' },
-      h('header', {}, h('h2', {}, 'Model versions side by side'), h('span', { class: 'sp' }),
+      h('header', {}, h('h2', {}, 'Compare model versions'), h('span', { class: 'sp' }),
         h('label', { class: 's mut' }, 'compare ', this.choice[0]),
         h('label', { class: 's mut' }, 'with ', this.choice[1])),
       this.tables, h('div', { class: 'row act' }, this.verdict, this.back, this.force, this.take));
@@ -142,7 +142,7 @@ export class VersionPanel {
     put(this.tables, scrollable('wide', 'Parameters', parameterTable(...models)),
       scrollable('wide', 'Scores', scoreTable(models)),
       models.map((model) => h('p', { class: 's mut' }, `v${model.version}, ${trainingText(model)}`)),
-      more('What the data inform', wholes.map(combinationList), 0),
+      more('Identifiability', wholes.map(combinationList), 0),
       more('Windows used', models.map(windowList), 1));
   }
 
@@ -176,7 +176,7 @@ export class VersionPanel {
     };
     const head = (...texts) => h('thead', {}, h('tr', {}, texts.map((text) => h('th', {}, text))));
     put(this.journalBox, h('div', { class: 'two' },
-      scrollable('wide', 'Versions', h('table', {}, head('Version', 'Status', 'Made', 'Method', 'Why'),
+      scrollable('wide', 'Versions', h('table', {}, head('Version', 'Status', 'Created', 'Method', 'Reason'),
         h('tbody', {}, this.models.map((model) => h('tr', {},
           h('td', { class: 'b' }, `v${model.version}`), h('td', {}, statusChip(model.status)),
           time(model.created_at), h('td', { class: 'nw' }, model.method ?? '–'),
@@ -193,11 +193,11 @@ export class VersionPanel {
     const model = right ?? left;
     const v = `v${model.version}`;
     const comment = await askReason({
-      title: force ? `Activate ${v} against the gates?` : `Activate model ${v}?`,
-      text: force ? `${offer(model).text} The live twin switches to it all the same and goes on `
+      title: force ? `Activate ${v} despite failed gates?` : `Activate model ${v}?`,
+      text: force ? `${offer(model).text} The live twin switches to it anyway and continues `
         + 'from its present state.'
-        : 'The live twin switches to this version and goes on from its present state.',
-      action: force ? 'Activate against the gates' : 'Activate',
+        : 'The live twin switches to this version and continues from its present state.',
+      action: force ? 'Activate despite failed gates' : 'Activate',
     });
     await this.send(model.version, comment, force, 'Not activated');
   }
@@ -207,7 +207,7 @@ export class VersionPanel {
     const made = milliseconds(model.created_at);
     const comment = await askReason({
       title: `Roll back to model v${model.version}?`,
-      text: 'The live twin goes on from its present state with the parameters of '
+      text: 'The live twin continues from its present state with the parameters of '
         + `${Number.isFinite(made) ? dayTime(made) : `v${model.version}`}.`,
       action: 'Roll back',
     });

@@ -19,10 +19,10 @@ export class WindowPanel {
     this.byHand = null; // null: automatic, else the chosen windows
     this.text = h('span', { class: 's mut' }, 'loading …');
     this.plot = h('div', { class: 'wtl' });
-    this.table = scrollable('wt', 'Chosen windows');
+    this.table = scrollable('wt', 'Selected windows');
     this.button = h('button', {
       class: 'btn sm', type: 'button', disabled: true, onclick: () => this.switch(),
-    }, 'Choose by hand');
+    }, 'Select manually');
     this.element = h('section', { class: 'panel e-win' },
       h('header', {}, h('h2', {}, 'Low-risk windows'), this.text,
         h('span', { class: 'keys' }, key('box chosen', 'trains the next model'),
@@ -44,13 +44,13 @@ export class WindowPanel {
     const before = this.windows;
     this.given = given;
     this.windows = given.windows;
-    // The service finds them anew each time; what was chosen stays chosen.
+    // The service sends new windows each time; the selection stays.
     this.byHand &&= this.byHand.map((one) => (before.includes(one)
       ? this.windows.find((other) => other.start === one.start) ?? one : one));
     this.show();
   }
 
-  /** What a request for an identification says of windows. */
+  /** The windows of a request for an identification. */
   request() {
     if (!this.byHand) return 'auto';
     return this.chosen().map(({ start, end }) => ({ start, end }));
@@ -58,7 +58,7 @@ export class WindowPanel {
 
   /** Why no identification can be started from this choice, or ''. */
   problem() {
-    if (this.byHand) return this.byHand.length ? '' : 'No window is chosen.';
+    if (this.byHand) return this.byHand.length ? '' : 'No window is selected.';
     return this.windows.length ? ''
       : 'No low-risk window in the store yet: at least 30 min of good data inside the region.';
   }
@@ -92,15 +92,15 @@ export class WindowPanel {
     if (!this.given) return;
     const { region, active, nowMs, minutes } = this.given;
     this.button.disabled = false;
-    setText(this.button, this.byHand ? 'Take all windows' : 'Choose by hand');
+    setText(this.button, this.byHand ? 'Use all windows' : 'Select manually');
     setText(this.text, region ? [`up to ${region.speed_rpm_max} rpm and ${region.load_n_max} N`,
-      this.byHand ? 'click a window to take or leave it, drag over the time to add a span'
-        : 'the filled ones train the next model'].join('; ') : '');
+      this.byHand ? 'click a window to include or exclude it; drag to add a range'
+        : 'filled windows train the next model'].join('; ') : '');
     this.timeline.update({
       windows: this.windows, used: active?.windows ?? [], chosen: this.chosen(),
       byHand: Boolean(this.byHand), nowMs, minutes, region,
     });
-    // Not while somebody types a time.
+    // Not while a time is typed.
     if (!this.table.contains(document.activeElement) || !this.byHand) this.showTable();
     this.onChange();
   }
@@ -135,13 +135,13 @@ export class WindowPanel {
 
   showChosen() {
     const row = (window) => h('tr', {}, this.timeCell(window), this.lengthCell(window),
-      h('td', {}, window.operating_points?.map(pointText).join(' · ') ?? 'a span by hand'),
+      h('td', {}, window.operating_points?.map(pointText).join(' · ') ?? 'added manually'),
       h('td', { class: 'r' }, h('button', {
         class: 'btn sm', type: 'button', onclick: () => {
           this.byHand = this.byHand.filter((one) => one !== window);
           this.show();
         },
-      }, 'Leave out')));
+      }, 'Exclude')));
     const chosen = this.chosen();
     const { nowMs } = this.given;
     const field = (name, ms) => h('input', {
@@ -151,18 +151,18 @@ export class WindowPanel {
     put(this.table, h('div', { class: 'chosen' }, h('table', {}, h('thead', {}, h('tr', {},
       ['From', 'Length', 'Operating points', ''].map((text) => h('th', {}, text)))),
     h('tbody', {}, chosen.length ? chosen.map(row)
-      : h('tr', {}, h('td', { colspan: 4, class: 'mut' }, 'No window is chosen.'))))),
+      : h('tr', {}, h('td', { colspan: 4, class: 'mut' }, 'No window is selected.'))))),
     h('form', {
       class: 'row addspan',
       onsubmit: (event) => {
         event.preventDefault();
         const [fromMs, toMs] = [from, to].map((input) => new Date(input.value).getTime());
-        to.setCustomValidity(toMs > fromMs ? '' : 'later than the beginning');
+        to.setCustomValidity(toMs > fromMs ? '' : 'later than the start');
         if (to.reportValidity()) this.addSpan(fromMs, toMs);
         this.showTable();
       },
     }, h('label', { class: 's mut' }, 'From ', from), h('label', { class: 's mut' }, 'to ', to),
-    h('button', { class: 'btn sm', type: 'submit' }, 'Add span')));
+    h('button', { class: 'btn sm', type: 'submit' }, 'Add range')));
     to.addEventListener('input', () => to.setCustomValidity(''));
   }
 }

@@ -126,7 +126,7 @@ export class WindowTimeline {
     return region ? minutes.highRisk(region).map(({ fromMs, toMs }) => {
       const [left, width] = [this.x(fromMs), Math.max(2, this.x(toMs) - this.x(fromMs))];
       return s('g', {}, s('title', {}, `high-risk from ${dayTime(fromMs)} for `
-        + `${spanText((toMs - fromMs) / 1000)}: never learned from`),
+        + `${spanText((toMs - fromMs) / 1000)}: never used for training`),
       s('rect', { x: left, y: 34, width, height: BASE - 34, fill: 'var(--line)', opacity: 0.65 }),
       width > 62 && s('text', { x: left + 6, y: 74, style: { fill: 'var(--ink-3)' } },
         'high-risk'));
@@ -153,20 +153,20 @@ export class WindowTimeline {
     const durationS = (endOf(window) - startOf(window)) / 1000;
     const text = (y, style, content, room) => width > room
       && s('text', { x: left + width / 2, y, 'text-anchor': 'middle', style }, content);
-    const said = [`${dayTime(startOf(window))}, ${spanText(durationS)}`,
+    const lines = [`${dayTime(startOf(window))}, ${spanText(durationS)}`,
       `score ${fixed(window.score, 2)} (information per hour)`, ...window.operating_points.map(pointText),
       learned && 'in the active model'].filter(Boolean);
     return s('g', {
       'data-window': window.start, class: 'win', tabindex: byHand ? 0 : null,
       role: byHand ? 'checkbox' : null, 'aria-checked': byHand ? String(on) : null,
-      'aria-label': said.join(', '),
+      'aria-label': lines.join(', '),
       onkeydown: (event) => {
         if (!byHand || ![' ', 'Enter'].includes(event.key)) return;
         event.preventDefault();
         this.actions.toggle(window);
       },
     },
-    s('title', {}, said.join('\n')),
+    s('title', {}, lines.join('\n')),
     s('rect', {
       x: left, y: BASE - height, width, height, rx: 2, 'stroke-width': 1.5,
       fill: on ? 'var(--fan50)' : 'var(--panel)', 'fill-opacity': on ? 1 : 0.6,
@@ -181,13 +181,13 @@ export class WindowTimeline {
     const left = this.x(startOf(window));
     const width = Math.max(6, this.x(endOf(window)) - left);
     return s('g', { 'data-own': window.start },
-      s('title', {}, `chosen by hand: ${dayTime(startOf(window))} to ${dayTime(endOf(window))}`),
+      s('title', {}, `added manually: ${dayTime(startOf(window))} to ${dayTime(endOf(window))}`),
       s('rect', {
         x: left, y: 12, width, height: BASE - 12, rx: 2, fill: 'var(--fan50)',
         stroke: 'var(--twin)', 'stroke-width': 1.5, 'stroke-dasharray': '5 3',
       }),
       width > 56 && s('text', { x: left + width / 2, y: 26, 'text-anchor': 'middle',
-        style: { fill: 'var(--ink)', fontWeight: 700 } }, 'by hand'));
+        style: { fill: 'var(--ink)', fontWeight: 700 } }, 'manual'));
   }
 
   timeMarks() {

@@ -50,7 +50,7 @@ export class EngineerView {
       await this.fetch();
       this.problem.hidden = true;
     } catch (error) {
-      setText(this.problem, `Cannot be shown now: ${error.message}.`);
+      setText(this.problem, `Loading failed: ${error.message}.`);
       this.problem.hidden = false;
     } finally {
       this.loading = false;
@@ -86,7 +86,7 @@ export class EngineerView {
     ]);
   }
 
-  /** The active version was changed by somebody else. */
+  /** Another user changed the active version. */
   noticeModel() {
     const version = this.page.store.get('asset')?.active_model?.version;
     const known = this.models.find((model) => model.status === 'active')?.version;

@@ -3,7 +3,9 @@ import { assetPath, call } from '../api.js';
 import { h, put, s, setText } from '../dom.js';
 import { EnvelopeMap } from '../envelope_map.js';
 import { distinctSteps, stepsFrom } from '../forecast.js';
-import { celsius, channelName, fixed, isNumber, percent, spanText, wholeSpan } from '../format.js';
+import {
+  celsius, channelName, fixed, isNumber, labelText, percent, spanText, wholeSpan,
+} from '../format.js';
 import { icon } from '../icons.js';
 import { nearestAt, planeOf, valueAt } from '../plane.js';
 import { readChannel } from '../readings.js';
@@ -56,13 +58,13 @@ export class EnvelopeView {
   createMap() {
     this.title = h('h2', {}, 'Safe operating envelope');
     this.note = h('p', { class: 's mut', role: 'status' },
-      'The twin computes the envelope: every speed and load, held until steady …');
+      'Computing the envelope …');
     this.sensorChoice = h('span', { class: 'seg' });
     this.modeChoice = h('span', { class: 'seg' });
     this.problem = h('p', { class: 'problem', role: 'alert' });
     this.mapBox = h('div', { class: 'map' });
     this.distrust = h('p', { class: 'distrust', role: 'alert', hidden: true },
-      icon('bad'), ' The model is not trusted: nothing on this map may be relied on.');
+      icon('bad'), ' The model is not trusted. Do not rely on this map.');
     return h('section', { class: 'panel p-map loading' },
       h('header', {}, this.title, h('span', { class: 'sp' }), this.sensorChoice, this.modeChoice),
       this.distrust, this.problem, this.mapBox, this.note);
@@ -76,7 +78,7 @@ export class EnvelopeView {
       setText(this.problem, '');
     } catch (error) {
       setText(this.problem, `No envelope: ${error.message}.`);
-      if (!this.answer) setText(this.note, 'It is asked for again and again.');
+      if (!this.answer) setText(this.note, 'Retrying …');
       return;
     }
     this.mapBox.parentElement.classList.remove('loading');
@@ -88,7 +90,7 @@ export class EnvelopeView {
     return own.warning ? { warning: own.warning.limit_c, alarm: own.alarm.limit_c } : null;
   }
 
-  /** Whether anything that the twin says may be relied on. */
+  /** Whether the model is trusted. */
   trusted() {
     return this.page.store.get('asset')?.active_model?.trusted !== false;
   }
@@ -127,8 +129,8 @@ export class EnvelopeView {
   showHead(sensors, limits) {
     const key = JSON.stringify([sensors, this.sensor, this.mode, limits]);
     const hours = wholeSpan(this.answer.horizon_s);
-    setText(this.note, [`Every point held until steady, from the present state; times within ${hours}`,
-      ...this.answer.labels].join('; '));
+    setText(this.note, [`Each point is held until steady, from the present state; times within ${hours}`,
+      ...this.answer.labels.map(labelText)].join('; '));
     if (key === this.headKey) return;
     this.headKey = key;
     const choice = (text, pressed, choose) => h('button', {
@@ -149,15 +151,15 @@ export class EnvelopeView {
 
   showPoint(plane, maps, limits) {
     const { speed, load } = this.probe;
-    // Made anew only when it says something new, so that its buttons keep focus and clicks.
+    // Built again only when its content changes, so that its buttons keep focus and clicks.
     const key = JSON.stringify([speed, load, this.sensor, this.answer.made_at,
       this.answer.model_version, this.trusted()]);
     if (key === this.pointKey) return;
     this.pointKey = key;
     const at = (matrix) => valueAt(plane, matrix, speed, load);
-    const degrees = (value) => (isNumber(value) && value < AWAY_C ? celsius(value) : 'runs away');
+    const degrees = (value) => (isNumber(value) && value < AWAY_C ? celsius(value) : 'thermal runaway');
     const rows = [['Steady, median', degrees(at(maps.steady_c.q50))],
-      ['97.5 % below', degrees(at(maps.steady_c.q975))]];
+      ['Upper bound (97.5 %)', degrees(at(maps.steady_c.q975))]];
     let head = null;
     if (limits) {
       const [warning, alarm] = ['warning', 'alarm'].map((level) => maps.limits[level]);
@@ -171,25 +173,25 @@ export class EnvelopeView {
         const first = nearestAt(plane, map.earliest_s, speed, load);
         const hours = wholeSpan(this.answer.horizon_s);
         rows.push([`Over ${limits[level]} °C when steady`, percent(at(map.steady_probability))],
-          ['median time to it', median === null ? `not within ${hours}` : spanText(median)],
-          ['earliest', first === null ? '–' : spanText(first)]);
+          ['median time', median === null ? `not within ${hours}` : spanText(median)],
+          ['earliest time', first === null ? '–' : spanText(first)]);
       }
     }
     const { probability, not_excluded: notExcluded } = this.answer.runaway;
     const open = nearestAt(plane, notExcluded, speed, load);
-    rows.push(['Thermal runaway', open ? `not excluded, ${percent(at(probability))}`
-      : 'excluded']);
+    rows.push(['Thermal runaway', open ? `not ruled out, ${percent(at(probability))}`
+      : 'ruled out']);
     put(this.side.point, h('header', {},
       h('h2', {}, `At ${fixed(speed, 0)} rpm, ${fixed(load, 0)} N`)), head,
     h('dl', { class: 'kv' }, rows.map(([name, value]) => [h('dt', {}, name), h('dd', {}, value)])),
-    open && h('p', { class: 'open' }, icon(2, 'dashed'), 'Thermal runaway is not excluded here'),
+    open && h('p', { class: 'open' }, icon(2, 'dashed'), 'Thermal runaway is not ruled out here'),
     h('div', { class: 'row foot' },
       this.page.may('operator') && h('button', {
         class: 'btn', type: 'button', onclick: () => this.handOver('whatif'),
       }, 'Try in what-if'),
       this.page.may('engineer') && h('button', {
         class: 'btn', type: 'button', onclick: () => this.handOver('engineer'),
-      }, 'How to learn this point')));
+      }, 'Reduce uncertainty here')));
   }
 
   showSteps(plane, maps, limits, steps) {
@@ -218,21 +220,21 @@ export class EnvelopeView {
         `under 5 % over ${limits.warning} °C`],
       [box([ground('var(--p2)', 0.3), s('path', {
         d: 'M0 22 22 0M12 22 34 0', stroke: 'var(--p2)', 'stroke-width': 2,
-      })]), '5 to 50 %: the twin is not sure'],
+      })]), '5 to 50 %: at risk'],
       [box(ground('var(--p2)', 0.55)), `over ${limits.warning} °C likely`],
       [box(ground('var(--p1)', 0.7)), `over ${limits.alarm} °C likely`],
     ] : [];
     items.push(
       [box([circle(8, { fill: 'none', stroke: 'var(--ink)', 'stroke-width': 3 }),
-        circle(2.5, { fill: 'var(--ink)' })]), 'present point'],
+        circle(2.5, { fill: 'var(--ink)' })]), 'current operating point'],
       [box([s('path', {
         d: 'M2 11H32', stroke: 'var(--ink)', 'stroke-width': 2, 'stroke-dasharray': '5 4',
       }), circle(6, { fill: 'var(--panel)', stroke: 'var(--ink)', 'stroke-width': 2 })]),
       'planned steps in order'],
       [box(s('rect', {
         x: 2, y: 2, width: 30, height: 18, fill: 'none', stroke: 'var(--twin)', 'stroke-width': 2,
-      })), 'low-risk region, model learned here']);
-    put(this.side.key, h('header', {}, h('h2', {}, 'Key')),
+      })), 'low-risk region (training data)']);
+    put(this.side.key, h('header', {}, h('h2', {}, 'Legend')),
       h('div', { class: 'lk' }, items.map(([drawn, text]) => [drawn, h('span', {}, text)])));
   }
 

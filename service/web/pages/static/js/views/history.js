@@ -37,7 +37,7 @@ export class HistoryView {
     this.charts = this.createCharts();
     this.rows = this.names.map((name) => this.createRow(name));
     put(box, h('h1', { class: 'vh' }, 'History'),
-      h('section', { class: 'panel p-hctl', 'aria-label': 'What is shown' }, this.controls),
+      h('section', { class: 'panel p-hctl', 'aria-label': 'Selection' }, this.controls),
       h('section', { class: 'panel p-past' },
         h('header', {}, h('h2', {}, `History of ${asset.id}`), this.status,
           h('span', { class: 'sp' }), h('span', { class: 's mut hint' },
@@ -75,10 +75,10 @@ export class HistoryView {
       type: 'button', onclick: () => this.chooseResolution(value),
     }, text));
     this.saves = ['csv', 'parquet'].map((format) => button(format === 'csv' ? 'CSV' : 'Parquet',
-      `Save as ${format === 'csv' ? 'CSV' : 'Parquet'} what is seen`, () => this.save(format)));
+      `Save the shown data as ${format === 'csv' ? 'CSV' : 'Parquet'}`, () => this.save(format)));
     this.controls = [
       h('div', { class: 'row' },
-        h('span', { class: 'seg', role: 'group', 'aria-label': 'Span up to now' }, this.spanButtons),
+        h('span', { class: 'seg', role: 'group', 'aria-label': 'Range up to now' }, this.spanButtons),
         button('◀', 'Earlier', () => this.shift(-0.5)), button('▶', 'Later', () => this.shift(0.5)),
         button('+', 'Zoom in', () => this.zoom(0.5)), button('−', 'Zoom out', () => this.zoom(2)),
         this.back),
@@ -124,7 +124,7 @@ export class HistoryView {
   }
 
   // ------------------------------------------------------------------ the span
-  /** The span asked for: { fromMs, toMs }, null before the service has told its time. */
+  /** The span asked for: { fromMs, toMs }, null before the first message of the service. */
   asked() {
     const now = this.page.clock.now();
     const { hours, all, fromMs, toMs } = this.range;
@@ -164,7 +164,7 @@ export class HistoryView {
   useInputs() {
     const [fromMs, toMs] = [this.from, this.to].map((input) => new Date(input.value).getTime());
     if (Number.isFinite(fromMs) && Number.isFinite(toMs) && toMs > fromMs) this.go({ fromMs, toMs });
-    else setText(this.status, 'expected a “to” later than “from”');
+    else setText(this.status, 'expected “to” later than “from”');
   }
 
   chooseResolution(value) {
@@ -210,7 +210,7 @@ export class HistoryView {
     } catch (error) {
       if (asking.signal.aborted) return;
       if (!(error.status >= 0)) throw error;
-      setText(this.status, `Not read: ${error.message}.`);
+      setText(this.status, `Loading failed: ${error.message}.`);
     }
   }
 
@@ -230,8 +230,8 @@ export class HistoryView {
       if (names.length) chart.update({ names, lines, showTime, limits, ...this.shown });
     }
     const what = resolution === 'raw' ? 'raw samples'
-      : `mean, minimum and maximum of every ${resolution.replace(/(\d)(\D)/, '$1 $2')}`;
-    setText(this.status, rows ? `${rows} values: ${what}` : 'no data in this span');
+      : `mean, minimum and maximum per ${resolution.replace(/(\d)(\D)/, '$1 $2')}`;
+    setText(this.status, rows ? `${rows} values: ${what}` : 'no data in this range');
     for (const { name, figures } of this.rows) {
       const found = this.chosen.has(name) && lines[name] ? extremes(lines[name]) : null;
       const shownFigures = found ? [found.low, found.mean, found.high] : [];

@@ -3,7 +3,7 @@ import { AlarmList } from '../alarm_list.js';
 import { summary } from '../alarms.js';
 import { h, put, setText } from '../dom.js';
 import { FirstData } from '../first_data.js';
-import { channelName, fixed, isNumber, NODE_NAMES } from '../format.js';
+import { channelName, fixed, isNumber, labelText, NODE_NAMES } from '../format.js';
 import { LaneChart } from '../lane.js';
 import { listed } from '../live_verdict.js';
 import { NodeTiles } from '../nodes.js';
@@ -102,7 +102,7 @@ export class OperatorView {
         h('span', { class: 'keys' },
           key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'),
           key('f50', '50 %'), key('f95', '95 %'),
-          h('span', { class: 'seg', role: 'group', 'aria-label': 'Span of the past' },
+          h('span', { class: 'seg', role: 'group', 'aria-label': 'History range' },
             this.spanButtons))),
       this.boxes.temperature, this.boxes.speed, this.boxes.load);
   }
@@ -125,8 +125,8 @@ export class OperatorView {
     this.updateSection(now);
     const detail = liveDetail(store.state, clock);
     this.alarms.update(store.get('alarms'), () => detail);
-    const told = now.live && store.get('alarmsKnown');
-    setText(this.alarmCount, told ? summary(store.get('alarms')) : 'not known now');
+    const known = now.live && store.get('alarmsKnown');
+    setText(this.alarmCount, known ? summary(store.get('alarms')) : 'unknown');
     this.firstData.update(store.state, clock);
     this.trendPanel.hidden = this.firstData.element.hidden === false;
   }
@@ -152,13 +152,13 @@ export class OperatorView {
     this.trendPanel.classList.toggle('isstale', stale || now.lostMs !== null);
     this.sectionPanel.classList.toggle('isstale', stale);
     this.sectionChip.hidden = !stale;
-    setText(this.sectionTitle, this.isBearing ? `Bearing ${asset.bearing} in section, °C`
+    setText(this.sectionTitle, this.isBearing ? `Bearing ${asset.bearing} cross-section, °C`
       : `Network ${asset.network}, °C`);
     setText(this.modelText, this.modelLine(asset, now));
     const labels = [...((now.fan && forecast?.labels) || []), isNumber(asset.ambient_assumed_c)
       && `ambient assumed ${fixed(asset.ambient_assumed_c, 0)} °C`].filter(Boolean);
     if (labels.join() !== this.shownLabels) {
-      put(this.labels, labels.map((label) => h('span', { class: 'chip dash' }, label)));
+      put(this.labels, labels.map((label) => h('span', { class: 'chip dash' }, labelText(label))));
       this.shownLabels = labels.join();
     }
   }
@@ -169,7 +169,7 @@ export class OperatorView {
     const name = `model v${model.version}`;
     if (model.trusted === false) return `${name}, not trusted: no forecast`;
     if (now.alone) return `model v${model.version}, open loop (no sensor correction)`;
-    if (!this.page.store.get('history')) return `${name}, the past is being fetched …`;
+    if (!this.page.store.get('history')) return `${name}, loading history …`;
     const parts = [name];
     const residual = this.residual(now.nowMs);
     if (isNumber(residual)) parts.push(`rms residual of the last hour ${fixed(residual, 2)} K`);
@@ -259,9 +259,9 @@ export class OperatorView {
     if (reading.usable && reading.value >= limits.warning) {
       return { priority: reading.value >= limits.alarm ? 1 : 2, predicted: false };
     }
-    const told = this.page.store.get('forecast')?.time_to_limit?.[reading.sensor];
-    if (!now.fan || !told || told.warning.probability < THRESHOLDS.atRisk) return null;
-    return { priority: told.alarm.probability >= THRESHOLDS.alarm ? 1 : 2, predicted: true };
+    const ahead = this.page.store.get('forecast')?.time_to_limit?.[reading.sensor];
+    if (!now.fan || !ahead || ahead.warning.probability < THRESHOLDS.atRisk) return null;
+    return { priority: ahead.alarm.probability >= THRESHOLDS.alarm ? 1 : 2, predicted: true };
   }
 
   /** The charts, once a second. */

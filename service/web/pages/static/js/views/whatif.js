@@ -2,7 +2,7 @@
 import { assetPath, call } from '../api.js';
 import { h, put, setText, unit } from '../dom.js';
 import { distinctSteps, fanFrom, overSpan, stepsFrom } from '../forecast.js';
-import { channelName, fixed, spanText } from '../format.js';
+import { channelName, fixed, labelText, spanText } from '../format.js';
 import { highestSpeed } from '../highest_speed.js';
 import { LaneChart } from '../lane.js';
 import { LatestQuestion } from '../latest.js';
@@ -133,9 +133,9 @@ export class WhatIfView {
     this.page.wish = null;
     if (wish) return [{ ...wish, minutes: 120 }];
     const { tried, live } = this.page;
-    const found = fromLink(query()) ?? (tried?.assetId === live.assetId ? tried : null);
-    if (found) this.fromEnd = found.fromEnd;
-    return found && found.steps.map((step) => ({ ...step }));
+    const wished = fromLink(query()) ?? (tried?.assetId === live.assetId ? tried : null);
+    if (wished) this.fromEnd = wished.fromEnd;
+    return wished && wished.steps.map((step) => ({ ...step }));
   }
 
   /** The plan from now on, the present step first. */
@@ -214,7 +214,7 @@ export class WhatIfView {
     this.failure = '';
     this.panel.showProblem('');
     this.heading.title = `Answered in ${Math.round(ms)} ms`;
-    put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, text)));
+    put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, labelText(text))));
     this.show();
   }
 
@@ -247,9 +247,9 @@ export class WhatIfView {
       this.panel.showHint('No temperature of this asset has a limit.', '–', false);
       return;
     }
-    let found;
+    let highest;
     try {
-      found = await highestSpeed({
+      highest = await highestSpeed({
         ...field,
         ask: (profile, stepS) => this.ask(profile, seeking.signal, stepS),
         profileAt: (speed) => this.profile(this.steps.slice(0, index + 1)
@@ -261,16 +261,16 @@ export class WhatIfView {
       }
       return;
     }
-    if (seeking.signal.aborted || !found) return;
-    this.highest = { index, speed: found.speed };
-    const over = `${channelName(found.sensor).toLowerCase()} over ${found.limit} °C`;
+    if (seeking.signal.aborted || !highest) return;
+    this.highest = { index, speed: highest.speed };
+    const over = `${channelName(highest.sensor).toLowerCase()} over ${highest.limit} °C`;
     const text = `Highest speed of ${of} with less than 5 % for ${over}, ${at}`;
-    if (found.speed === null) {
-      this.panel.showHint(`${text}: it is likelier at every speed.`, 'None', false);
-    } else if (found.open) {
-      this.panel.showHint(text, ['No limit up to ', fixed(found.speed, 0), unit('rpm')], false);
+    if (highest.speed === null) {
+      this.panel.showHint(`${text}: more likely at every speed.`, 'None', false);
+    } else if (highest.open) {
+      this.panel.showHint(text, ['No limit up to ', fixed(highest.speed, 0), unit('rpm')], false);
     } else {
-      this.panel.showHint(text, [fixed(found.speed, 0), unit('rpm')], true);
+      this.panel.showHint(text, [fixed(highest.speed, 0), unit('rpm')], true);
     }
   }
 
@@ -289,7 +289,7 @@ export class WhatIfView {
     if (this.steps) this.showTimes(now);
     const fan = now.noForecast === 'the model is not trusted' || !now.live ? null
       : fanFrom(this.answer, now.nowMs, this.names());
-    setText(this.ghostText, now.planned ? 'as planned' : 'present point held');
+    setText(this.ghostText, now.planned ? 'as planned' : 'current point held');
     this.showAnswers(now, fan);
     this.draw(now, fan);
   }
@@ -309,7 +309,7 @@ export class WhatIfView {
       return;
     }
     if (!fan) {
-      const why = now.noForecast ?? (this.failure || 'waiting for the answer');
+      const why = now.noForecast ?? (this.failure || 'computing …');
       put(this.answers, TITLES.map(([label, title]) => noForecastTile(label, title, why)));
       return;
     }
@@ -379,7 +379,7 @@ export class WhatIfView {
     this.keepInAddress();
     try {
       await navigator.clipboard.writeText(location.href);
-      this.page.notify('The link to this profile is copied.');
+      this.page.notify('Link copied.');
     } catch {
       this.page.notify(`Copy failed. Link: ${location.href}`);
     }
