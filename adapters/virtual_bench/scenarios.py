@@ -169,7 +169,7 @@ _SCENARIOS = (
     ),
     Scenario(
         name="rapid-acceleration",
-        description="from rest straight to 5600 and 6200 rpm at 300 rpm/s, with stops between",
+        description="from standstill to 5600 and 6200 rpm at 300 rpm/s, with stops between",
         bearing="6311",
         steps=(
             _rest(),
@@ -183,7 +183,7 @@ _SCENARIOS = (
     ),
     Scenario(
         name="sensor-break",
-        description="a calm run on which one sensor after the other fails and recovers",
+        description="a healthy run; one sensor after the other fails and recovers",
         bearing="6311",
         steps=(_rest(), _point(2400.0, 2650.0, 57.0, "low"), _point(4200.0, 2650.0, 30.0, "low")),
         faults=(
@@ -223,7 +223,7 @@ _SCENARIOS = (
     ),
     Scenario(
         name="overload",
-        description="a calm run; at 150 min the load doubles beyond its set-point for an hour",
+        description="a healthy run; at 150 min the load doubles beyond its set-point for an hour",
         bearing="6311",
         steps=(_rest(), _point(2400.0, 2650.0, 60.0, "low"), _point(4200.0, 2650.0, 210.0, "low")),
         changes=(Change("load", 150 * _MINUTE, 2 * _MINUTE, 2.0, end_s=210 * _MINUTE),),

@@ -57,7 +57,7 @@ def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmConditio
 
 def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     if context.is_present("measured limit", channel, level):
-        return "the limit is exceeded already"
+        return "the limit is already exceeded"
     return context.not_comparable
 
 

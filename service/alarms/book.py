@@ -27,7 +27,7 @@ SERVICE = "service"
 LONGEST_SHELVING_S = 8 * 3600.0
 _MICROSECONDS = 1_000_000
 _NOT_CONFIGURED = "no longer configured"
-_TIME_IS_OVER = "the time is over"
+_TIME_IS_OVER = "the shelving time has expired"
 # What is said to the alarm of a source counts for these of its channels, too.
 _COVERED = ("stale data", "sensor fault")
 _PASSED_ON = (AlarmEvent.ACKNOWLEDGE, AlarmEvent.SHELVE)
@@ -194,7 +194,7 @@ class AlarmBook:
         with self._lock:
             alarm = replace(self.alarm(alarm_id), comment=comment)
             if alarm.state == AlarmState.NORM:
-                raise NotAllowedError(f"alarm {alarm_id} is NORM: there is nothing to comment on")
+                raise NotAllowedError(f"alarm {alarm_id} is NORM: it has nothing to comment on")
             self._keep(alarm)
             line = journal_line(alarm, alarm.state, "comment", now_us, who, comment)
             self._outbox.record(AlarmChange(alarm, (line,)))
@@ -247,7 +247,7 @@ class AlarmBook:
             if following(alarm, event) is None:
                 by = f" (acknowledged by {alarm.acknowledged_by})" if alarm.acknowledged_by else ""
                 raise NotAllowedError(
-                    f"alarm {alarm_id} is {alarm.state}{by}: {_WISHES[event]} means nothing there"
+                    f"alarm {alarm_id} is {alarm.state}{by}: cannot {_ACTIONS[event]}"
                 )
             if event == AlarmEvent.ACKNOWLEDGE:
                 alarm = replace(alarm, acknowledged_at_us=now_us, acknowledged_by=who)
@@ -387,11 +387,11 @@ class AlarmBook:
         (self._normal if alarm.state == AlarmState.NORM else self._open)[key_of(alarm)] = alarm
 
 
-_WISHES = {
-    AlarmEvent.ACKNOWLEDGE: "to acknowledge it",
-    AlarmEvent.RESET: "to reset it",
-    AlarmEvent.SHELVE: "to shelve it",
-    AlarmEvent.UNSHELVE: "to unshelve it",
-    AlarmEvent.TAKE_OUT: "to take it out of service",
-    AlarmEvent.PUT_BACK: "to return it to service",
+_ACTIONS = {
+    AlarmEvent.ACKNOWLEDGE: "acknowledge it",
+    AlarmEvent.RESET: "reset it",
+    AlarmEvent.SHELVE: "shelve it",
+    AlarmEvent.UNSHELVE: "unshelve it",
+    AlarmEvent.TAKE_OUT: "take it out of service",
+    AlarmEvent.PUT_BACK: "return it to service",
 }

@@ -69,7 +69,7 @@ class Service:
     Raises
     ------
     StoreUnavailableError
-        If the store does not answer now.
+        If the store does not answer.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class Service:
                 "not_configured",
                 samples=samples,
                 alarms_withdrawn=len(alarms),
-                hint="'bearing-twin export --asset NAME' writes what is stored of it",
+                hint="'bearing-twin export --asset NAME' exports its stored data",
             )
 
     def _problems(self) -> dict[str, str | None]:

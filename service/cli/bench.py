@@ -40,11 +40,12 @@ def virtual_bench(
     wait_for_start: Annotated[
         bool,
         typer.Option(
-            "--wait-for-start", help="Stand still until coil 0 of the controller (unit 2) is set."
+            "--wait-for-start",
+            help="Wait at standstill until coil 0 of the controller (unit 2) is set.",
         ),
     ] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Say where it listens as one JSON line.")
+        bool, typer.Option("--json", help="Print the addresses as one JSON line.")
     ] = False,
 ) -> None:
     """Run a virtual bench that talks real Modbus TCP and CAN (slcan over TCP)."""

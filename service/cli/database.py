@@ -32,12 +32,12 @@ def upgrade(config: ConfigFile = None) -> None:
 def horizon(
     lower: Annotated[
         str | None,
-        typer.Option(metavar="RFC3339", help="Take raw samples from this time on again."),
+        typer.Option(metavar="RFC3339", help="Accept raw samples from this time on again."),
     ] = None,
     confirm_clock: Annotated[
         bool,
         typer.Option(
-            "--confirm-clock", help="The clock is right: let retention go on from its time."
+            "--confirm-clock", help="Confirm the clock: retention continues from its time."
         ),
     ] = False,
     config: ConfigFile = None,

@@ -24,7 +24,7 @@ def demo(
         int, typer.Option(help="Port of the page; 0 takes a free one.", min=0, max=65535)
     ] = 8080,
     headless: Annotated[
-        bool, typer.Option("--headless", help="Exit when the story is over.")
+        bool, typer.Option("--headless", help="Exit after the last stage.")
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")

@@ -25,14 +25,18 @@ def forecast(
             help="time_s,speed_rpm,load_n,ambient_c; seconds from the end of the history.",
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="FORECAST.csv", help="Where the forecast goes.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FORECAST.csv", help="File to write the forecast to.")
+    ],
     history: Annotated[
         Path | None,
         typer.Option(metavar="DATA.csv", help="Recorded data up to now; its last row is time 0."),
     ] = None,
     initial_temperature_c: Annotated[
         float | None,
-        typer.Option(help="Instead of a history: a machine at rest, this warm everywhere."),
+        typer.Option(
+            help="Instead of a history: a machine at standstill, everywhere at this temperature."
+        ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")

@@ -34,8 +34,8 @@ def grease_renewed(
         lock = lock_data_directory(settings.data_dir)
     except DataDirectoryInUseError:
         raise SettingsError(
-            f"{asset}: the service runs and counts by itself; "
-            f"tell it by POST /api/v1/assets/{asset}/grease-renewed, or stop it first"
+            f"{asset}: the service is running; "
+            f"use POST /api/v1/assets/{asset}/grease-renewed, or stop it first"
         ) from None
     with lock, Store.open(settings.service.database_url, settings.data_dir) as store:
         kept = dict(store.states.load(asset) or {})

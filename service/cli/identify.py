@@ -32,7 +32,7 @@ def identify(
     data: Annotated[
         Path, typer.Argument(metavar="DATA.csv", help="Recorded low-risk data; all rows are used.")
     ],
-    out: Annotated[Path, typer.Option(metavar="MODEL.json", help="Where the model goes.")],
+    out: Annotated[Path, typer.Option(metavar="MODEL.json", help="File to write the model to.")],
     bearing: Annotated[
         str | None,
         typer.Option(
@@ -265,7 +265,7 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
 def _print_combinations(console: Console, found: "Identified") -> None:
     """What the data tell, as combinations of parameters in units of their priors' spreads."""
     told = found.identifiability
-    table = Table("what the data tell", "std over prior's", "verdict")
+    table = Table("identifiability", "std over prior's", "verdict")
     for one in told["combinations"]:
         if one["verdict"] != "prior only":
             table.add_row(one["combination"], f"{one['std_over_prior']:.2f}", one["verdict"])

@@ -39,7 +39,7 @@ def create(
     expires_in_days: Annotated[
         float | None, typer.Option(help="Days after which the key expires; default never.")
     ] = None,
-    label: Annotated[str, typer.Option(help="What people call the key.")] = "",
+    label: Annotated[str, typer.Option(help="Label of the key.")] = "",
     config: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:

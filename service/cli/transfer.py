@@ -81,7 +81,7 @@ def import_(
         typer.echo(json.dumps(document))
     else:
         done = "would be stored" if dry_run else f"{report.stored} stored"
-        known = "" if dry_run else f", {report.duplicates} known already"
+        known = "" if dry_run else f", {report.duplicates} already stored"
         typer.echo(f"{file.name}: {report.rows} rows, {report.samples} samples: {done}{known}.")
     if report.too_old and store is not None:
         typer.echo(

@@ -42,7 +42,7 @@ class AlarmDocument(Document):
     active: bool = Field(description="Whether the condition is there, whatever the state.")
     message: str = Field(examples=["Inner ring will exceed warning 90 °C"])
     raised_at: Time | None = Field(
-        description="Null for an alarm that was set aside before it was ever raised."
+        description="Null for an alarm that was suppressed before it was raised."
     )
     since: Time = Field(description="When the present state began.")
     returned_at: Time | None = Field(description="When the condition was last gone.")
@@ -51,7 +51,7 @@ class AlarmDocument(Document):
     shelved_until: Time | None
     shelved_by: str | None
     suppressed_reason: str | None = Field(
-        description="Why the alarm means nothing now, in state DSUPR.",
+        description="Reason of the suppression, in state DSUPR.",
         examples=["standstill"],
     )
     latched: bool = Field(description="It stays after its return to normal until it is reset.")
@@ -98,7 +98,7 @@ class AlarmJournalLine(Document):
 
     line_class: Literal["alarm", "event"] = Field(
         alias="class",
-        description="An event (model drift, activation) asks for no answer of an operator.",
+        description="An event (model drift, activation) needs no response of an operator.",
     )
     alarm_id: str | None = Field(description="Null for an event.")
     asset: str
@@ -140,7 +140,7 @@ class FrequentAlarm(Document):
 
 
 class AlarmStatistics(Document):
-    """The load that alarms are on operators; the measures of ISA-18.2 and EEMUA 191."""
+    """Alarm performance by the measures of ISA-18.2 and EEMUA 191."""
 
     last_10_min: int = Field(description="Alarms raised in the last 10 minutes of process time.")
     flood: bool = Field(description=f"More than {FLOOD_IN_10_MIN} of them.")

@@ -11,7 +11,7 @@ EventKind = Literal[
     "model rolled back",
     "grease renewed",
 ]
-"""What is worth a line in the journal, but asks for no answer of an operator."""
+"""What is worth a line in the journal, but needs no response of an operator."""
 Priority = Literal[1, 2, 3]
 
 

@@ -27,9 +27,9 @@ _PREFIX = "bearing_twin_samples"
 
 _SOURCE_COUNTS = {
     "polls": "Completed polls of a source, or frames that it received.",
-    "samples": "Samples that a source handed over.",
-    "skipped": "Polls that came too late, samples that nobody took.",
-    "reconnects": "Connections of a source made anew after a loss.",
+    "samples": "Samples received from a source.",
+    "skipped": "Polls skipped because they were late, samples that were not accepted.",
+    "reconnects": "Reconnections of a source after a loss.",
 }
 
 
@@ -189,7 +189,7 @@ def watch_damage(
         lost.labels(name).set_function(partial(_rows, mended, "lost"))
     Gauge(
         "bearing_twin_outbox_changes_lost",
-        "Alarm changes and audit lines that damage of the outbox has cost in this run.",
+        "Alarm changes and audit lines lost by damage of the outbox in this run.",
         registry=registry,
     ).set_function(changes_lost)
 
@@ -200,7 +200,7 @@ def _rows(mended: Callable[[], Mended | None], what: str) -> float:
 
 def watch_forecasts(ages_s: Callable[[], Mapping[str, float]], registry: CollectorRegistry) -> None:
     """Show how old the live forecast of each asset is."""
-    text = "Process seconds since the state that the live forecast begins from; NaN before it."
+    text = "Process seconds since the state that the live forecast starts from; NaN before it."
     registry.register(
         _ByAsset(GaugeMetricFamily, "bearing_twin_forecast_age_seconds", text, ages_s)
     )

@@ -186,7 +186,7 @@ class QualityChecks:
         }
         self._counter = Counter(
             "bearing_twin_samples_doubted",
-            "Samples that their source called good and a check did not.",
+            "Samples with good quality from their source that a check rejected.",
             ["asset", "channel", "reason"],
             registry=registry,
         )

@@ -46,7 +46,7 @@ class Activations:
             if model.status == "rejected" and not (force and comment):
                 raise ActivationRefusedError(
                     f"version {version} was rejected ({model.reason}); "
-                    'expected {"force": true} with a comment to activate it all the same'
+                    'expected {"force": true} with a comment to activate it anyway'
                 )
             activated = await anyio.to_thread.run_sync(
                 self._store.models.activate,

@@ -100,12 +100,12 @@ def drift_document(
     problem = fit_problem(posterior, model.errors)
     if problem:
         return _nothing(
-            f"not compared: the fit failed ({problem}); a change amid the data is a possible cause"
+            f"not compared: the fit failed ({problem}), possibly by a change within the data"
         )
     known = _comparable(model, earlier)
     points = [version.point for version, _ in known if version.point is not None]
     point = ReferencePoint(**points[0]) if points else usual_point(model, posterior)
-    document = _nothing("the first version, nothing to compare with") | {
+    document = _nothing("the first version, without an earlier one to compare with") | {
         "point": {
             "speed_rpm": point.speed_rpm,
             "load_n": point.load_n,

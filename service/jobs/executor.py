@@ -88,7 +88,7 @@ async def watched(
             elif now_s() - seen_s > stalled_after_wall_s():
                 limit_s = stalled_after_wall_s()
                 raise WorkerStalledError(
-                    f"the worker showed no sign of life for {limit_s:g} s and was ended"
+                    f"the worker did not respond for {limit_s:g} s and was terminated"
                 )
             await meanwhile()
     finally:

@@ -171,7 +171,7 @@ class IdentificationJobs:
             raise JobConflictError(job_json(running)) from error
         if not created and job.request.get("asked", document["asked"]) != document["asked"]:
             raise KeyUsedBeforeError(
-                f"stands for identification {job.id}, which was asked for otherwise; "
+                f"belongs to identification {job.id}, which was requested with another body; "
                 "expected the same body, or a new key"
             )
         if created and who == AUTOMATIC:
@@ -205,7 +205,7 @@ class IdentificationJobs:
                 raise RequestRefusedError(
                     "/windows",
                     f"the window that begins at {rfc3339(start_us)} overlaps another; data that "
-                    "count twice would make the result look surer than it is",
+                    "count twice would make the intervals too narrow",
                 )
         return spans
 

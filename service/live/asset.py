@@ -282,7 +282,7 @@ class AssetRuntime:
         return None if latest is None else latest | {"missing": self._judgement.blind}
 
     def forecast_age_s(self) -> float:
-        """Process seconds since the state that the live forecast begins from; NaN before it."""
+        """Process seconds since the state that the live forecast starts from; NaN before it."""
         return self._forecasting.age_s(self._clock.now_us())
 
     async def what_if(

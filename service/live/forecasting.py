@@ -91,7 +91,7 @@ class Forecasting:
         self.outlook: Outlook | None = None
 
     def age_s(self, now_us: int) -> float:
-        """Process seconds since the state that the live forecast begins from; NaN before it."""
+        """Process seconds since the state that the live forecast starts from; NaN before it."""
         return math.nan if self._made_us is None else (now_us - self._made_us) / 1e6
 
     def take_plan(self, plan: PlannedProfile) -> bool:
@@ -160,7 +160,7 @@ class Forecasting:
                 self._what_if_executor, _what_if, state, ahead, self._limits, wanted
             )
         except BrokenProcessPool as error:
-            raise NotReadyError("the worker that computes what-if forecasts has died") from error
+            raise NotReadyError("the what-if worker ended unexpectedly") from error
         return body | {
             "model_version": state.active.version,
             "profile": presentation.steps_json(steps),

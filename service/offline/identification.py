@@ -86,7 +86,7 @@ class Identified:
     def warnings(self) -> list[str]:
         """What to look at before the model is relied upon, one line each."""
         found = [
-            f"{name} = {row['value']:.4g} {row['unit']} lies on its {row['at_bound']} bound: the "
+            f"{name} = {row['value']:.4g} {row['unit']} is on its {row['at_bound']} bound: the "
             "bound gives this value, the data would have it further out; unless the bound is a "
             "physical one, widen it or change the network"
             for name, row in self.parameters.items()

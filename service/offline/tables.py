@@ -257,7 +257,7 @@ class _Table:
         self.names = [cell.strip() for cell in header]
         for name_ in self.names:
             if self.names.count(name_) > 1:
-                raise self.error(1, f"column {name_!r} stands there twice; expected once")
+                raise self.error(1, f"column {name_!r} occurs twice; expected once")
 
     def error(self, line: int, text: str) -> TableError:
         return TableError(f"{self.name}: line {line}: {text}")

@@ -60,7 +60,7 @@ class Principal:
     session
         True when the key came by a browser session.
     label
-        What people call the key.
+        Label of the key.
     """
 
     role: Role

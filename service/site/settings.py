@@ -69,7 +69,7 @@ class ServiceSection(Section):
 def _kept_a_year(days: float) -> float:
     # The database itself refuses to give up younger lines, by a clock of its own: a day more.
     if 0 < days < _LEAST_AUDIT_DAYS:
-        raise ValueError(f"expected 0 (for ever) or at least {_LEAST_AUDIT_DAYS} days")
+        raise ValueError(f"expected 0 (without limit) or at least {_LEAST_AUDIT_DAYS} days")
     return days
 
 
@@ -232,7 +232,9 @@ class AssetSection(Section):
         if bearing is None and network is None:
             raise PydanticCustomError("missing", "Field required")
         if bearing is not None and network not in (None, ...):
-            raise ValueError("expected no bearing beside a network of your own, or no network")
+            raise ValueError(
+                "expected no bearing together with a network of your own, or no network"
+            )
         return bearing
 
     @model_validator(mode="after")

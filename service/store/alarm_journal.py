@@ -1,4 +1,4 @@
-"""Alarms that are not over, and the journal of everything that happened to them."""
+"""Open alarms, and the journal of everything that happened to them."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, fields

@@ -38,7 +38,7 @@ def back_up(url: URL, out: Path) -> dict[str, int]:
         If it cannot be made, or is not whole.
     """
     if out.exists():
-        raise StoreError(f"backup {out}: is there already; expected a new name")
+        raise StoreError(f"backup {out}: exists already; expected a new name")
     if url.get_backend_name() == "postgresql":
         return _dump(url, out)
     source = Path(url.database or "")

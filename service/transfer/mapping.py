@@ -123,7 +123,7 @@ def layout_of(
 
     for name in columns:
         if columns.count(name) > 1:
-            raise wrong(f"column {name!r} stands there twice; expected once")
+            raise wrong(f"column {name!r} occurs twice; expected once")
     if mapping is not None:
         wanted = [mapping.time.column, *(one.column for one in mapping.channels.values())]
         for name in wanted:

@@ -328,7 +328,7 @@ def why_not(levels: Sequence[Level], trained: Sequence[OperatingPoint]) -> str |
         )
         return (
             f"changes speed and load at once against the data{against}: the error of the speed law "
-            "would be booked on the load law, and the forecast gets worse than without the step"
+            "would be attributed to the load law, and the forecast gets worse than without the step"
         )
     for before, after in pairwise(levels):
         if before.speed_rpm != after.speed_rpm and before.load_n != after.load_n:
@@ -350,7 +350,7 @@ def _too_hot(peak_c: Mapping[str, float], limits: Mapping[str, float]) -> str | 
     """Say which upper edge reaches a limit, or is not even finite; None if all stay below."""
     for name, upper_c in peak_c.items():
         if not np.isfinite(upper_c):
-            return "too hot: the twin runs away there"
+            return "too hot: thermal runaway of the twin there"
         if upper_c >= limits.get(name, np.inf):
             return (
                 f"too hot: the upper edge of {name} reaches {upper_c:.0f} °C, its limit is "

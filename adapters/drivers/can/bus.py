@@ -62,7 +62,7 @@ class ChunkedPort:
                 return b""
             self._position = 0
             if not self._chunk:
-                raise serial.SerialException("the other side has closed the connection")
+                raise serial.SerialException("the peer closed the connection")
         start = self._position
         end = _END_OF_MESSAGE.search(self._chunk, start)
         self._position = len(self._chunk) if end is None else end.end()

@@ -111,7 +111,7 @@ class Reader(threading.Thread):
                 self.problem = ""
                 if opened_before:
                     self.reconnects += 1
-                    logger.info("source %s: bus opened again", self._source.name)
+                    logger.info("source %s: bus reopened", self._source.name)
                 opened_before = True
                 try:
                     self._listen(bus)
@@ -136,7 +136,7 @@ class Reader(threading.Thread):
                 self._count("garbage")
                 garbage += 1
                 if garbage > MOST_GARBAGE:
-                    raise BusLostError(f"no CAN frames but garbage ({error})") from error
+                    raise BusLostError(f"no valid CAN frames ({error})") from error
                 continue
             if frame is None:
                 now = time.monotonic()

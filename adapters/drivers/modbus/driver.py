@@ -55,7 +55,7 @@ class _Probe(Enum):
     """What trying a silent unit over a second connection gave."""
 
     ANSWERS = "answers"
-    STILL_SILENT = "still silent"
+    STILL_SILENT = "still no answer"
     NO_SECOND_CONNECTION = "no second connection"  # the unit must be tried over the first one
 
 
@@ -172,14 +172,14 @@ class ModbusDriver:
                 self._health.reconnects += 1
                 # A device that accepts and hangs up at once would fill the log.
                 if self._link_problem:
-                    logger.info("source %s: connected again", self.name)
+                    logger.info("source %s: reconnected", self.name)
             self._was_connected = True
             self._reconnect_backoff.reset()
             self._link_problem = ""
             return True
         where = self._source.where
         if not self._link_problem.startswith("cannot"):
-            logger.warning("source %s: cannot connect to %s, trying on", self.name, where)
+            logger.warning("source %s: cannot connect to %s, retrying", self.name, where)
         self._link_problem = f"cannot connect to {where}"
         self._health.count_error("connect")
         return False

@@ -50,17 +50,17 @@ _ANY_SCHEME: Final[list[dict[str, list[str]]]] = [{name: []} for name in SECURIT
 
 _DESCRIPTIONS: Final = {
     400: "The request cannot be read: body, or NUL in the address.",
-    401: "No key, or none that opens anything.",
-    403: "The role of this key does not suffice.",
-    404: "There is no such thing.",
+    401: "No key, or no valid key.",
+    403: "The role of this key is not sufficient.",
+    404: "Not found.",
     409: "In conflict with the present state.",
     413: "The body is too long.",
-    415: "The body is not JSON, or packed in another way than gzip.",
+    415: "The body is not JSON, or compressed by another method than gzip.",
     422: "A field is wrong; `errors` names it.",
-    426: "This address talks WebSocket only.",
+    426: "This address accepts WebSocket connections only.",
     429: "Too many requests of this key, or wrong keys from this address; see `Retry-After`.",
-    500: "The service could not answer; its log says why.",
-    503: "Cannot be answered now; see `Retry-After`.",
+    500: "Internal error; the log of the service has the reason.",
+    503: "Temporarily unavailable; see `Retry-After`.",
 }
 RETRY_AFTER: Final = {
     "Retry-After": {
@@ -69,7 +69,7 @@ RETRY_AFTER: Final = {
     }
 }
 LOCATION: Final = {
-    "Location": {"description": "Where the new thing is.", "schema": {"type": "string"}}
+    "Location": {"description": "Address of the new resource.", "schema": {"type": "string"}}
 }
 
 
@@ -231,7 +231,7 @@ async def authenticate(
     except StoreUnavailableError as error:
         raise Problem(
             503,
-            "the store that keeps the keys does not answer now",
+            "the store of the keys does not answer",
             headers={"Retry-After": str(RETRY_AFTER_S)},
         ) from error
 

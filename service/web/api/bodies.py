@@ -80,10 +80,10 @@ class AssetDocument(_Answer):
     """Configuration, health and active model of an asset."""
 
     id: str = Field(examples=["bench-1"])
-    name: str = Field(description="What the pages call it.", examples=["Test bench 1"])
+    name: str = Field(description="Name on the pages.", examples=["Test bench 1"])
     group: str | None = Field(description="Null without one.", examples=["Hall A"])
     bearing: str | None = Field(
-        description="Null where a network of one's own describes the machine.", examples=["6311"]
+        description="Null for a machine with a custom network.", examples=["6311"]
     )
     network: str = Field(examples=["bearing-14"])
     low_risk: LowRisk
@@ -93,7 +93,7 @@ class AssetDocument(_Answer):
     active_model: ActiveModel | None
     alarms: AlarmSummary | None = None
     ambient_assumed_c: Number = Field(
-        None, description="Taken for the ambient temperature where no channel measures it, °C."
+        None, description="Assumed ambient temperature where no channel measures it, °C."
     )
     verdict: VerdictSettings | None = None
     controller: dict[str, Any] | None
@@ -139,7 +139,7 @@ class State(_Answer):
     nodes: dict[str, NodeState]
     missing: list[str] = Field(
         [],
-        description="Speed, load and ambient that the twin does not know now; with any of them "
+        description="Speed, load and ambient without a usable value now; with any of them "
         "the estimate is uncertain.",
     )
 
@@ -188,7 +188,7 @@ class TimeToLimit(_Answer):
     """
 
     limit: VerdictLimit
-    expected: bool = Field(description="Whether it is likelier than what is called safe.")
+    expected: bool = Field(description="Whether the probability is above that of the verdict safe.")
     probability: float
     earliest_s: Number = Field(description="Seconds from now, 2.5 % of the forecasts.")
     median_s: Number = Field(description="Seconds from now, half of the forecasts.")
@@ -241,7 +241,7 @@ class WhatIf(_Answer):
     time_to_limit: dict[str, dict[str, Crossing]]
     missing: list[str] = Field(
         [],
-        description="Speed, load and ambient that the twin does not know now; with any of them "
+        description="Speed, load and ambient without a usable value now; with any of them "
         "the forecast starts from an uncertain state.",
     )
 
@@ -288,7 +288,7 @@ class Pushed(_Answer):
     """What became of the samples; the answer means that those taken are on the disk."""
 
     accepted: int = Field(description="Newly stored.", examples=[2])
-    duplicates: int = Field(description="Known already: sent again.", examples=[0])
+    duplicates: int = Field(description="Already stored: sent again.", examples=[0])
     rejected: list[Rejected]
 
 
@@ -385,12 +385,12 @@ class ActivationList(Page):
 
 # ---------------------------------------------------------------------------- session, health
 class SessionDocument(_Answer):
-    """Who is logged in."""
+    """The current session."""
 
     role: str = Field(examples=["operator"])
     key_id: str
     prefix: str = Field(examples=["bt_1a2b3c4d"])
-    label: str = Field(description="What people call the key.", examples=["control room"])
+    label: str = Field(description="Label of the key.", examples=["control room"])
     expires_at: Time | None
     session: bool = Field(description="True for a browser session, false for a key.")
 
@@ -430,7 +430,7 @@ class AuditLine(_Answer):
     address: str = Field(description="Where the call came from.", examples=["192.0.2.7"])
     action: str = Field(examples=["alarm.acknowledge"])
     target: str = Field(examples=["alarm 3f2b8c0e"])
-    detail: str = Field(description="What was asked for.", examples=["comment: load is reduced"])
+    detail: str = Field(description="What was requested.", examples=["comment: load is reduced"])
 
 
 class AuditList(Page):

@@ -154,7 +154,7 @@ class LastResort:
             _log.error("request_failed", method=scope["method"], path=scope["path"], traceback=text)
             if started:
                 raise
-            detail = "the service could not answer; its log says why"
+            detail = "internal error; the log of the service has the reason"
             response = problem_response(500, detail, scope["path"])
             await response(scope, receive, send)
 

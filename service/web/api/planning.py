@@ -93,7 +93,7 @@ class EnvelopeDocument(_Answer):
     present: PresentPoint
     low_risk: LowRisk
     labels: list[str] = Field(
-        description="What must be said with it.",
+        description="What the result rests on.",
         examples=[["not identified yet: prior parameters only"]],
     )
 
@@ -143,7 +143,7 @@ class AdvisedStep(_Answer):
         "steps are ranked by it."
     )
     narrower_by: float = Field(
-        description="Part by which the interval of the deciding sensor narrows, cautiously.",
+        description="Fraction by which the deciding sensor's interval narrows, cautiously.",
         examples=[0.78],
     )
     peak_c: BySensor = Field(description="Highest upper edge during the step, °C.")

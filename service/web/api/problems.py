@@ -185,7 +185,7 @@ def install_handlers(app: FastAPI) -> None:
     async def on_store_away(request: Request, error: StoreUnavailableError) -> Response:
         _log.warning("store_away", path=request.url.path, error=str(error))
         headers = {"Retry-After": str(RETRY_AFTER_S)}
-        return _answer(request, Problem(503, "the store does not answer now", headers=headers))
+        return _answer(request, Problem(503, "the store does not answer", headers=headers))
 
     async def on_busy(request: Request, error: BusyError) -> Response:
         headers = {"Retry-After": str(RETRY_AFTER_S)}

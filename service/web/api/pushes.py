@@ -23,7 +23,7 @@ from service.web.api.turns import caller_of, turns_of
 SAMPLES_MAX = 20_000
 #: So many rejected samples of a push are answered with their reason, the others with a word.
 REASONS_MAX = 100
-_ONE_OF_MANY = f"rejected as well; only the first {REASONS_MAX} say why"
+_ONE_OF_MANY = f"also rejected; only the first {REASONS_MAX} give a reason"
 _SHOWN_CHARACTERS = 60
 #: So many samples are judged in less time than a thread takes to begin.
 _FEW = 200
@@ -54,7 +54,7 @@ _SAMPLE_SCHEMA = {
         },
     },
 }
-_ANYTHING_ELSE = {"description": "Anything else is rejected, for itself."}
+_ANYTHING_ELSE = {"description": "Anything else is rejected on its own."}
 
 
 class PushRequest(RequestBody):

@@ -114,7 +114,7 @@ async def while_there(request: Request, work: Coroutine[Any, Any, Result]) -> Re
         await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
         if working.done():
             return working.result()
-        raise Problem(503, "the client has gone")
+        raise Problem(503, "the client disconnected")
     finally:
         for task in (working, leaving):
             task.cancel()

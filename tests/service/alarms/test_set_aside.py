@@ -141,7 +141,7 @@ def test_shelving_can_be_renewed_and_ended_early(bench: Bench) -> None:
     assert (again.shelved_until_us, again.shelved_by) == (bench.clock.us + 600 * SECOND_US, "ben")
     assert bench.after(599, HOT) == "SHLVD"
     assert bench.book.unshelve(alarm_id, "ben", "done").state == "UNACK"
-    with pytest.raises(NotAllowedError, match="is UNACK: to unshelve it means nothing there"):
+    with pytest.raises(NotAllowedError, match="is UNACK: cannot unshelve it"):
         bench.book.unshelve(alarm_id, "ben")
 
 

@@ -68,7 +68,7 @@ async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(sho
     jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
     job = shop.row(hung["id"])
     assert (job.status, job.attempts) == ("failed", 2)
-    assert job.error == f"the worker showed no sign of life for {HANGS_S:g} s and was ended"
+    assert job.error == f"the worker did not respond for {HANGS_S:g} s and was terminated"
     await until(lambda: (shop.row(waiting["id"]).evaluations or 0) > 0, PATIENCE_S)
 
 

@@ -228,7 +228,7 @@ def test_a_limit_that_is_passed_already_is_not_announced(scene: Bench) -> None:
     scene.present.add(("measured limit", RING, "alarm"))
     assert scene.forecast(**passed).suppressed_reason is None, "of the other level"
     scene.present.add(("measured limit", RING, "warning"))
-    assert scene.forecast(**passed).suppressed_reason == "the limit is exceeded already"
+    assert scene.forecast(**passed).suppressed_reason == "the limit is already exceeded"
     assert scene.forecast(**passed).active is True
 
 

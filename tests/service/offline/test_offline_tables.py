@@ -31,7 +31,7 @@ def recording(folder: Path, *lines: str) -> Path:
         ([HEADER.replace("time_s,", "")], "line 1: missing column time or time_s; expected one"),
         ([f"time,{HEADER}"], "line 1: both time and time_s; expected one"),
         ([f"{HEADER},t_node_14_c"], "line 1: unknown column 't_node_14_c'; expected time_s, sp"),
-        ([f"{HEADER},load_n"], "line 1: column 'load_n' stands there twice; expected once"),
+        ([f"{HEADER},load_n"], "line 1: column 'load_n' occurs twice; expected once"),
         ([HEADER, ROW, "60,15oo,2650,22,30,25"], "line 3: speed_rpm = '15oo': expected a number o"),
         ([HEADER, ROW, "60,1500,nan,22,30,25"], "line 3: load_n = 'nan': expected a number or an"),
         ([HEADER, "0,1500,2650,22,9999,25"], "line 2: t_inner_ring_c = 9999: expected -60 to 400"),

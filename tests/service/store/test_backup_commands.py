@@ -59,7 +59,7 @@ def test_a_backup_of_sqlite_is_restored_with_its_rows_and_without_sessions(tmp_p
         prefix = filled(store)
         rows = back_up(url, out)  # the store is open: as under a running service
         assert rows["samples"] == COUNT
-        with pytest.raises(StoreError, match="is there already; expected a new name"):
+        with pytest.raises(StoreError, match="exists already; expected a new name"):
             back_up(url, out)
         revoke_key(store, prefix)
         store.samples.write([Sample("a", "x", COUNT, 1.0, 192, 0)])

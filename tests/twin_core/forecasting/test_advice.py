@@ -346,5 +346,5 @@ def test_a_step_that_cannot_be_simulated_is_refused(
     assert found.steps == ()
     assert not found.worth_while
     assert {step.reason for step in found.excluded if "at once" not in step.reason} == {
-        "too hot: the twin runs away there"
+        "too hot: thermal runaway of the twin there"
     }

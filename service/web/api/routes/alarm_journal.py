@@ -51,7 +51,7 @@ class JournalPlace(BaseModel):
 @router.get(
     "/journal",
     response_model=AlarmJournalList,
-    summary="Everything that happened to alarms",
+    summary="Alarm journal",
     **secured(
         VIEWER,
         503,
@@ -82,7 +82,7 @@ async def get_journal(
     end: Annotated[Instant | None, Query(description="Before this process time.")] = None,
     line_class: Annotated[
         Literal["alarm", "event"] | None,
-        Query(alias="class", description="Only what happened to alarms, or only events."),
+        Query(alias="class", description="Only lines of alarms, or only events."),
     ] = None,
     format: Annotated[
         Literal["json", "csv"],
@@ -123,7 +123,7 @@ async def get_journal(
 @router.get(
     "/statistics",
     response_model=AlarmStatistics,
-    summary="The load that alarms are on operators",
+    summary="Alarm performance: the load of alarms on operators",
     **secured(VIEWER, 503),
 )
 def get_statistics(

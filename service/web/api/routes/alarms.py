@@ -43,7 +43,7 @@ router = APIRouter(prefix="/alarms", tags=["alarms"])
 AlarmId = Annotated[str, Path(max_length=64, description="`id` of the alarm.")]
 
 
-@router.get("", response_model=AlarmList, summary="Alarms that are not over", **secured(VIEWER))
+@router.get("", response_model=AlarmList, summary="Open alarms", **secured(VIEWER))
 async def list_alarms(
     context: Context,
     asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
@@ -51,16 +51,15 @@ async def list_alarms(
         list[AlarmState] | None,
         Query(
             description="Only in these states, repeatable; absent: all but NORM. With NORM also "
-            "the conditions that are watched and not there, which can be shelved or taken out of "
-            "service too."
+            "the normal conditions, which can be shelved or taken out of service too."
         ),
     ] = None,
     active: Annotated[
         bool | None,
-        Query(description="Only those whose condition is there and told (or is not)."),
+        Query(description="Only active alarms (or only inactive ones)."),
     ] = None,
     unacknowledged: Annotated[
-        bool | None, Query(description="Only those that wait for an operator (or do not).")
+        bool | None, Query(description="Only unacknowledged alarms (or only the others).")
     ] = None,
 ) -> Response:
     """By priority; then unacknowledged, measured, newest first; what is set aside comes last."""

@@ -82,7 +82,7 @@ async def get_state(asset: Asset) -> Response:
 @router.get(
     "/{asset_id}/verdict",
     response_model=VerdictDocument,
-    summary="Safe now, and in the next step?",
+    summary="The verdict: safe now, and in the next step",
     **secured(VIEWER, 404),
 )
 async def get_verdict(asset: Asset) -> Response:
@@ -93,7 +93,7 @@ async def get_verdict(asset: Asset) -> Response:
 @router.post(
     "/{asset_id}/grease-renewed",
     response_model=GreaseRenewed,
-    summary="Say that the grease was renewed",
+    summary="Record that the grease was renewed",
     **secured(ENGINEER, 404),
 )
 async def post_grease_renewed(

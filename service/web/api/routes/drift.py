@@ -98,8 +98,8 @@ class DriftComparison(_Part):
     alike: str
     statistic: float
     dimensions: int
-    probability: float = Field(description="Of so large a difference without any change.")
-    groups: dict[str, float] = Field(description="Probability of each to be what moved.")
+    probability: float = Field(description="Probability of such a difference without any change.")
+    groups: dict[str, float] = Field(description="Probability of each to be what changed.")
     moves: list[DriftMove]
 
 
@@ -138,7 +138,7 @@ def get_drift(
     context: Context,
     asset: Asset,
     limit: Annotated[
-        int, Query(ge=1, le=MOST_VERSIONS, description="So many of the newest versions.")
+        int, Query(ge=1, le=MOST_VERSIONS, description="Number of newest versions.")
     ] = 50,
 ) -> Response:
     """Parameters and physical quantities with intervals, and what was said about changes.

@@ -38,7 +38,7 @@ class Check(NamedTuple):
     detail: str
 
 
-@router.get("/livez", response_model=Alive, summary="Does the process answer", **public())
+@router.get("/livez", response_model=Alive, summary="Liveness: the process answers", **public())
 async def livez() -> Response:
     """Say yes."""
     return json_response({"status": "alive"})
@@ -47,7 +47,7 @@ async def livez() -> Response:
 @router.get(
     "/readyz",
     response_model=Ready,
-    summary="Does the service do its work",
+    summary="Readiness: the service works",
     **public(responses={503: {"model": Ready, "description": "The store or a twin is down."}}),
 )
 async def readyz(context: Context, request: Request, keys: Keys) -> Response:

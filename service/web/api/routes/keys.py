@@ -34,7 +34,7 @@ class KeyRequest(RequestBody):
 
     role: Role
     expires_in_days: float | None = Field(
-        None, gt=0, le=36_500, description="Absent: it opens doors until it is revoked."
+        None, gt=0, le=36_500, description="Absent: valid until it is revoked."
     )
     label: str = Field(
         "", max_length=LABEL_LENGTH, pattern=LABEL_PATTERN, description="For people."
@@ -56,7 +56,7 @@ def get_keys(
     "",
     status_code=201,
     response_model=NewKeyDocument,
-    summary="Make an API key",
+    summary="Create an API key",
     **secured(ADMIN, audit=None, responses={201: {"headers": LOCATION}}),
 )
 async def post_key(context: Context, request: Request, body: KeyRequest) -> Response:

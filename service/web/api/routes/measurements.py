@@ -106,7 +106,7 @@ async def get_measurements(
         Query(
             description="Raw samples, or buckets with mean, min, max and count of the good ones. "
             "`auto` takes the finest that gives about 1500 rows per channel at most and may "
-            "answer with buckets in between; `resolution` of the answer tells."
+            "answer with buckets in between; `resolution` of the answer names them."
         ),
     ] = "raw",
     format: Annotated[

@@ -47,7 +47,7 @@ def list_models(
 @router.get(
     "/activations",
     response_model=ActivationList,
-    summary="Which version was the active one when",
+    summary="Activations: which version was active when",
     **secured(ENGINEER, 404),
 )
 def list_activations(

@@ -61,9 +61,7 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
         cookie, principal = await keys.log_in(principal)
     except StoreUnavailableError as error:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
-        raise Problem(503, "the store that keeps the keys does not answer", headers=headers) from (
-            error
-        )
+        raise Problem(503, "the store of the keys does not answer", headers=headers) from (error)
     await trail.note_repeated(actor(request, principal.who), "session.begin")
     response = json_response(_document(principal))
     response.set_cookie(
@@ -78,7 +76,7 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
     return response
 
 
-@router.get("", response_model=SessionDocument, summary="Who is logged in", **secured(VIEWER))
+@router.get("", response_model=SessionDocument, summary="The current session", **secured(VIEWER))
 async def get_session(who: Caller) -> Response:
     """Role and expiry of the session, or of the key that came instead."""
     return json_response(_document(who))

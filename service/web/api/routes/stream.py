@@ -278,7 +278,7 @@ async def _send(
         overflow = "overflow" in str(error)
         return (_TRY_AGAIN if overflow else _GOING_AWAY), str(error)
     except WebSocketDisconnect:
-        return None, "the client went away"
+        return None, "the client disconnected"
 
 
 async def _listen(websocket: WebSocket) -> Ending:
@@ -286,7 +286,7 @@ async def _listen(websocket: WebSocket) -> Ending:
     while True:
         message = await websocket.receive()
         if message["type"] == "websocket.disconnect":
-            return None, "the client went away"
+            return None, "the client disconnected"
 
 
 async def _watch(sender: _Sender, keys: Authenticator) -> Ending:
