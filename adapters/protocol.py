@@ -30,7 +30,7 @@ class Clock(Protocol):
         """Process time in microseconds since the epoch (UTC); callable from any thread."""
 
     async def sleep(self, process_seconds: float) -> None:
-        """Wait so many process seconds."""
+        """Wait this many process seconds."""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class SourceHealth:
     samples
         Samples handed over.
     skipped
-        Poll cycles left out because they came too late (Modbus), samples dropped because nobody
+        Poll cycles left out because they came too late (Modbus), samples dropped because no one
         took them (CAN).
     reconnects
         Times that a connection was made again after a loss.

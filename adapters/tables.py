@@ -124,7 +124,7 @@ def _parquet(path: Path) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
 def _plain(pa: Any, column: Any) -> list[object]:
     if pa.types.is_timestamp(column.type):
         if column.type.tz is None:
-            # Without a zone nobody knows what time it was: such cells are refused row by row.
+            # Without a zone no one knows what time it was: such cells are refused row by row.
             return [str(cell) for cell in column.to_pylist()]
         return list(column.cast(pa.timestamp("us", tz="UTC")).cast(pa.int64()).to_pylist())
     return list(column.to_pylist())

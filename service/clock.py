@@ -137,7 +137,7 @@ class ClockWatch:
     clock : Clock
         Process time.
     wall_s : callable
-        Wall seconds of a clock that nobody sets.
+        Wall seconds of a clock that no one sets.
     """
 
     def __init__(self, clock: Clock, wall_s: Callable[[], float] = time.monotonic) -> None:

@@ -15,7 +15,7 @@ class FileError(ValueError):
 
 @contextmanager
 def replacing(path: Path, *, binary: bool = False, private: bool = False) -> Iterator[IO[Any]]:
-    """Write a file beside its place, and move it there when it is complete and on the disk.
+    """Write a file next to its place, and move it there when it is complete and on the disk.
 
     Parameters
     ----------

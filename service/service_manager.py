@@ -10,7 +10,7 @@ import os
 import socket
 from collections.abc import Callable, Mapping
 
-#: A sign of life is sent so many times within the watchdog's time.
+#: A sign of life is sent this many times within the watchdog's time.
 _SIGNS_PER_WATCHDOG = 4
 _MICROSECONDS = 1e6
 

@@ -1,4 +1,4 @@
-"""Work beside work: a task that ends by itself ends the service."""
+"""Work next to work: a task that ends by itself ends the service."""
 
 import asyncio
 import contextlib
@@ -21,7 +21,7 @@ _log = structlog.get_logger(__name__)
 async def background(
     work: Coroutine[Any, Any, None], name: str, stop: asyncio.Event
 ) -> AsyncIterator[None]:
-    """Run a task beside the rest; should it ever end by itself, the service stops.
+    """Run a task next to the rest; should it ever end by itself, the service stops.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def average_run_length(threshold: float, allowance: float, shift: float = 0.0) -
 
 
 def threshold_for(run_length: float, allowance: float) -> float:
-    """Threshold at which a one-sided sum gives a false alarm every so many values on average.
+    """Threshold at which a one-sided sum gives a false alarm once in this many values on average.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ CANDIDATES: tuple[Group, ...] = (
 # Standard deviations of a change, in those of the prior: machines differ more than one changes.
 _CHANGE_SIZES = (0.1, 0.3, 1.0)
 # The common noise of shared data comes off their covariance; the error of the model, which other
-# data beside them bend another way, does not. Likewise measured on unchanged benches.
+# data next to them bend another way, does not. Also measured on unchanged benches.
 _SHARED_MODEL_ERROR = 0.5
 # Error of a change relative to its size, in the logarithm: a model that is wrong about a machine is
 # wrong about its changes. On virtual benches 95 of 100 intervals then hold the truth.
@@ -278,7 +278,7 @@ def difference_covariance(a: FloatArray, b: FloatArray, shared: float = 0.0) -> 
     ndarray
         (p, p), with a least variance of 1e-3 in every direction.
     """
-    # what both estimates owe to data that they share, beside the machine itself
+    # what both estimates owe to data that they share, next to the machine itself
     common = shared * (np.eye(a.shape[0]) - a) @ b
     covariance = a + b - a @ b - b @ a - common - common.T
     size, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))

@@ -1,7 +1,7 @@
 """A machine followed over its model versions: quantities with intervals, slow changes summed up.
 
-Two neighbouring versions may differ by less than can be told apart while the machine keeps going
-the same way. Every version is therefore also held against the mean of all unchanged ones of alike
+Two neighbouring versions may differ by less than can be distinguished while the machine keeps going
+the same way. Every version is therefore also compared with the mean of all unchanged ones of alike
 operation before it, and the standardised deviations of every quantity are summed up by two
 one-sided cumulative sums
 
@@ -94,7 +94,7 @@ def follow(
 ) -> tuple[Reading, ...]:
     """Follow a machine over versions that share no data.
 
-    Every version is held against the unchanged ones before it whose operation was most like its
+    Every version is compared with the unchanged ones before it whose operation was most like its
     own. A version at which a change is reported does not join those.
 
     Parameters

@@ -16,7 +16,7 @@ from twin_core.operating_points import OperatingPoint, alike_points
 _SCALE_SAME = 0.1
 _SCALE_ALIKE = 0.7
 _SCALE_OTHER = 2.0
-# A hall that is colder changes viscosity, radiation and preload, which the model follows roughly.
+# A colder ambient changes viscosity, radiation and preload, which the model follows roughly.
 _SCALE_PER_K2 = 0.016
 # Laid side by side, so much of two sequences must be the same for them to count as one.
 _SAME_SEQUENCE = 0.95
@@ -24,7 +24,7 @@ _SAME_SEQUENCE = 0.95
 _NEARLY = 0.1
 # An operating point must have lasted this long to have left a mark.
 _TAUGHT_S = 1200.0
-# Before so many revolutions grease may still be running in, which the model follows only roughly.
+# Before this many revolutions grease may still be running in, which the model follows only roughly.
 _RUN_IN_REVOLUTIONS = 3.0e6
 
 
@@ -39,7 +39,7 @@ class Likeness:
         too. Data of a bearing that was running in are like no data of one that was run in.
     sequence
         Share of the longer one in which both were at alike points, laid side by side from their
-        beginnings; 0 where only one began at rest.
+        beginnings; 0 where only one began at standstill.
     ambient_k
         By how much their mean ambient temperatures differ; 0 where one is not known.
     """

@@ -35,12 +35,12 @@ class MachineState:
         What the machine ran at up to now; None for a machine that has not been followed. A member
         of an ensemble whose resistances are not those of the observer's model is out of balance in
         the state that this model has found. It starts with the heats that keep it on the observed
-        course. They fade likewise, and end when the machine stops or starts, as what is wrong is
+        course. They fade also, and end when the machine stops or starts, as what is wrong is
         mostly friction. Without an operating point every member is taken to be in the present
         state by itself, as a cold machine is.
     course_known
         How much of the present course has been observed, 0 to 1; see `course_known`. By this part
-        members get the heats that keep them on it: from a few readings nobody knows where a
+        members get the heats that keep them on it: from a few readings no one knows where a
         machine is going. Below 1 a forecast has a label that gives how well the state is known,
         where that is badly.
 

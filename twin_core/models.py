@@ -250,9 +250,9 @@ def _paper_network(bearing: Bearing, data: Bearing14) -> Network:
 # hold (.27), and of the preload's part. The same preload gives friction back that thinner oil
 # saves, hence q below the pool. A bearing may be run in when it is first seen: A is zero with a
 # probability of a fifth, which no log-normal prior allows. Films of resting and rotating surfaces
-# do not add up, so the shaft's film at rest counts half. Nu = .133 Re^(2/3) Pr^(1/3) gives an end
-# of a bare shaft of 55 mm 3 W/K at its mean temperature; sleeves and covers hide most of it. The
-# others are literature ranges of the correlations and joints.
+# do not add up, so the shaft's film at standstill counts half. Nu = .133 Re^(2/3) Pr^(1/3) gives an
+# end of a bare shaft of 55 mm 3 W/K at its mean temperature; sleeves and covers hide most of it.
+# The others are literature ranges of the correlations and joints.
 DEFAULT_PARAMETERS = (
     Parameter("M0", "-", "friction moment relative to the reference moment", "log", 1.0, 0.4),
     Parameter("p", "-", "viscous friction: exponent of speed", "linear", 0.24, 0.15),

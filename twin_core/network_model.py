@@ -16,7 +16,7 @@ class ErrorModel:
     """How far a sensor is from what a model says even with the right parameters.
 
     The defaults are those of a bearing on its bench. A coarse network of a machine in the field,
-    with inputs that nobody measures, is wrong by kelvins for hours.
+    with inputs that no one measures, is wrong by kelvins for hours.
 
     Parameters
     ----------

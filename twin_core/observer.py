@@ -361,7 +361,7 @@ class Observer:
     def with_parameters(self, model: ThermalModel, values: ArrayLike) -> "Observer":
         """Continue with another model or other parameters and the same temperatures.
 
-        The heat disturbances start anew: what they had learned was the old model's error.
+        The heat disturbances start again: what they had learned was the old model's error.
 
         Raises
         ------

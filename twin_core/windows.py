@@ -366,8 +366,9 @@ def stands_at_ambient(speed_rpm: float, ambient_c: float, temperatures_c: Iterab
 def variety_score(window: Window) -> float:
     """Return how much a window can teach, 0 to 1.
 
-    A quarter each for: a start at rest (it fixes the initial state and the temperature feedback of
-    the friction); length up to six hours; up to three distinct speeds; up to two distinct loads.
+    A quarter each for: a start at standstill (it fixes the initial state and the temperature
+    feedback of the friction); length up to six hours; up to three distinct speeds; up to two
+    distinct loads.
     Distinct speeds are counted at any load, distinct loads only at one and the same speed: a load
     that changes together with the speed cannot be told from it. Where the duty varies, each counts
     from 20 min in all on.

@@ -69,7 +69,7 @@ def contact_constants(bearing: BenchBearing, parameters: BenchParameters) -> Con
             / (2.0 * math.sqrt(diffusivity))
             * math.sqrt(track * speed_per_rpm)
         )
-        # at rest: constriction of a stationary contact, 2 k sqrt(a b) per body
+        # at standstill: constriction of a stationary contact, 2 k sqrt(a b) per body
         radius = math.sqrt(contact.semi_major_m * contact.semi_minor_m)
         still.append(parameters.contact_scale * STEEL_CONDUCTIVITY * radius)
     return ContactConstants(

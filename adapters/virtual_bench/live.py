@@ -43,7 +43,7 @@ class Transmitter:
 class LiveBench:
     """A bench in motion; everything it shows depends on seed, scenario and process time only.
 
-    The plant moves in whole seconds, so that the moments at which somebody looks do not change
+    The plant moves in whole seconds, so that the moments at which someone looks do not change
     what he sees.
 
     Parameters

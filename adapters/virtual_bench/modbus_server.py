@@ -197,7 +197,7 @@ class BenchModbusServer:
         )
 
     def _others(self) -> SimDevice:
-        """Any other unit: nobody answers behind the gateway."""
+        """Any other unit: no one answers behind the gateway."""
 
         async def refuse(*_arguments: object) -> ExcCodes:
             return ExcCodes.GATEWAY_NO_RESPONSE

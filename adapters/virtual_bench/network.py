@@ -107,7 +107,7 @@ class Network(NamedTuple):
     conductance : ndarray, shape (n, n)
         Constant conductances between nodes, symmetric, zero diagonal.
     film_node, film_area_m2, film_still : ndarray
-        Nodes washed by the grease, their areas, and the conductance in W/K at rest.
+        Nodes washed by the grease, their areas, and the conductance in W/K at standstill.
     outside_node, outside_area_m2, outside_length_m : ndarray
         Surfaces in still air and their characteristic length.
     shaft_node, shaft_area_m2, shaft_diameter_m : ndarray
@@ -279,7 +279,7 @@ def _films(
             2.0 * bearing.pitch_m * 0.6 * width,
         ]
     )
-    return nodes, areas, 0.15 / (0.5 * gap) * areas  # grease at rest conducts, 0.15 W/(m K)
+    return nodes, areas, 0.15 / (0.5 * gap) * areas  # grease at standstill conducts, 0.15 W/(m K)
 
 
 def _outside(

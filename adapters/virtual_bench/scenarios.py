@@ -56,7 +56,7 @@ class Change:
     ----------
     quantity : str
         ``oil loss`` of the grease, ``cooling`` of housing and base plate by the air, ``load`` that
-        the hydraulics really bring, beside what the set-point says.
+        the hydraulics really bring, next to what the set-point says.
     start_s, ramp_s : float
         When it begins, and over how long it grows (evenly in the logarithm).
     factor : float
@@ -99,7 +99,7 @@ class Scenario:
     oil_loss : float
         How fast the grease ages, in multiples of the rate that its life is stated for.
     ambient_daily_k : float
-        Amplitude of the hall's daily course in K, beside its faster swings.
+        Amplitude of the ambient's daily course in K, next to its faster swings.
     """
 
     name: str

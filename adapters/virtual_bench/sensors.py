@@ -1,6 +1,6 @@
 """Sensors of the virtual bench: PT100 transmitters, speed encoder and load cell.
 
-All noise is a function of seed, channel and process time, never of how often somebody asks.
+All noise is a function of seed, channel and process time, never of how often someone asks.
 """
 
 import math

@@ -14,9 +14,9 @@ class AlarmState(StrEnum):
     NORM = "NORM"
     """Normal: the condition is not there and nothing waits for acknowledgement."""
     UNACK = "UNACK"
-    """The condition is there and nobody has acknowledged it."""
+    """The condition is there and no one has acknowledged it."""
     ACKED = "ACKED"
-    """The condition is there and somebody has acknowledged it."""
+    """The condition is there and someone has acknowledged it."""
     RTNUN = "RTNUN"
     """Returned to normal, but never acknowledged."""
     LATCH = "LATCH"
@@ -66,11 +66,11 @@ class Transition:
     latched: bool | None = None
 
 
-#: States in which the condition of the alarm is there, and operators are told so.
+#: States in which the condition of the alarm is there, and operators are informed.
 ACTIVE_STATES = frozenset({AlarmState.UNACK, AlarmState.ACKED})
 #: States that wait for an operator's acknowledgement.
 UNACKNOWLEDGED_STATES = frozenset({AlarmState.UNACK, AlarmState.RTNUN})
-#: States in which operators are not told, whatever the condition does.
+#: States in which operators are not informed, whatever the condition does.
 SET_ASIDE_STATES = frozenset({AlarmState.SHLVD, AlarmState.DSUPR, AlarmState.OOSRV})
 
 

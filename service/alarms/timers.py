@@ -22,6 +22,6 @@ class Timer:
         self._last_us = None
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self._total_us = 0
         self._last_us = None

@@ -157,7 +157,7 @@ class _Start:
     async def _open_store(
         self, running: contextlib.AsyncExitStack
     ) -> tuple[Store, DatabaseLock | DataDirectoryLock]:
-        """Listen, and open all that the service needs beside its devices."""
+        """Listen, and open all that the service needs next to its devices."""
         settings, until = self._settings, self._waiting.until
         service, data_dir = settings.service, settings.data_dir
         listener = await until("its port", partial(bind, service.host, service.port), LEAVE_S)

@@ -1,4 +1,4 @@
-"""Answers commands: with a deadline each, and only so many at a time of each caller."""
+"""Answers commands: with a deadline each, and a limited number at a time of each caller."""
 
 import asyncio
 import time
@@ -43,7 +43,7 @@ class Dispatcher:
     def take(self, caller: bytes, request: bytes, send: Callable[[bytes], None]) -> None:
         """Begin to answer a request; returns at once.
 
-        What is no request, or past its deadline, is not answered: nobody waits for it.
+        What is no request, or past its deadline, is not answered: no caller waits for it.
 
         Parameters
         ----------

@@ -48,7 +48,7 @@ _BY_NAME: Final = {kind.__name__: kind for kind in _KINDS}
 
 
 class CellFaultError(RuntimeError):
-    """A command met an error that nobody had thought of; the cell's log says more."""
+    """A command met an error that no one had thought of; the cell's log says more."""
 
 
 def dump_error(error: Exception) -> tuple[str, bytes]:

@@ -40,7 +40,7 @@ class CellBus(Protocol):
     async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
         """Answer commands until cancelled.
 
-        Of one caller and of all together only so many are under way; the next one is refused.
+        Of one caller and of all together a limited number are under way; the next one is refused.
         """
 
 

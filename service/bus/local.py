@@ -102,7 +102,7 @@ class LocalCellBus:
                     dispatcher.take(frames[0], frames[1], partial(self._send, frames[0]))
                 now_s = time.monotonic()
                 left, seen_s = min(left + _RATE * (now_s - seen_s), _ROW) - 1.0, now_s
-                # What is there already is given at once: without a pause nobody else had a turn.
+                # What is there already is given at once: without a pause no one else had a turn.
                 await asyncio.sleep(0.0 if left > 0.0 else _ROW / _RATE / 4.0)
         finally:
             reporting.cancel()

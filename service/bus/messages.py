@@ -41,7 +41,7 @@ class Request(msgspec.Struct, frozen=True, array_like=True):
     number
         Of the caller, for the answer.
     deadline_s
-        Monotonic time of this machine after which nobody waits for the answer any more.
+        Monotonic time of this machine after which no caller waits for the answer any more.
     name
         Of the command's type.
     body

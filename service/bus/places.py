@@ -20,7 +20,7 @@ def bus_folder(data_dir: Path) -> Path:
     Raises
     ------
     OSError
-        If the folder cannot be made, or belongs to somebody else.
+        If the folder cannot be made, or belongs to someone else.
     """
     data_dir = data_dir.resolve()
     if len(os.fsencode(data_dir / COMMANDS)) <= LONGEST:

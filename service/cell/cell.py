@@ -312,8 +312,8 @@ class Service:
             Shows the web application from now on.
         stop : asyncio.Event
             Set it to end the service.
-        beside : sequence of Work
-            What else is to be done beside it.
+        next to : sequence of Work
+            What else is to be done next to it.
         ready : callable
             Called when all of it runs.
         """

@@ -1,4 +1,4 @@
-"""Upkeep of the store beside the work: rollups are computed, what is old is removed."""
+"""Upkeep of the store next to the work: rollups are computed, what is old is removed."""
 
 import asyncio
 import ctypes
@@ -15,7 +15,7 @@ from service.store import Retention, RetentionTime, Store, StoreError, StoreUnav
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
 ROLLUPS_EVERY_S = 30.0
 EXPIRE_EVERY_S = 600.0
-#: Nothing is removed before the process clock has agreed with time that passes for so many
+#: Nothing is removed before the process clock has agreed with time that passes for this many
 #: wall seconds.
 TRUST_AFTER_S = 3600.0
 #: Wall seconds after a start, and between two looks, for damage of the store's file.

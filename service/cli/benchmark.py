@@ -22,7 +22,7 @@ def benchmark(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Measure durations and rates, each with a reference measured beside it.
+    """Measure durations and rates, each with a reference measured next to it.
 
     Times are the shortest of many, in seconds; the ratio is the value over the reference.
     """

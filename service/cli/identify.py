@@ -195,7 +195,7 @@ def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
 
 @contextmanager
 def _progress_bar() -> Iterator["Callable[[FitProgress], None] | None"]:
-    """Yield what to call with the progress; nothing is shown where nobody watches."""
+    """Yield what to call with the progress; nothing is shown where no one watches."""
     console = make_console(stderr=True)
     if not console.is_terminal:
         yield None

@@ -64,7 +64,7 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps({"keys": [_facts(record) for record in records]}))
         return
-    # The prefix names a key as well as its id does, and fits beside the rest.
+    # The prefix names a key as well as its id does, and fits next to the rest.
     columns = ("prefix", "role", "label", "created", "expires", "revoked")
     table = Table(box=None, pad_edge=False)
     for name in columns:

@@ -22,8 +22,7 @@ def progress_bar(
     title : str
         What is being done.
     line_every_s : float, optional
-        Without a terminal, write a line on standard error every so many wall seconds; absent:
-        nothing.
+        Without a terminal, the wall seconds between lines on standard error; absent: no lines.
     """
     console = make_console(stderr=True)
     shown_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""``bearing-twin study``: the paper's studies, its figures beside ours."""
+"""``bearing-twin study``: the paper's studies, its figures next to ours."""
 
 import json
 from pathlib import Path
@@ -37,7 +37,7 @@ def study(
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
 ) -> None:
-    """Repeat the paper's studies and print its figures beside ours.
+    """Repeat the paper's studies and print its figures next to ours.
 
     With "all" the JSON document holds one document per study, by name.
     """

@@ -11,7 +11,7 @@ from service.clock import rfc3339
 from service.documents.base import Document, Number, Page, Time, time_or_none
 from service.store import Alarm, AlarmTransition, Annunciations
 
-#: More alarms than this in ten minutes are a flood that nobody can follow.
+#: More alarms than this in ten minutes are a flood that no one can follow.
 FLOOD_IN_10_MIN = 10
 _DAY_US = 86_400_000_000
 _SPANS_PER_DAY = 144

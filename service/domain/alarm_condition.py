@@ -52,7 +52,7 @@ class AlarmCondition:
     latched : bool
         The alarm stays after its return to normal until it is reset.
     re_alarm_s : float
-        An acknowledged alarm that stands so many process seconds is raised again; 0: never.
+        An acknowledged alarm that stands this many process seconds is raised again; 0: never.
     suppressed_reason : str or None
         Why the alarm means nothing now (suppressed by design); None where it does.
     covers : tuple of str

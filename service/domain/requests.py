@@ -29,7 +29,7 @@ class RequestBody(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _no_nul(cls, value: Any) -> Any:
-        """PostgreSQL keeps no text with the character NUL, and nobody types one."""
+        """PostgreSQL keeps no text with the character NUL, and no one types one."""
         if isinstance(value, str) and "\x00" in value:
             raise ValueError("expected a text without the character NUL")
         return value

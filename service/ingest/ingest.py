@@ -194,7 +194,7 @@ class Ingest:
                 self._retry_after_s = self._push_backoff.next()
                 raise
             stored = asyncio.ensure_future(self._await(written, patience_s))
-            # Nobody may be there any more to hear that it failed.
+            # No one may be there any more to hear that it failed.
             stored.add_done_callback(lambda done: done.cancelled() or done.exception())
             # What is stored reaches the twins, also when the caller has gone meanwhile.
             await asyncio.shield(asyncio.ensure_future(self._hand_over_portions(judged)))

@@ -60,19 +60,19 @@ class SampleLedger:
         registry.register(self)
 
     def accept(self, count: int) -> None:
-        """So many samples came and wait for the store."""
+        """Count samples that came and wait for the store."""
         with self._lock:
             self._waiting += count
 
     def settle(self, *, stored: int, duplicates: int) -> None:
-        """So many waiting samples are in the store now, or were there before."""
+        """Count waiting samples that are in the store now, or were there before."""
         with self._lock:
             self._waiting -= stored + duplicates
             self._stored += stored
             self._duplicate += duplicates
 
     def skip(self, count: int, reason: str) -> None:
-        """So many waiting samples will never be stored."""
+        """Count waiting samples that will never be stored."""
         with self._lock:
             self._waiting -= count
             self._skipped[reason] += count

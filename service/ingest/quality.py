@@ -18,9 +18,9 @@ from adapters.samples import Quality, Sample, is_good
 from service.domain.channels import SPEED
 from service.site.check_limits import CheckLimits
 
-#: A level so far from the last one is taken once so many samples in a row agree on it.
+#: A level so far from the last one is taken once this many samples in a row agree on it.
 CONFIRMING_SAMPLES = 3
-#: A rate of change is taken over so many seconds at least: one step of resolution is no rate.
+#: A rate of change is taken over this many seconds at least: one step of resolution is no rate.
 RATE_WINDOW_S = 10.0
 #: Samples that a flat line must last for at least, whatever the time between them.
 FLAT_SAMPLES = 5
@@ -82,7 +82,7 @@ class _Channel:
         self._flat = Finding(
             "flat_line", Quality.FROZEN, f"frozen: the same value for {limits.flat_line_s:g} s"
         )
-        # Findings of late, so that a sample which is sent again gets the same one again.
+        # Recent findings, so that a sample which is sent again gets the same one again.
         self._found: dict[int, Finding] = {}
         self._received_us = 0
         self._forget()
@@ -176,7 +176,7 @@ class QualityChecks:
     ) -> None:
         checked = {key: of for key, of in limits.items() if not of.anything}
         machines = {asset: _Machine() for asset, _ in checked}
-        # The speed tells whether a machine is at rest, also where nothing else is checked of it.
+        # The speed tells whether a machine is at standstill, also where nothing else is checked of it.
         checked |= {
             (asset, SPEED): checked.get((asset, SPEED), CheckLimits()) for asset in machines
         }

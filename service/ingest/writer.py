@@ -18,10 +18,10 @@ from service.ingest.spool import Spool
 from service.ingest.too_old import TooOld
 from service.store import QueueUnavailableError, Store, StoreUnavailableError, WriteCounts
 
-#: A transaction holds at least so many samples, or those of so many wall seconds.
+#: A transaction holds at least this many samples, or those of this many wall seconds.
 BATCH_SAMPLES = 5000
 BATCH_S = 0.5
-#: A push of more samples is a backlog. It is stored in portions of so many, and whatever else
+#: A push of more samples is a backlog. It is stored in portions of this many, and whatever else
 #: comes meanwhile goes first.
 PORTION_SAMPLES = 2000
 #: Samples that may wait in memory (about 40 MB): 40 s at 5000 samples/s.
@@ -29,9 +29,9 @@ QUEUE_SAMPLES = 200_000
 #: The store is given so long per try, and is left alone so long in between.
 _PATIENCE_S = 1.0
 _RETRY_S = 0.2
-#: A store that stays away is asked less and less often: at least every so many wall seconds.
+#: Longest pause, in wall seconds, between attempts at a store that stays away.
 _RETRY_LAST_S = 2.0
-#: The spool is emptied in portions of so many samples, for so long before new ones have a turn.
+#: The spool is emptied in portions of this many samples, for so long before new ones have a turn.
 _DRAIN_SAMPLES = 5000
 _DRAIN_S = 0.5
 #: At the stop a store that hangs has so long; then what it was given goes on the spool as well.
@@ -200,7 +200,7 @@ class SampleWriter:
                 return
 
     def _rescue(self) -> None:
-        """Put everything on the spool beside a thread that hangs in the store.
+        """Put everything on the spool next to a thread that hangs in the store.
 
         Should the store take it after all, it is the same sample once more, and known by then.
         """
@@ -234,7 +234,7 @@ class SampleWriter:
     def _run(self) -> None:
         while (parcels := self._next()) is not None:
             self._drain()
-            # Neighbours for whom nobody waits share a transaction; the others get their own counts.
+            # Parcels without a waiting caller share a transaction; the others get their own counts.
             for future, group in groupby(parcels, key=itemgetter(1)):
                 samples = [one for parcel, _ in group for one in parcel]
                 if future is not None and not future.set_running_or_notify_cancel():

@@ -24,7 +24,7 @@ async def identify_by_itself(
     """Look at every asset's windows from time to time and queue a job where they are worth it.
 
     What was tried once is not tried again until new data have come, also when the job failed or
-    somebody cancelled it.
+    someone cancelled it.
     """
     tried: dict[str, list[Window]] = {}
     while True:
@@ -41,6 +41,6 @@ async def identify_by_itself(
             except (JobConflictError, RequestRefusedError) as error:
                 _log.info("automatic_identification_put_off", asset=asset_id, reason=str(error))
             except Exception:
-                # A store that does not answer, data that nobody thought of: the next look may
+                # A store that does not answer, data that no one thought of: the next look may
                 # fare better, and the other assets must not wait for this one.
                 _log.exception("automatic_identification_failed", asset=asset_id)

@@ -7,7 +7,7 @@ from service.clock import rfc3339
 from service.jobs.workspace import Progress
 from service.store.records import Job
 
-# Before this part of the way nobody can say how long the rest takes.
+# Before this part of the way no one can say how long the rest takes.
 _LEAST_FRACTION = 0.02
 _MOST_KEPT = 50
 

@@ -1,6 +1,6 @@
 """Whether a new model version says that the machine has changed since earlier ones.
 
-The new version is held against an earlier one whose operation was most like its own, and slow
+The new version is compared with an earlier one whose operation was most like its own, and slow
 changes are summed up over all versions that share no data. Versions from before a change that was
 reported and then made active no longer count: the machine is what it is now.
 """

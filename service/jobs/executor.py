@@ -28,7 +28,7 @@ def make_executor() -> Executor:
 
     The worker is spawned, not forked: the service has threads and sockets that must not be shared.
     """
-    # For the worker, which loads its libraries anew: many small matrices, where threads only wait
+    # For the worker, which loads its libraries again: many small matrices, where threads only wait
     # for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return ProcessPoolExecutor(
@@ -63,7 +63,7 @@ async def watched(
     Parameters
     ----------
     future
-        Of the result; cancelled when nobody waits for it any more.
+        Of the result; cancelled when no caller waits for it any more.
     life
         Gives what changes with every sign of life.
     stalled_after_wall_s

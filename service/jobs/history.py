@@ -31,13 +31,13 @@ LOOK_BACK_US = 72 * 3600 * 1_000_000
 SHORTEST_WINDOW_S = 1800.0
 # How many good minutes there must be in them: of three in a row two may be missing.
 FEWEST_MINUTES = 10
-# What is left of a minute with bad or uncertain samples must be so many good ones for each of
+# What is left of a minute with bad or uncertain samples must be this many good ones for each of
 # them, and so much of the channel's usual number of samples in a minute.
 GOOD_FOR_EACH_DOUBTFUL = 3
 FEWEST_OF_USUAL = 0.75
 # What the drivers and the sample writer may still hold, in wall seconds.
 SETTLING_WALL_S = 1.0
-# What must have come anew at one operating point before a re-identification is worth its while.
+# What must have come again at one operating point before a re-identification is worth its while.
 NEW_POINT_S = 1500.0
 
 
@@ -82,7 +82,7 @@ class AssetHistory:
         found : list of Window
             All windows there are.
         tried : list of Window
-            What does not count as new, beside the windows of all model versions.
+            What does not count as new, next to the windows of all model versions.
         """
         if not found:
             return False
@@ -193,7 +193,7 @@ class AssetHistory:
             return None
         operating = dict(over.mean)
         if not self._has_ambient:
-            # Nothing on the machine is colder than the hall.
+            # Nothing on the machine is colder than the ambient.
             known = [values[np.isfinite(values)] for values in around.mean.values()]
             coldest = min((float(values.min()) for values in known if values.size), default=np.nan)
             operating[AMBIENT] = np.full(over.minute_us.size, coldest)

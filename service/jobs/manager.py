@@ -72,7 +72,7 @@ class IdentificationJobs:
     Attributes
     ----------
     stalled_after_wall_s : float
-        A worker without a sign of life for so many wall seconds is ended; its job goes on once
+        A worker without a sign of life for this many wall seconds is ended; its job goes on once
         from the checkpoint, then it fails. Until then the jobs of other assets wait.
     """
 

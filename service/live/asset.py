@@ -238,7 +238,7 @@ class AssetRuntime:
         return self._snapshot
 
     def _changed(self) -> None:
-        """Have the next snapshot made anew."""
+        """Have the next snapshot made again."""
         self._snapshot_us = 0
 
     def _tags(self, now_us: int) -> dict[str, dict[str, Any]]:
@@ -296,7 +296,7 @@ class AssetRuntime:
         return {**answer, "missing": self._judgement.blind}
 
     async def envelope(self) -> Mapping[str, Any]:
-        """Return the safe operating envelope, of late or computed now."""
+        """Return the safe operating envelope, recently or computed now."""
         now_us = self._clock.now_us()
         document = await self._planning.envelope(self._forecasting.steps_ahead(now_us))
         measured_c = {

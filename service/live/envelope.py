@@ -128,7 +128,7 @@ class EnvelopeKeeper:
 def with_measured(
     document: Mapping[str, Any], measured_c: Mapping[str, float | None]
 ) -> dict[str, Any]:
-    """Put beside the map what is measured at the present point, and say where the map is too low.
+    """Put next to the map what is measured at the present point, and say where the map is too low.
 
     Parameters
     ----------

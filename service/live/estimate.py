@@ -19,13 +19,13 @@ from twin_core.operating_points import usual_levels
 from twin_core.profiles import OperatingPoint
 from twin_core.windows import stands_at_ambient
 
-# A gap without any knowledge of the operating point longer than this starts the estimate anew,
+# A gap without any knowledge of the operating point longer than this starts the estimate again,
 # and so does a clock that was set back by more than it ever jitters.
 _LONGEST_GAP_S = 1800.0
 _CLOCK_JITTER_S = 60.0
 # So long a heavy machine stays colder than an ambient that has become warmer.
 _REMEMBERS_COLD_S = 6 * 3600.0
-# A longer step is a stop of the service: nobody saw what the machine did.
+# A longer step is a stop of the service: no one saw what the machine did.
 _LONGEST_SEEN_S = 300.0
 
 
@@ -89,8 +89,8 @@ class LiveEstimate:
         self.point: OperatingPoint | None = None
         #: What the sensors said against what was expected, at the last step.
         self.innovations: Mapping[str, Innovation] = {}
-        #: For how long it has followed temperatures, in s; of a machine that began at rest, whose
-        #: state was known then, long enough from the beginning.
+        #: For how long it has followed temperatures, in s; of a machine that began at standstill,
+        #: whose state was known then, long enough from the beginning.
         self.followed_s = 0.0
         self._observer: Observer | None = None
         self._revolutions = 0.0
@@ -190,7 +190,7 @@ class LiveEstimate:
         self._note_surroundings(duration_s, point, temperatures)
 
     def stop(self) -> None:
-        """Give the estimate up; the next good temperatures start it anew."""
+        """Give the estimate up; the next good temperatures start it again."""
         if self._observer is not None:
             self._revolutions = self._observer.revolutions
         self._observer = None
@@ -215,7 +215,7 @@ class LiveEstimate:
         load_n = means.get(LOAD, last.load_n if last else math.nan)
         ambient_c = means.get(AMBIENT, last.ambient_c if last else math.nan)
         if not self._ambient_measured and temperatures:
-            # No ambient sensor: nothing on the machine is colder than the hall.
+            # No ambient sensor: nothing on the machine is colder than the ambient.
             ambient_c = min([*temperatures.values(), *([last.ambient_c] if last else [])])
         names = self.active.model.input_names
         before = dict(zip(names, last.inputs, strict=True)) if last else {}
@@ -274,7 +274,7 @@ class LiveEstimate:
         ------
         ValueError
             If it is not one of this kind of model, or of another bearing; the estimate then
-            starts anew.
+            starts again.
         """
         bearing = self.active.model.machine
         if kept.get("bearing") != bearing:

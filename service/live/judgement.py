@@ -17,7 +17,7 @@ from service.live.readings import Readings
 from service.live.verdict import CODES, Evidence, judge, missing_operation
 from service.site.settings import AssetSection
 
-#: A verdict looks ahead with no older forecast; process s, and at least so many wall s.
+#: A verdict looks ahead with no older forecast; process s, and at least this many wall s.
 FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0
 #: An estimate that was not carried forward for so long does not follow the machine.
 ESTIMATE_MAX_AGE_S, ESTIMATE_MAX_AGE_WALL_S = 60.0, 10.0

@@ -11,10 +11,10 @@ from adapters.samples import Quality, Sample, is_bad, is_good, meaning
 # Samples received so much before the latest one were received before the clock was set back.
 _CLOCK_SET_BACK_US = 1_000_000
 
-#: Data are stale after so many of their usual intervals, but never later than `LONGEST_AGE_S`.
+#: Data are stale after this many of their usual intervals, but never later than `LONGEST_AGE_S`.
 INTERVALS_UNTIL_STALE = 5.0
 LONGEST_AGE_S = 1800.0
-# The usual interval is the median of so many windows of at least a second; known from so many on.
+# The usual interval is the median of this many windows of a second or more; known from the fifth.
 _WINDOWS, _FEWEST_WINDOWS, _WINDOW_US = 31, 5, 1_000_000
 # No value is stale sooner: at rate 1, and with a clock that runs faster than the wall's, where a
 # pause of the processor is that much longer.

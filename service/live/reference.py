@@ -1,6 +1,6 @@
 """The model alone: driven by speed, load and ambient, never corrected by the sensors.
 
-The observer learns what its model lacks and stays on the measurements; beside it this one shows
+The observer learns what its model lacks and stays on the measurements; next to it this one shows
 how far the machine has moved away from its model.
 """
 

@@ -39,7 +39,7 @@ class WhatIfWorker(Executor):
             return self._executor.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the process, also in the middle of a task: nobody waits for the answer any more."""
+        """End the process, also in the middle of a task: no caller waits for its answer."""
         executor, self._executor = self._executor, None
         if executor is None:
             return

@@ -28,7 +28,7 @@ from twin_core.simulation import OperatingProfile, SimulationError, hold_operati
 from twin_core.windows import MinuteData, is_at_rest
 
 MEMBERS = 200
-# A longer time without rows starts the estimate anew: the machine may have done anything.
+# A longer time without rows starts the estimate again: the machine may have done anything.
 _LONGEST_GAP_S = 1800.0
 # Every row of the ensemble takes 30 kB and more; with more rows than this, quantiles are
 # interpolated between the minutes.
@@ -94,7 +94,7 @@ def follow(identified: IdentifiedModel, history: Recording) -> MachineState:
     identified
         The model; it also tells the run-in state at the history's first row.
     history
-        Recorded rows. Where they leave a gap of more than half an hour the estimate starts anew.
+        Recorded rows. Where they leave a gap of more than half an hour the estimate starts again.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _follow(
 ) -> tuple[Observer | None, float]:
     """Observer at the last row, and since when; None where no temperature came since a long gap.
 
-    A machine that began at rest counts as followed without limit: its state was known then.
+    A machine that began at standstill counts as followed without limit: its state was known then.
     """
     profile = hold_operating_point(
         OperatingProfile(

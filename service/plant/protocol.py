@@ -53,7 +53,7 @@ class Publisher(Protocol):
     Made by the `make` of its `PublisherEntry`; that opens nothing. Then, again and again until the
     service stops::
 
-        open -> all tags, asset by asset -> run beside changed tags and alarms -> close
+        open -> all tags, asset by asset -> run next to changed tags and alarms -> close
 
     - `open` is called once per round, and nothing else before it has returned.
     - The first `publish_tags` of an asset after `open` brings all tags that it has (a birth
@@ -77,7 +77,7 @@ class Publisher(Protocol):
         """Connect, or prepare to listen."""
 
     async def run(self) -> None:
-        """Do what is to be done beside publishing, until cancelled or until the round is over."""
+        """Do what is to be done next to publishing, until cancelled or until the round is over."""
 
     async def publish_tags(self, asset: str, tags: Mapping[str, TagValue]) -> Collection[str]:
         """Hand on tags that have changed.
@@ -95,7 +95,7 @@ class Publisher(Protocol):
         """
 
     async def close(self) -> None:
-        """Take leave, where there is somebody to take leave of, and release everything."""
+        """Take leave, where there is someone to take leave of, and release everything."""
 
 
 class Endpoint(NamedTuple):

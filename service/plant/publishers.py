@@ -73,7 +73,7 @@ def make_publishers(
     host: Host,
     registry: CollectorRegistry,
 ) -> list[PublisherRounds]:
-    """Make what is enabled, each to be run beside the service.
+    """Make what is enabled, each to be run next to the service.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class PublisherRounds:
     name
         The publisher's name.
     publisher
-        Opened and closed here, and by nobody else.
+        Opened and closed here, and by no one else.
     period_s
         Wall seconds between two looks for changed tags.
     assets

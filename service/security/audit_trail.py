@@ -54,7 +54,7 @@ class AuditTrail:
         """Write what anybody may cause as often as he likes: one line a minute for each address.
 
         The first is written at once; of those that follow within a minute, one line with their
-        number. Nobody can fill the trail, which cannot be trimmed for a year.
+        number. No one can fill the trail, which cannot be trimmed for a year.
         """
         name = (action, actor.who, site_of(actor.address))
         if name not in self._folds and len(self._folds) >= _MOST_FOLDS:

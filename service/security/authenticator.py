@@ -118,7 +118,7 @@ class Authenticator:
         self.logins = RateLimit(LOGINS_PER_MINUTE)
         self.strangers = RateLimit(UNKNOWN_SESSIONS_PER_MINUTE)
         self.requests = RateLimit(requests_per_minute)
-        # Wrong keys are wrong for ever: a client that goes on with one costs no look-up.
+        # Wrong keys stay wrong: a client that goes on with one costs no look-up.
         self._wrong: OrderedDict[str, None] = OrderedDict()
         self._memory: OrderedDict[str, _Remembered] = OrderedDict()
         # Apart from the threads that serve long queries: a poll never waits behind a report; and
@@ -194,7 +194,7 @@ class Authenticator:
             raise _hangs(UNKNOWN_PATIENCE_S) from None
 
     def forget(self, key_id: str) -> None:
-        """Look a key and its sessions up anew: it was revoked here and now."""
+        """Look a key and its sessions up again: it was revoked here and now."""
         for name, known in list(self._memory.items()):
             if known.principal is not None and known.principal.key_id == key_id:
                 del self._memory[name]
@@ -241,7 +241,7 @@ class Authenticator:
     ) -> Principal | None:
         """Look up in a thread; hundreds of streams with one key wait for one look-up together.
 
-        A store that hangs is asked once for each key, and nobody waits for it longer than that.
+        A store that hangs is asked once for each key, and no caller waits for it longer than that.
         """
         limiter = self._limiter if known else self._unknown_limiter
         patience_s = KNOWN_PATIENCE_S if known else UNKNOWN_PATIENCE_S

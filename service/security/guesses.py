@@ -1,4 +1,4 @@
-"""Wrong keys: an address has only so many, and they leave lines in the audit trail.
+"""Wrong keys: an address has a limited number, and they leave lines in the audit trail.
 
 The same for every way by which a key may come; what a caller is told is the way's own.
 """

@@ -129,7 +129,7 @@ def create_key(
 def verify_key(store: Store, text: str) -> ApiKey | None:
     """Return the record of a key that is valid now; None for any other text.
 
-    The look-up goes by the hash, which tells an attacker's clock nothing about any key; the
+    The look-up goes by the hash, which reveals nothing to an attacker's clock about any key; the
     prefix is compared in constant time on top.
 
     Raises

@@ -11,7 +11,7 @@ _MINUTE_S = 60.0
 
 
 class RateLimit:
-    """So many calls a minute for each caller, a minute's worth of them at once.
+    """A number of calls a minute for each caller, a minute's worth of them at once.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class RateLimit:
     def __init__(self, per_minute: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.per_minute = per_minute
         self._clock = clock
-        # Calls left and when that was counted; only of callers that are not at rest.
+        # Calls left and when that was counted; only of callers that are not idle.
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def wait_s(self, caller: str) -> float:

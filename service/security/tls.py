@@ -18,7 +18,7 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     ----------
     certificate, key : pathlib.Path
         PEM files; the certificate first, then any that lead to the authority. The key carries no
-        password: nobody is there to type it.
+        password: no one is there to type it.
 
     Raises
     ------

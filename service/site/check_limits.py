@@ -12,7 +12,7 @@ from service.site.machines.operating_ranges import TEMPERATURE_C, Range, refused
 # heat of its highest speed and load, put into one ring alone, warms that by less than 2 K/s.
 _TEMPERATURE_RATE_K_PER_S = 2.0
 _TEMPERATURE_JUMP_K = 5.0
-# While a machine runs, noise and the hall's air move a reading of this resolution sooner.
+# While a machine runs, noise and the ambient's air move a reading of this resolution sooner.
 _TEMPERATURE_FLAT_S = 1800.0
 _FLAT_RESOLUTION_K = 0.2
 

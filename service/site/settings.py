@@ -79,9 +79,9 @@ _TEN_YEARS_DAYS = 3652
 
 
 class RetentionSection(Section):
-    """Days for which history is kept at each resolution, without a number for ever.
+    """Days for which history is kept at each resolution, None for no limit.
 
-    Journal of the alarms (process time) and audit trail (wall clock): with 0 for ever.
+    Journal of the alarms (process time) and audit trail (wall clock): with 0 without limit.
     """
 
     raw_days: Days | None = None

@@ -18,7 +18,7 @@ from service.store.opening import open_database
 from service.store.tables import Base
 
 _TABLES = sorted([*Base.metadata.tables, "alembic_version"])
-#: Tables whose rows make a store that somebody would miss.
+#: Tables whose rows make a store that someone would miss.
 _MISSED = ("samples", "model_versions", "api_keys", "alarms")
 
 

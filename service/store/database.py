@@ -63,7 +63,7 @@ class Turn:
         self._is_taken = False
 
     def acquire(self, timeout_s: float) -> bool:
-        """Wait for the turn; False when it did not come within so many wall seconds."""
+        """Wait for the turn; False when it did not come within this many wall seconds."""
         with self._guard:
             if not self._is_taken:
                 self._is_taken = True

@@ -29,7 +29,7 @@ CHECK_S = 2.0
 _ANSWER_S = 8.0
 _END_S = 1.0
 
-#: Number of the advisory lock, with the schema's beside it; any that nobody else uses.
+#: Number of the advisory lock, with the schema's next to it; any that no one else uses.
 _SERVICE_LOCK = 0x42545773
 _LOCK = f"pg_try_advisory_lock({_SERVICE_LOCK}, hashtext(current_schema()))"
 _HOLDER = f"""
@@ -132,7 +132,7 @@ class DatabaseLock(Closable):
                     self._on_lost()
                     return
                 except psycopg.Error:
-                    continue  # the server is away: nobody else can take the lock either
+                    continue  # the server is away: no one else can take the lock either
                 _log.info("database_locked_again")
 
     def close(self) -> None:

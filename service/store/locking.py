@@ -98,7 +98,7 @@ def lock_sqlite_file(path: Path) -> DataDirectoryLock:
     DatabaseInUseError
         If another service has it.
     StoreError
-        If the lock beside it cannot be made or written.
+        If the lock next to it cannot be made or written.
     """
     lock = _lock_of(path)
     try:

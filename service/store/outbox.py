@@ -43,7 +43,7 @@ CREATE TABLE IF NOT EXISTS changes (
 _PROBE = "SELECT number, sender, document, checksum FROM changes"
 #: Some 700 changes find room on a full disk.
 _RESERVED_BYTES = 2**20
-#: Both the store and the disk are left alone so many wall seconds after they refused.
+#: Both the store and the disk are left alone this many wall seconds after they refused.
 _RETRY_S = 0.5
 #: Wall seconds that `flush` gives the disk.
 _DISK_PATIENCE_S = 10.0
@@ -179,7 +179,7 @@ class Outbox(Closable):
             return not self.waiting
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """Write what is left, for at most so many wall seconds; what the store lacks stays."""
+        """Write what is left, for at most this many wall seconds; what the store lacks stays."""
         self.flush(timeout_s)
         with self._condition:
             self._closing = True

@@ -13,7 +13,7 @@ from service.store.tables import AlarmTransitionRow, AuditRow
 
 #: Wall seconds for a change that can wait in its outbox.
 _DELIVERY_PATIENCE_S = 1.0
-#: So many old lines go in one transaction; the others have their turn in between.
+#: This many old lines go in one transaction; the others have their turn in between.
 _PORTION = 1000
 
 

@@ -37,7 +37,7 @@ PARTITION_US = 2**41
 #: Wall seconds beyond the patience of a transaction in which the server must answer.
 _ANSWER_MARGIN_S = 2.0
 _PATIENCE = "bearing_twin_patience_s"
-#: Number of the advisory lock that a writing transaction holds; any that nobody else uses.
+#: Number of the advisory lock that a writing transaction holds; any that no one else uses.
 _WRITERS_LOCK = 0x42545772
 _INCOMING = """
 CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
@@ -243,7 +243,7 @@ def _engine(url: URL, answer_s: float | None) -> Engine:
             limit_s = min(limit_s, patience_s + _ANSWER_MARGIN_S)
         raw: Any = connection.connection.driver_connection
         raw.answer_s = limit_s
-        # A server that is only slow ends by itself what nobody waits for any more.
+        # A server that is only slow ends by itself what no caller waits for any more.
         limit_ms = 0 if limit_s is None else round(limit_s * 1000)
         if writes:
             connection.exec_driver_sql(

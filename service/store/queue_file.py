@@ -24,7 +24,7 @@ _UNREADABLE = {
     sqlite3.SQLITE_IOERR_SHORT_READ,
     sqlite3.SQLITE_IOERR_CORRUPTFS,
 }
-#: A file that was found damaged so many times is mended while the service runs.
+#: A file that was found damaged this many times is mended while the service runs.
 _PATIENCE = 3
 _COMPANIONS = ("", "-journal", "-wal", "-shm")
 #: Where the number of waiting rows stands in the first page of the file.
@@ -146,12 +146,12 @@ class QueueFile:
         return cls(path, layout)
 
     def on_mended(self, react: Callable[[Mended], None]) -> None:
-        """Have this called, while nobody else has the connection, when the file was mended."""
+        """Have this called, while no one else has the connection, when the file was mended."""
         self._on_mended = react
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
-        """Give the connection, to nobody else meanwhile.
+        """Give the connection, to no one else meanwhile.
 
         Raises
         ------

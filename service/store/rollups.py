@@ -31,7 +31,7 @@ _COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "goo
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Days for which each resolution is kept, None for ever; journal and audit trail: 0.
+    """Days for which each resolution is kept, None without limit; journal and audit trail: 0.
 
     Raw samples that expire are condensed to seconds when those are kept longer.
     """

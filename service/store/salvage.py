@@ -70,7 +70,7 @@ def damage_of(path: Path) -> str | None:
 def salvage_store(path: Path, problem: str) -> Salvaged:
     """Put what can be read of a damaged store into a new file in its place; keep the damaged one.
 
-    Nobody else may have the file open.
+    No one else may have the file open.
 
     Parameters
     ----------

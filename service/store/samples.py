@@ -294,7 +294,7 @@ def _make_channel(connection: Connection, asset: str, name: str) -> int:
     known = connection.scalar(query)
     if known is not None:
         return known
-    # Nobody else writes meanwhile: the connection holds the right to.
+    # No one else writes meanwhile: the connection holds the right to.
     return connection.execute(
         insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
     ).scalar_one()

@@ -36,7 +36,7 @@ ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality 
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
 _ROW = "(?, ?, ?, ?)"
-#: So many rows go in by one statement: the other threads run meanwhile, which they cannot when
+#: This many rows go in by one statement: the other threads run meanwhile, which they cannot when
 #: every row is a step of its own. SQLite takes 32,766 parameters.
 _ROWS = 1024
 #: Copies that upgrades of the tables have left.

@@ -52,7 +52,7 @@ class ChannelRow(Base):
 class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once.
 
-    The channel is not held against the table of channels, see migrations 0003 and 0005.
+    The channel is not compared with the table of channels, see migrations 0003 and 0005.
     """
 
     __tablename__ = "samples"
@@ -300,7 +300,7 @@ class BrowserSessionRow(Base):
 
 
 class AuditRow(Base):
-    """The audit trail: one line per change that somebody asked for.
+    """The audit trail: one line per change that someone asked for.
 
     The database changes none, and deletes none of the last year; see migrations 0004 and 0008.
     """

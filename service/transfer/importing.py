@@ -12,7 +12,7 @@ from service.transfer.errors import TransferError
 from service.transfer.mapping import Layout, layout_of, read_mapping, time_reader
 
 BATCH_SAMPLES = 20_000
-#: So many bad rows are told one by one; all are counted.
+#: This many bad rows are reported one by one; all are counted.
 REJECTED_TOLD = 100
 
 # What no machine shows: sentinels and shifted columns must not pass as measurements.

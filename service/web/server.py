@@ -1,4 +1,4 @@
-"""The HTTP server: uvicorn with limits on connections, heads, bodies and answers nobody reads.
+"""The HTTP server: uvicorn with limits on connections, heads, bodies and answers no one reads.
 
 uvicorn bounds the time between two requests of a connection, but neither the time before the first
 one nor that of a body, and it accepts connections until no descriptor is left for the store and
@@ -53,7 +53,7 @@ def allow_open_files() -> int:
 
 
 class Doorway(socket.socket):
-    """A listening socket that lets in so many connections in all, and of one address.
+    """A listening socket that lets in this many connections in all, and of one address.
 
     It takes over the descriptor of a bound socket. Whoever comes beyond the limits is hung up on
     at once: that costs a few microseconds and no descriptor.

@@ -1,4 +1,4 @@
-"""Fair shares: so many turns at once for everybody together and for each caller."""
+"""Fair shares: this many turns at once for everybody together and for each caller."""
 
 import asyncio
 import contextlib
@@ -124,7 +124,7 @@ class Shares:
         def done(future: "asyncio.Future[Result]") -> None:
             self.leave(caller)
             if not future.cancelled():
-                future.exception()  # looked at, also where nobody waits for it any more
+                future.exception()  # looked at, also where no caller waits for it any more
 
         working.add_done_callback(done)
         return await asyncio.shield(working)

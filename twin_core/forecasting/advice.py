@@ -44,7 +44,7 @@ PAIR_DURATIONS_S = (2700.0, 3600.0)
 _ROUND_LOAD_N = 50.0
 _ROUND_SPEED_RPM = 50.0
 _LEAST_LOAD_RATIO = 1.15
-# Steps whose intervals differ by less than this are told apart by how long they take.
+# Steps whose intervals differ by less than this are distinguished by how long they take.
 _ALIKE_WIDTHS = 1.03
 _WORTH_WHILE = 0.10
 _TAUGHT_S = 1200.0
@@ -174,7 +174,7 @@ def advise(
     alarm_limits
         Temperatures that no upper edge on the way to the target may reach; `limits` if not given.
     measured
-        Names of the sensors and nodes that the machine has a thermometer at; the model's standard
+        Names of the sensors and nodes at which the machine has a sensor; the model's standard
         sensors if not given.
     members, seed
         Of the ensemble that tells the present interval.

@@ -64,7 +64,7 @@ class Design:
     sensors
         Names of the sensors that are forecast.
     measured
-        Names of the sensors and nodes that the machine has a thermometer at; others are ignored.
+        Names of the sensors and nodes at which the machine has a sensor; others are ignored.
     target
         What is to be forecast: the reading of every sensor at the end of this level.
 

@@ -46,7 +46,7 @@ LOAD_DEVIATION = 0.04
 """What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in
 the model: a deviation by this part of a sensor's rise over ambient, per ln(load / trained load)."""
 START_DEVIATION = 0.04
-"""No start is like another: the grease is pushed aside anew, and an inner ring that warms up ahead
+"""No start is like another: the grease is pushed aside again, and an inner ring that warms up ahead
 of its housing tightens the bearing. A deviation by this part of a sensor's rise over ambient from
 the first start out of standstill on; by that of all sensors' mean rise where it is more, for heat
 that goes another way comes from the hottest part."""

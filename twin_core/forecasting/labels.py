@@ -66,7 +66,7 @@ def forecast_labels(
         ``"load law from prior only"`` when the profile goes more than 10 % beyond the trained
         loads and the data hold a single load, or hold several and yet left the law of load where
         the prior had it: a second load stage is needed. Where the duty varies, a law that the data
-        inform counts as taught whatever loads lasted. ``"speed law from prior only"`` likewise for
+        inform counts as taught whatever loads lasted. ``"speed law from prior only"`` also for
         speeds.
         ``"NAME beyond the identification data"`` when an input that drives a
         loss goes as far beyond them.

@@ -27,7 +27,7 @@ class Checkpoint:
     ----------
     order
         What is identified from what and how; two orders that are equal give the same result. Data
-        and model are in it through costs at the prior's centre and beside it.
+        and model are in it through costs at the prior's centre and next to it.
     evaluations, history, best_fitness, fraction
         Of the whole identification so far.
     search

@@ -10,7 +10,7 @@ very well, and it is those that forecasts rest on.
 The rank counts the combinations that leave any trace at all in noise-free data. One operating point
 too few shows in it: with one speed the paper's 15 parameters have rank 6, with two 11, with three
 or more 15 (a network whose contact resistances and four Nusselt numbers depend on speed by laws of
-several parameters each cannot be told apart at fewer speeds).
+several parameters each cannot be distinguished at fewer speeds).
 """
 
 from collections.abc import Sequence

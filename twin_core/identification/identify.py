@@ -226,7 +226,7 @@ def default_budget(method: Method) -> int:
 
 
 def _prior_costs(problem: IdentificationProblem) -> list[float | None]:
-    """Costs at the prior's centre and beside it: other data or another model give other ones."""
+    """Costs at the prior's centre and next to it: other data or another model give other ones."""
     p = problem.parameter_count
     costs = problem.costs(np.stack((np.zeros(p), np.full(p, 0.1))))
     return [float(cost) if np.isfinite(cost) else None for cost in costs]

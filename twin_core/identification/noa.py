@@ -9,7 +9,7 @@ point                  ``released``                          ``printed``
 =====================  ====================================  =====================================
 exploration or storage explore where rand < P_a1 (early)     explore where rand > P_a1 (late)
 recovery or search     recover where rand < P_a2 = 0.2       recover where rand > P_a2
-mu of Eq. 2            two coins; uniform anew for storage   r1 < r2, r2 < r3, else
+mu of Eq. 2            two coins; uniform again for storage   r1 < r2, r2 < r3, else
 storage around best    half of the coordinates               all coordinates
 l of Eq. 3             rand (1 - t/T)                        1 - t/T
 jump of Eq. 10         U                                     (U - L) tau + L

@@ -190,7 +190,7 @@ def repair(
     trial
         (n, d) points. A NaN coordinate counts as outside.
     redraw
-        (n, 1) one coin per trial: True draws every violating coordinate anew in its box, False
+        (n, 1) one coin per trial: True draws every violating coordinate again in its box, False
         clamps all of them (NaN goes to the lower bound).
     uniform
         (n, d) uniform numbers for the new draws.

@@ -36,7 +36,7 @@ class TrainedRange:
     minutes
         Number of rows.
     from_rest
-        Whether any window began on a machine at rest.
+        Whether any window began on a machine at standstill.
     revolutions
         Revolutions since the grease was fresh, at the first row.
     ambient_c
@@ -80,7 +80,7 @@ class TrainedRange:
 
     @property
     def distinct_speeds(self) -> int:
-        """Number of speeds that differ by more than 10 % and lasted 20 minutes, likewise."""
+        """Number of speeds that differ by more than 10 % and lasted 20 minutes, also."""
         return len(taught_values(self.operating_points, self.duty, "speed_rpm", NEW_SPEED))
 
 

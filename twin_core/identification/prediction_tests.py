@@ -1,4 +1,4 @@
-"""What a candidate model must predict: parts of the data that are held back from its nested fit.
+"""What a candidate model must predict: parts of the data that are delayed from its nested fit.
 
 The most demanding operating point tells how it extrapolates, the latest one whether it still holds.
 """

@@ -2,7 +2,7 @@
 
 Unknowns are the model's standard coordinates z (prior N(0, 1) each), the lag of the temperature
 sensors, and for every window standard coordinates of its initial temperatures: around what its
-first measurements suggest, or one common deviation from ambient if the machine stood at rest.
+first measurements suggest, or one common deviation from ambient if the machine stood at standstill.
 Residuals are those of all sensors, whitened, and the unknowns themselves (their priors); half the
 sum of their squares is the negative log posterior.
 """
@@ -29,7 +29,7 @@ from twin_core.windows import MinuteData
 FloatArray = NDArray[np.float64]
 
 _INITIAL_STATE_LIMIT = 6.0
-# A machine that stood still is at the temperature of its hall, give or take a day's swing.
+# A machine that stood still is at the temperature of its surroundings, give or take a day's swing.
 _REST_SPREAD_K = 0.3
 # A PT100 in its bore follows within some 5 to 30 s. Unaccounted for, that looks like a weaker
 # dependence of the friction on temperature wherever a temperature climbs.
@@ -107,7 +107,7 @@ class _Span:
     """One window prepared for simulation.
 
     ``unknown`` says which of the problem's unknowns hold the initial state's coordinates: one per
-    node, or a single common deviation from ambient for a window that began at rest.
+    node, or a single common deviation from ambient for a window that began at standstill.
     """
 
     profile: OperatingProfile

@@ -1,6 +1,6 @@
 """Samples of the posterior by randomised maximum likelihood.
 
-Data and priors are perturbed as their error models say, and each perturbed problem is solved anew:
+Data and priors are perturbed as their error models say, and each perturbed problem is solved again:
 exact where the model is linear, and close to a long Markov chain here (median and width of the
 forecast at 5500 N within 0.4 K of one on virtual benches). Samples of the Laplace approximation
 are not good enough: along the sloppy directions they leave the curved valley of good fits, shift

@@ -28,7 +28,7 @@ class StoppingCriteria:
     target
         The best fitness is at most this.
     stagnation_sweeps
-        Over so many sweeps the best fitness fell by less than 0.1 %. NOA explores early and
+        Over this many sweeps the best fitness fell by less than 0.1 %. NOA explores early and
         settles late, so a small number ends it before it has begun to converge.
     spread
         In every coordinate the members lie within this share of the box.

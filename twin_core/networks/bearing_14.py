@@ -2,7 +2,7 @@
 
 Thirteen state nodes and the ambient (node 14). Geometry that the paper does not give is that of
 a test bench of its size: a steel drum of 200 mm with the bearing in its middle, two end caps, a
-shaft in two parts with two sleeves beside the bearing, all on a steel plate.
+shaft in two parts with two sleeves next to the bearing, all on a steel plate.
 """
 
 import math
@@ -252,7 +252,7 @@ def bearing_14_data(bearing: Bearing) -> Bearing14:
 
 
 def with_shoulders(data: Bearing14) -> Bearing14:
-    """Let the heat that leaves by the seat and that of a sleeve share the shaft beside them.
+    """Let the heat that leaves by the seat and that of a sleeve share the shaft next to them.
 
     Both enter the shaft at its shoulder and leave along the same bar, of which a third lies
     between the shoulder and the bar's mean temperature. Two separate ways to that mean, as in the
@@ -315,7 +315,7 @@ def _sensor(name: str, weights: dict[int, float]) -> Sensor:
 
 
 def _grease_kg(bearing: Bearing) -> float:
-    """Mass of the grease in the bearing and in the two 10 mm cavities beside it."""
+    """Mass of the grease in the bearing and in the two 10 mm cavities next to it."""
     outer, width = bearing.outer_mm * 1e-3, bearing.width_mm * 1e-3
     solid = (
         (bearing.inner_ring_kg + bearing.outer_ring_kg) / materials.RING_STEEL.density_kg_m3

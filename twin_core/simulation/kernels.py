@@ -180,7 +180,7 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
     Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
     lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
     plus the inputs (friction, films, ambient, disturbance) and their changes, each times what it
-    does to every y in one step; the active temperatures follow by products prepared likewise.
+    does to every y in one step; the active temperatures follow by products prepared also.
     """
     count = net.capacity.size
     width = padded(count, LANES)

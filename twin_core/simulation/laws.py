@@ -1,6 +1,6 @@
 """What single parts of a network do: edges, the friction heat, films.
 
-Each function is compiled into all kernels. Limits at and near standstill are explained beside
+Each function is compiled into all kernels. Limits at and near standstill are explained next to
 their constants.
 """
 

@@ -154,7 +154,7 @@ def hold_operating_point(
 ) -> OperatingProfile:
     """Replace measurement noise of speed and load by the mean over runs of like rows.
 
-    Simulating decomposes the network anew for every new (speed, load). Measured minute averages
+    Simulating decomposes the network again for every new (speed, load). Measured minute averages
     differ in the last digits all the time; this joins neighbouring rows whose speed and load lie
     within the tolerance of the run's time-weighted mean. As this holds for *every* row of a run,
     no value moves by more than the tolerance: steps stay where they are and a ramp becomes a
@@ -167,7 +167,7 @@ def hold_operating_point(
     speed_fraction, speed_tolerance_rpm
         Tolerance of speed: fraction of the mean plus a constant.
     load_fraction, load_tolerance_n
-        Tolerance of load likewise.
+        Tolerance of load also.
 
     Returns
     -------

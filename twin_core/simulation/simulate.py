@@ -196,7 +196,7 @@ def steady_state(
     ambient_c: float,
     revolutions: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Temperatures that a machine at rest at ambient reaches at a constant operating point.
+    """Temperatures that a machine at standstill at ambient reaches at a constant operating point.
 
     Approached in time from the cold side, so that of several equilibria the one is found that
     the machine would reach; polished by Newton until the heat balance of every node closes.

@@ -35,7 +35,7 @@ class CanSource(SourceConfig):
 
     @property
     def least_max_age_s(self) -> float:
-        """Two seconds: nobody asks for a message, and none is late for a slow answer."""
+        """Two seconds: no one asks for a message, and none is late for a slow answer."""
         return 2.0
 
     @property

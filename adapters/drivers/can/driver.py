@@ -50,7 +50,7 @@ class CanDriver:
         loop = asyncio.get_running_loop()
 
         def notify() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has been closed: nobody listens
+            with contextlib.suppress(RuntimeError):  # the loop has been closed: no one listens
                 loop.call_soon_threadsafe(self._arrived.set)
 
         self._arrived.clear()
@@ -73,7 +73,7 @@ class CanDriver:
             logger.warning("source %s: its library is slow to close the bus", self.name)
 
     async def batches(self) -> AsyncIterator[Batch]:
-        """Yield what has come for ever; cancel to stop.
+        """Yield what has come without end; cancel to stop.
 
         Raises
         ------

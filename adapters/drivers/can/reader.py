@@ -25,10 +25,10 @@ logger = logging.getLogger(__name__)
 RECEIVE_S = 0.25  # one wait for a frame; also how long a stop may take to be noticed
 RECONNECT_FIRST_S = 0.2
 RECONNECT_LAST_S = 5.0
-SILENCE_FIRST_S = 10.0  # without any frame the bus is opened anew: a peer can vanish silently
+SILENCE_FIRST_S = 10.0  # without any frame the bus is opened again: a peer can vanish silently
 SILENCE_LAST_S = 60.0
 
-CAPACITY = 50_000  # samples kept while nobody takes them
+CAPACITY = 50_000  # samples kept while no one takes them
 MOST_GARBAGE = 50  # unreadable lines in a row
 MOST_EMPTY_READS = 50  # reads in a row that return nothing long before their time
 
@@ -115,7 +115,7 @@ class Reader(threading.Thread):
                 opened_before = True
                 try:
                     self._listen(bus)
-                except Exception as error:  # likewise
+                except Exception as error:  # also
                     self._count("bus")
                     self._lose(f"{self._source.channel}: {_reason(error)}")
                 finally:

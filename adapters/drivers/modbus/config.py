@@ -98,7 +98,7 @@ ModbusSource = ModbusTcpSource | ModbusRtuSource
 
 
 class ModbusStatus(StrictModel):
-    """A status word beside a channel: any of the named bits set makes the channel bad.
+    """A status word next to a channel: any of the named bits set makes the channel bad.
 
     `kind` defaults to the channel's. For coils and discrete inputs, bit n is address register + n.
     """

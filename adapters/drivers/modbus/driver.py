@@ -139,7 +139,7 @@ class ModbusDriver:
         )
 
     async def batches(self) -> AsyncIterator[Batch]:
-        """Yield one batch per poll for ever; cancel to stop."""
+        """Yield one batch per poll without end; cancel to stop."""
         due_us = self._clock.now_us()
         interval_us = round(self._source.poll_interval_s * 1e6)
         try:
@@ -219,7 +219,7 @@ class ModbusDriver:
         return Batch(samples, plans, time.monotonic() - started if read else None)
 
     def _is_due_on_this_link(self, unit: _Unit) -> bool:
-        """Decide how a silent unit is tried again: on this link only if that delays nobody."""
+        """Decide how a silent unit is tried again: on this link only if that delays no one."""
         if unit.probe is not None:
             if not unit.probe.done():
                 return False
@@ -230,7 +230,7 @@ class ModbusDriver:
                 return False
             return True
         now = time.monotonic()
-        # The long waits spare the others a delay; where nobody answers there are no others.
+        # The long waits spare the others a delay; where no one answers there are no others.
         soon = unit.tried_at + RECONNECT_LAST_S
         alone = all(other.silent for other in self._units)
         if now < (min(unit.retry_at, soon) if alone else unit.retry_at):

@@ -65,7 +65,7 @@ class Link:
         return self._client is not None and self._client.connected
 
     async def connect(self) -> bool:
-        """Connect anew; tell whether it worked."""
+        """Connect again; tell whether it worked."""
         self.drop()
         client = self._new_client()
         self._client = client

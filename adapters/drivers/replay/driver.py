@@ -64,7 +64,7 @@ class ReplayDriver:
         return self._health
 
     async def batches(self) -> AsyncIterator[Batch]:
-        """Yield what is due; when the file has ended, wait for ever or begin again."""
+        """Yield what is due; when the file has ended, wait without end or begin again."""
         self._health.up, self._health.detail = True, "ok"
         while True:
             async for batch in self._once():

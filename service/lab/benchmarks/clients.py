@@ -21,7 +21,7 @@ _PATIENCE_S = 30.0
 
 
 def quantile(values: Sequence[float], probability: float) -> float:
-    """The smallest of the values that so many of them do not exceed; NaN of none."""
+    """The smallest of the values that this many of them do not exceed; NaN of none."""
     if not values:
         return math.nan
     return sorted(values)[max(math.ceil(probability * len(values)) - 1, 0)]

@@ -18,7 +18,7 @@ from twin_core.windows import MinuteData
 
 
 def identified(name: str, designation: str, rows: MinuteData) -> IdentificationResult:
-    """Identify a model with the default method from rows that begin at rest."""
+    """Identify a model with the default method from rows that begin at standstill."""
     model = build_model(name, bearing=bearing(designation))
     return identify(model, IdentificationData((IdentificationWindow(rows, at_rest=True),)))
 

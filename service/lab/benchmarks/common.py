@@ -22,7 +22,7 @@ class Measurement:
     value, unit
         The figure: seconds, per second, bytes.
     reference
-        The figure measured beside it in the same run, same unit; None if there is none.
+        The figure measured next to it in the same run, same unit; None if there is none.
     compared_with
         What the reference is, for people.
     extra

@@ -13,7 +13,7 @@ MINUTES = 240
 
 
 def forecast_ensemble(tell: Progress) -> Measurement:
-    """A step to 5600 rpm and 4000 N, beside as many single simulations one after the other."""
+    """A step to 5600 rpm and 4000 N, next to as many single simulations one after the other."""
     tell(0.0, "a virtual bench runs")
     run = bench_run()
     tell(0.2, "identification")

@@ -25,7 +25,7 @@ _RAW_BYTES = 17.0  # 8 for the time, 8 for the value, 1 for the quality
 
 
 def query_auto(tell: Progress, *, days: float = 30.0) -> Measurement:
-    """Six channels at 1 Hz over 30 days, ``auto`` for a screen, beside reading the raw rows."""
+    """Six channels at 1 Hz over 30 days, ``auto`` for a screen, next to reading the raw rows."""
     seconds = round(86_400 * days)
     with tempfile.TemporaryDirectory() as folder, Store.open("", Path(folder)) as store:
         _fill(store, seconds, lambda done: tell(0.9 * done, f"storing {days:g} days at 1 Hz"))
@@ -77,7 +77,7 @@ def bytes_per_sample(tell: Progress, *, days: float = 1.0) -> Measurement:
 
 
 def _fill(store: Store, seconds: int, tell: Callable[[float], None]) -> None:
-    """Store so many seconds of all channels at 1 Hz, in order of time, and the rollups."""
+    """Store this many seconds of all channels at 1 Hz, in order of time, and the rollups."""
     for begin in range(0, seconds, _BATCH_S):
         samples = []
         for second in range(begin, min(begin + _BATCH_S, seconds)):

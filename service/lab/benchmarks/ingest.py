@@ -36,7 +36,7 @@ _CHANNELS = tuple(f"channel_{number:02d}" for number in range(32))
 _POLLS = 16  # in one batch of the source
 _PERIOD_US = 1000
 _BEGIN_US = 1_700_000_000_000_000
-# The source waits while so many samples are on their way: nothing is ever skipped.
+# The source waits while this many samples are on their way: nothing is ever skipped.
 _UNDERWAY = 6 * BATCH_SAMPLES
 _MIB = 2**20
 
@@ -95,7 +95,7 @@ class _Source:
 
 
 def ingest_sqlite(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
-    """Samples/s into SQLite, beside `sqlite3.executemany` of the same rows in the same batches."""
+    """Samples/s into SQLite, next to `sqlite3.executemany` of the same rows in the same batches."""
     with tempfile.TemporaryDirectory() as folder:
         plain_file = Path(folder) / "plain.db"
         with contextlib.closing(sqlite3.connect(plain_file, isolation_level=None)) as plain:
@@ -114,7 +114,7 @@ def ingest_sqlite(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
 
 
 def ingest_postgresql(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
-    """Samples/s into PostgreSQL, beside psycopg's binary COPY of the same rows."""
+    """Samples/s into PostgreSQL, next to psycopg's binary COPY of the same rows."""
     with (
         tempfile.TemporaryDirectory(prefix="pg", ignore_cleanup_errors=True) as folder,
         _database(Path(folder)) as url,

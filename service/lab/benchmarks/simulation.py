@@ -37,7 +37,7 @@ def staircase() -> OperatingProfile:
 
 
 def simulate_14_node(tell: Progress) -> Measurement:
-    """The paper's model over the staircase, beside a plain kernel without corrector."""
+    """The paper's model over the staircase, next to a plain kernel without corrector."""
     model = build_model("paper", bearing=bearing(BEARING))
     profile = staircase()
     tell(0.0, "the twin's kernel")
@@ -72,7 +72,7 @@ def simulate_14_node(tell: Progress) -> Measurement:
 
 
 def simulate_vs_lsoda(tell: Progress) -> Measurement:
-    """The paper's model over the staircase, beside scipy's LSODA on the same right-hand side."""
+    """The paper's model over the staircase, next to scipy's LSODA on the same right-hand side."""
     model = build_model("paper", bearing=bearing(BEARING))
     profile = staircase()
     tell(0.0, "the twin's kernel")
@@ -116,7 +116,7 @@ def _sensor_error_k(model: ThermalModel, path: FloatArray, exact: FloatArray) ->
 
 
 def _solved(model: ThermalModel, method: str, relative: float, absolute: float) -> FloatArray:
-    """Temperatures (541, nodes) by a solver of scipy, begun anew at every change of speed."""
+    """Temperatures (541, nodes) by a solver of scipy, begun again at every change of speed."""
     values = model.parameters.centre
     capacity = kernels.bind_network(model.compiled, values)[0]
     rows = [np.full(capacity.size, AMBIENT_C)]

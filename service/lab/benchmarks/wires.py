@@ -92,7 +92,7 @@ async def _store_frames(rate: float, seconds: float) -> tuple[int, int, float]:
 
 
 async def _until_stored(ingest: Ingest, expected: int) -> float:
-    """Moment (monotonic) of the last progress towards so many stored samples."""
+    """Moment (monotonic) of the last progress towards this many stored samples."""
     seen, moment = -1, time.monotonic()
     while seen < expected and time.monotonic() - moment < _PATIENCE_S:
         stored = ingest.counts()["stored"]

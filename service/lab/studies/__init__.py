@@ -1,1 +1,1 @@
-"""The paper's studies: tables with its figures beside ours, and plots as it draws them."""
+"""The paper's studies: tables with its figures next to ours, and plots as it draws them."""

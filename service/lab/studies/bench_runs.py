@@ -1,8 +1,8 @@
 """Runs of virtual benches as the twin sees them: minute rows, identification, forecast, scores.
 
 The data come from the virtual bench's physics, which share nothing with the twin's. A bench starts
-cold and at rest; the twin is identified from the first rows, its observer follows the machine to
-the present and forecasts the rest.
+cold and at standstill; the twin is identified from the first rows, its observer follows the
+machine to the present and forecasts the rest.
 """
 
 import time
@@ -153,7 +153,7 @@ def run_bench(
     speed_ramp_rpm_per_s
         How fast the drive follows a new set-point.
     node_sensors
-        Whether thermometers of the same kind sit in the paper's 13 nodes as well.
+        Whether temperature sensors of the same kind sit in the paper's 13 nodes as well.
     """
     steps = tuple(
         Step(f"{one.speed_rpm:g} rpm {one.load_n:g} N", 60.0 * one.minutes, *one[1:], risk="high")

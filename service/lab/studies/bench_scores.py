@@ -150,7 +150,7 @@ def beside(
     begun: int,
     spans: Sequence[tuple[int, int]],
 ) -> list[tuple[ForecastScore, ...]]:
-    """The twin and the methods beside it, scored over one span of rows after another.
+    """The twin and the methods next to it, scored over one span of rows after another.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def text(value: float | None, digits: int = 2) -> str:
 def methods_tables(
     title: str, conditions: Mapping[str, Sequence[ForecastScore]]
 ) -> tuple[Table, Table]:
-    """The twin and the methods beside it, one row each: largest errors, and scores.
+    """The twin and the methods next to it, one row each: largest errors, and scores.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class Options:
         return {field.name for field in fields(self) if getattr(self, field.name) is not None}
 
     def seeds(self, benches: int) -> range:
-        """Seeds of the benches, where a study by itself takes so many."""
+        """Seeds of the benches, where a study by itself takes this many."""
         first = FIRST_SEED if self.seed is None else self.seed
         return range(first, first + (self.benches or benches))
 

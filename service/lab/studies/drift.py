@@ -1,10 +1,10 @@
 """Study ``drift``: a machine followed over model versions, with and without a change.
 
-Random benches run equal days of low points; every half day is identified by itself and held against
+Random benches run equal days of low points; every half day is identified alone and compared with
 the halves before it. Two controls without any change count the false reports: the same plan every
 day, and the same points every day in another order and for other times. Three machines change: by
 slow ageing of the grease, by grease that bleeds, by a housing that gets covered. What the twin says
-has the bench's own truth beside it.
+has the bench's own truth next to it.
 """
 
 from collections.abc import Sequence
@@ -213,7 +213,7 @@ def _benches(results: Sequence[RunResult]) -> Table:
 
 
 def _draw(results: Sequence[RunResult]) -> "Figure":
-    """Change of both quantities against the unchanged versions, truth beside it, one bench."""
+    """Change of both quantities against the unchanged versions, truth next to it, one bench."""
     drawn = figure(3.2 * len(results), 6.0)
     axes = drawn.subplots(2, len(results), squeeze=False, sharex="col", sharey="row")
     for column, result in enumerate(results):

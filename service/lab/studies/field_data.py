@@ -44,7 +44,7 @@ LOW_KW, HIGH_KW = 500.0, 1200.0
 NESTED_LOW_KW, NESTED_HIGH_KW = 250.0, 400.0
 SPAN_S, HORIZON_S = 6 * 3600.0, 24 * 3600.0
 MOST_SPANS = 60
-"""A fit takes at most so many spans, evenly chosen; more hardly teach a network of one node."""
+"""A fit takes at most this many spans, evenly chosen; more hardly teach a network of one node."""
 
 _LIMIT_Z = 3.8
 # Heat in W per rpm and N mm of friction moment.

@@ -1,4 +1,4 @@
-"""The table that stands beside every forecast of a study: the twin, and what it must beat.
+"""The table that stands next to every forecast of a study: the twin, and what it must beat.
 
 All methods learn from the same rows, know the same profile ahead and the same readings at its
 first row, and are scored against the same temperatures.
@@ -65,7 +65,7 @@ def compare(
     twin: Forecast | SensorForecast,
     truth_c: Mapping[str, FloatArray] | None = None,
 ) -> tuple[ForecastScore, ...]:
-    """Score the twin and the methods beside it.
+    """Score the twin and the methods next to it.
 
     Parameters
     ----------

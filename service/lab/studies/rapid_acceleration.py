@@ -46,7 +46,7 @@ ACCELERATIONS = (
     Stage(45, 6200.0, LOAD_N),
 )
 RAMP_RPM_PER_S = 300.0
-# Figures 12b and 12c; which of the two thermometers is which the paper's text does not say.
+# Figures 12b and 12c; which of the two temperature sensors is which the paper's text does not say.
 PAPER_R_SQUARED = (0.9821, 0.9939)
 
 
@@ -67,7 +67,7 @@ class BenchResult:
     planned
         Of the whole test, where set-points and the ambient before the test were all that was known.
     methods
-        The twin and the methods beside it.
+        The twin and the methods next to it.
     shown
         Curves of the test.
     """
@@ -172,7 +172,7 @@ def report(results: Sequence[BenchResult]) -> Report:
 
 
 def _draw(drawn: BenchResult) -> "Figure":
-    """Figure 12 of the paper: curves, and agreement of both thermometers."""
+    """Figure 12 of the paper: curves, and agreement of both temperature sensors."""
     made = figure(15.0, 4.6)
     left, *others = made.subplots(1, 3, width_ratios=(1.4, 1, 1))
     draw_curves(left, drawn.shown, legend=True)

@@ -1,4 +1,4 @@
-"""Study ``reference-nodes``: thermometers in 4 to 13 nodes (section 5.2.2, figure 15, table 7).
+"""Study ``reference-nodes``: sensors in 4 to 13 nodes (section 5.2.2, figure 15, table 7).
 
 The run of the study ``sample-size``; identified from its first 180 samples, from the temperatures
 of the paper's nodes T1 to Tn, and compared in all 13 nodes over the prediction zone. The paper

@@ -96,7 +96,7 @@ class SchemeRun:
     warned
         Whether the forecast said "runaway not excluded".
     methods
-        The twin and the methods beside it.
+        The twin and the methods next to it.
     seconds
         Of the identification.
     shown
@@ -398,7 +398,7 @@ def _draw_nodes(schemes: dict[str, Any]) -> "Figure":
 
 
 def _draw_errors(results: Sequence[BenchResult]) -> "Figure":
-    """Largest errors of all benches beside the paper's one."""
+    """Largest errors of all benches next to the paper's one."""
     made = figure(11.0, 4.2)
     for axes, ring, column in zip(made.subplots(1, 2), RINGS, (0, 1), strict=True):
         found = [[one.schemes[name].rings[ring].max_error_k for one in results] for name in SCHEMES]

@@ -1,10 +1,10 @@
 """Study ``surrogates``: the paper's three kinds of virtual model on the same benches (section 2).
 
 The paper names physics (kind A), mathematical surrogates (B) and intelligent algorithms (C), says
-that B and C need more data than two thermometers give, and leaves them for later. Here all learn
+that B and C need more data than two sensors give, and leaves them for later. Here all learn
 from the same low-risk rows of random benches, from few operating points and from many, and forecast
 three spans from the same present: between the points they learned from, at a higher speed, and
-under a heavier load. Beside them stand the naive forecasts and the hybrid, a Gaussian process on
+under a heavier load. Next to them stand the naive forecasts and the hybrid, a Gaussian process on
 the residual of the twin: of the default model, and of the paper's own form, which leaves a larger
 residual. That fit is shown here even where it is so poor that it must not forecast.
 """

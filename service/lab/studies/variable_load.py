@@ -114,7 +114,7 @@ class Condition:
     load_law_labelled
         Whether it said that its load law is the prior's.
     methods
-        The twin and the methods beside it; none for the training itself and for other laws.
+        The twin and the methods next to it; none for the training itself and for other laws.
     """
 
     rings: RingScores

@@ -1,7 +1,7 @@
 """Study ``variable-speed``: all six speeds identified, all nodes shown (figures 10 and 11).
 
 The run of the study ``sample-size``, identified from all its 540 samples. The paper shows how well
-its model then follows the two thermometers, and the temperatures that it gives for the nodes
+its model then follows the two temperature sensors, and the temperatures that it gives for the nodes
 without one; here the bench tells how true those are.
 """
 
@@ -69,7 +69,7 @@ class BenchResult:
     rings
         Scores of the twin over the samples that it was identified from, run from cold.
     node_errors_k, node_coverage
-        (13, rows) and (13,) likewise.
+        (13, rows) and (13,) also.
     shown
         Curves of the rings.
     nodes_c, truth_c

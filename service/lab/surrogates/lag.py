@@ -31,7 +31,7 @@ _SPAN_S = 600.0
 _LONGEST_SPAN_S = 1500.0
 # Spans belong to one operating point when speed and load are within this share of their maxima.
 _SAME_POINT = 0.04
-# A point must have been held for so many spans to be one.
+# A point must have been held for this many spans to be one.
 _FEWEST_SPANS = 5
 # Of data that wander about, the points held longest are enough: methods get slow with more.
 _MOST_POINTS = 40

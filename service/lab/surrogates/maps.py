@@ -165,7 +165,7 @@ def _left_out(candidate: _Candidate, x: FloatArray, y: FloatArray) -> FloatArray
 
 
 def _alone(estimator: Any) -> Fit:
-    """Fit of an estimator that knows no deviation; it is built anew by each call."""
+    """Fit of an estimator that knows no deviation; it is built again by each call."""
 
     def fit(x: FloatArray, y: FloatArray) -> Predict:
         fitted = estimator().fit(x, y)

@@ -41,7 +41,7 @@ async def load_certificate(server: Server, folder: Path, application_uri: str) -
 
 
 def _have_key(path: Path) -> None:
-    """Make a private key unless there is one; nobody else can read it at any moment."""
+    """Make a private key unless there is one; no one else can read it at any moment."""
     folder = path.parent
     folder.mkdir(mode=0o700, exist_ok=True)
     folder.chmod(0o700)

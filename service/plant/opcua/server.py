@@ -181,6 +181,6 @@ def _data_value(shown: TagValue) -> ua.DataValue:
     )
     if variant is None:
         # Absent, not empty: the library takes an empty value for one of the wrong type, and
-        # refuses it beside a good status ("good and none": not within the horizon).
+        # refuses it next to a good status ("good and none": not within the horizon).
         object.__setattr__(value, "Value", None)
     return value

@@ -1,4 +1,4 @@
-"""Sessions that nobody can take over: the library's, with tokens that cannot be guessed."""
+"""Sessions that no one can take over: the library's, with tokens that cannot be guessed."""
 
 import secrets
 from typing import Any

@@ -42,7 +42,7 @@ class OwnSubscriptions(SubscriptionService):  # type: ignore[misc]  # the librar
         session_id: ua.NodeId,
         request_callback: Callable[..., Any] | None = None,
     ) -> ua.CreateSubscriptionResult:
-        """Make one; nobody has the event loop publish without a pause."""
+        """Make one; no client makes the event loop publish without a pause."""
         if len(self.subscriptions) >= MOST_SUBSCRIPTIONS:
             raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
         wanted_ms = params.RequestedPublishingInterval
@@ -57,7 +57,7 @@ class OwnSubscriptions(SubscriptionService):  # type: ignore[misc]  # the librar
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """Watch more; a session has so many."""
+        """Watch more; a session has a limit."""
         there = sum(
             len(one.monitored_item_srv._monitored_items) for one in self.subscriptions.values()
         )

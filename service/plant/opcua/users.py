@@ -57,7 +57,7 @@ class KeyUsers:
         Raises
         ------
         ServiceError
-            After too many wrong keys from this address, and when the store cannot tell.
+            After too many wrong keys from this address, and when the store does not answer.
         """
         if not password:
             return KeyUser(role=UserRole.User) if self._anonymous else None
@@ -80,11 +80,11 @@ class KeyUsers:
         return KeyUser(role=UserRole.User, key=text)
 
     async def may_stay(self, user: User) -> bool:
-        """Tell whether the key of somebody who was let in still opens."""
+        """Tell whether the key of someone who was let in still opens."""
         if not isinstance(user, KeyUser) or not user.key:
             return True
         try:
             principal = await self._authenticator.by_key(user.key)
         except StoreUnavailableError:
-            return True  # the store cannot tell; whoever was let in stays
+            return True  # the store does not answer; whoever was let in stays
         return principal is not None and principal.role in VIEWER

@@ -1,4 +1,4 @@
-"""The OPC UA server's connections: so many, of so much, and encrypted where keys are asked for."""
+"""The OPC UA server's connections: limited in number and size, encrypted where keys are needed."""
 
 import asyncio
 from typing import Any, Final

@@ -22,7 +22,7 @@ TEMPERATURE_C = (-80.0, 600.0)
 """What a temperature sensor on a machine can show."""
 
 REFUSED_BEYOND = 1.5
-"""So many times the default range nothing is believed, whatever is configured or reported."""
+"""Beyond this multiple of the default range no value is accepted, whatever is configured."""
 
 Range = tuple[float, float]
 

@@ -1,6 +1,6 @@
 """Who may make which call: credentials at the door, roles at each route.
 
-The door (`make_door`) knows only who is calling, and lets nobody unknown past ``/api``; each
+The door (`make_door`) knows only who is calling, and lets no unknown caller past ``/api``; each
 route says by `secured` which roles it is for. OpenAPI shows both.
 """
 
@@ -139,13 +139,13 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
 
 
 def known_caller(scope: Scope) -> Principal | None:
-    """Who is calling, as the door found out; None for nobody known."""
+    """Who is calling, as the door found out; None for an unknown caller."""
     principal = scope.get(_PRINCIPAL)
     return principal if isinstance(principal, Principal) else None
 
 
 def _refuse_repetitions(connection: HTTPConnection) -> None:
-    """Refuse a parameter that comes twice and is no list: nobody knows which one is meant."""
+    """Refuse a parameter that comes twice and is no list: no one knows which one is meant."""
     names = [name for name, _ in connection.query_params.multi_items()]
     if len(names) == len(set(names)):
         return
@@ -216,7 +216,7 @@ async def authenticate(
     Raises
     ------
     Problem
-        With status 429 after too many wrong keys, with 503 when the store cannot tell.
+        With status 429 after too many wrong keys, with 503 when the store does not answer.
     """
     try:
         key = offered_key(connection)
@@ -239,7 +239,7 @@ async def authenticate(
 async def _by_session(
     connection: HTTPConnection, authenticator: Authenticator, cookie: str
 ) -> Principal | None:
-    """Look up a session; of those that nobody knows an address has only so many."""
+    """Look up a session; an address has a limited number of unknown ones."""
     if authenticator.knows_session(cookie):
         return await authenticator.by_session(cookie)
     site = site_of(address_of(connection))
@@ -259,14 +259,14 @@ async def new_key(
     trail: AuditTrail | None,
     action: str,
 ) -> Principal | None:
-    """Look up a key that may be a guess: an address has only so many of them.
+    """Look up a key that may be a guess: an address has a limited number of them.
 
     Raises
     ------
     Problem
         With status 429 after too many wrong keys.
     StoreUnavailableError
-        When the store cannot tell.
+        When the store does not answer.
     """
     address = address_of(connection)
     wait_s = guesses.wait_s(authenticator, action, address)

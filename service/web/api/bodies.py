@@ -420,7 +420,7 @@ class KeyList(Page):
 
 
 class AuditLine(_Answer):
-    """One change that somebody asked for."""
+    """One change that someone asked for."""
 
     time: Time = Field(description="Wall time.")
     who: str = Field(

@@ -27,7 +27,7 @@ CONDITIONAL: Final[dict[int | str, dict[str, Any]]] = {
 
 
 def entity_tag(body: bytes) -> str:
-    """Tag of an answer; weak, since packed or not it is the same answer."""
+    """Tag of an answer; weak, since compressed or not it is the same answer."""
     return f'W/"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
 
 

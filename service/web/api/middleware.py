@@ -62,8 +62,8 @@ _ADDED_HEADERS: Final = {
     for api in (False, True)
 }
 
-# Those who poll a snapshot every second get a little sooner than packed; a page of fifty small
-# files is a quarter lighter packed. The first levels pack nearly as well as the last.
+# Those who poll a snapshot every second get a little sooner than compressed; a page of fifty small
+# files is a quarter lighter compressed. The first levels pack nearly as well as the last.
 _API_PACKED_FROM_BYTES = 4 * KIB
 _PAGE_PACKED_FROM_BYTES = 1 * KIB
 _PACKED_LEVEL = 4
@@ -100,14 +100,14 @@ class SecurityHeaders:
 
 
 class Packing:
-    """Send answers packed to those who can unpack them.
+    """Send answers compressed to those who can decompress them.
 
     Parameters
     ----------
     app
         What lies behind.
     excluded : sequence of str
-        Content types that are packed already.
+        Content types that are compressed already.
     """
 
     def __init__(self, app: ASGIApp, excluded: Sequence[str]) -> None:
@@ -123,7 +123,7 @@ class Packing:
         self._page = packing(_PAGE_PACKED_FROM_BYTES)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and pack the answer."""
+        """Pass the request on and compress the answer."""
         of_api = scope["type"] == "http" and scope["path"].startswith("/api/")
         await (self._api if of_api else self._page)(scope, receive, send)
 

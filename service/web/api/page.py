@@ -1,4 +1,4 @@
-"""The dashboard's first page, which learns whether somebody opened it by hand.
+"""The dashboard's first page, which learns whether someone opened it by hand.
 
 A link may carry a key (``#key=…``, as the demo prints it). From another site such a link would
 log a browser in without its user knowing. Only the browser knows where the link was, and it tells
@@ -27,7 +27,7 @@ def page_route(index: Path) -> Route:
     by_hand = otherwise.replace(_BEGIN, _BY_HAND, 1)
 
     async def page(request: Request) -> Response:
-        # The header comes over HTTPS and on the machine itself; without it nobody knows.
+        # The header comes over HTTPS and on the machine itself; without it no one knows.
         opened_by_hand = request.headers.get("Sec-Fetch-Site") == "none"
         body = by_hand if opened_by_hand else otherwise
         return Response(body, media_type="text/html", headers={"Cache-Control": "no-store"})

@@ -14,7 +14,7 @@ class KnownProxies:
     """Take the caller's address and scheme from headers of the proxies that are named.
 
     An address that is none, which a proxy may pass on from anybody, is not taken: it would stand
-    in the audit trail, and count for nobody.
+    in the audit trail, and count for no one.
 
     Parameters
     ----------

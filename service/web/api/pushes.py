@@ -21,11 +21,11 @@ from service.domain.times import parse_time
 from service.web.api.turns import caller_of, turns_of
 
 SAMPLES_MAX = 20_000
-#: So many rejected samples of a push are answered with their reason, the others with a word.
+#: This many rejected samples of a push are answered with their reason, the others with a word.
 REASONS_MAX = 100
 _ONE_OF_MANY = f"also rejected; only the first {REASONS_MAX} give a reason"
 _SHOWN_CHARACTERS = 60
-#: So many samples are judged in less time than a thread takes to begin.
+#: This many samples are judged in less time than a thread takes to begin.
 _FEW = 200
 _BYTES_OF_A_SAMPLE = 80
 _AHEAD_S = 300.0
@@ -239,7 +239,7 @@ async def give_turn_back(request: Request) -> None:
 
 
 async def in_thread(request: Request, size: int, work: Callable[..., Any], *arguments: Any) -> Any:
-    """Work on so many samples or bytes: a few at once here, many in a thread."""
+    """Work on this many samples or bytes: a few at once here, many in a thread."""
     if size < _FEW:
         return work(*arguments)
     return await turns_of(request).judge(work, *arguments)

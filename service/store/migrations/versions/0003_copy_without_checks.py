@@ -13,6 +13,6 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # SQLite looks them up at a tenth of the price, and would have to write the table anew.
+    # SQLite looks them up at a tenth of the price, and would have to write the table again.
     if op.get_bind().dialect.name == "postgresql":
         op.drop_constraint("fk_samples_channel_id_channels", "samples", type_="foreignkey")

@@ -28,7 +28,7 @@ def upgrade() -> None:
         sa.Column("detail", sa.String(), nullable=False),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_audit")),
     )
-    # A bug, or somebody with the service's own rights, does not rewrite it by the way.
+    # A bug, or someone with the service's own rights, does not rewrite it by the way.
     if op.get_bind().dialect.name == "postgresql":
         op.execute(
             "CREATE FUNCTION audit_only_grows() RETURNS trigger LANGUAGE plpgsql AS "

@@ -1,4 +1,4 @@
-"""SQLite: samples are not held against the table of channels either, see migration 0003."""
+"""SQLite: samples are not compared with the table of channels either, see migration 0003."""
 
 import re
 

@@ -187,7 +187,7 @@ async def comment_alarm(
 async def take_alarm_out_of_service(
     context: Context, who: Caller, alarm_id: AlarmId, request: CommentRequest
 ) -> Response:
-    """Silence an alarm until somebody returns it to service; the comment says why."""
+    """Silence an alarm until someone returns it to service; the comment says why."""
     return await _done(
         context, lambda book: book.take_out_of_service(alarm_id, who.who, request.comment), alarm_id
     )

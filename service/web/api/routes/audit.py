@@ -31,7 +31,7 @@ async def get_audit(
     limit: Limit = LIMIT,
     cursor: Cursor = None,
 ) -> Response:
-    """Every change that somebody asked for, newest first; the trail only grows."""
+    """Every change that someone asked for, newest first; the trail only grows."""
     before = None if cursor is None else decode_cursor(cursor, Before).before
     await trail.flush()
     page = await to_thread.run_sync(context.store.audit.page, limit, before)

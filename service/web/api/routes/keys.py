@@ -84,7 +84,7 @@ async def delete_key(
 ) -> Response:
     """End the key at once, with its browser sessions and, within two seconds, its streams.
 
-    409 for the key that the call comes with: nobody locks himself out.
+    409 for the key that the call comes with: no one locks himself out.
     """
     if key_id in (who.key_id, who.prefix):
         raise Problem(409, "a key cannot revoke itself, expected another administrator's key")

@@ -75,7 +75,7 @@ def list_activations(
     **secured(ENGINEER, 404),
 )
 def get_model(context: Context, asset: Asset, version: Version) -> Response:
-    """Parameters with intervals, what the data inform, scores beside the naive forecasts."""
+    """Parameters with intervals, what the data inform, scores next to the naive forecasts."""
     model = context.store.models.version(asset.id, version)
     if model is None:
         raise _no_version(asset, version)

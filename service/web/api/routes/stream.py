@@ -138,7 +138,7 @@ async def _stay(
 
 
 async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
-    """Send a heartbeat to every subscriber, every 15 wall seconds, for ever."""
+    """Send a heartbeat to every subscriber, every 15 wall seconds, without end."""
     while True:
         await asyncio.sleep(every_s)
         bus.publish("heartbeat", None, {"subscribers": bus.subscribers})
@@ -298,6 +298,6 @@ async def _watch(sender: _Sender, keys: Authenticator) -> Ending:
         try:
             principal = await authenticate(sender.websocket, keys)
         except Problem:
-            continue  # the store cannot tell; whoever was let in stays
+            continue  # the store does not answer; whoever was let in stays
         if principal is None or principal.role not in VIEWER:
             return _POLICY, "the key is no longer valid"
