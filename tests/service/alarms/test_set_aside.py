@@ -210,7 +210,7 @@ def test_out_of_service_lasts_until_somebody_ends_it(bench: Bench) -> None:
     for action in (bench.book.acknowledge, bench.book.reset, bench.book.unshelve):
         with pytest.raises(NotAllowedError, match="is OOSRV"):
             action(alarm_id, "eva")
-    with pytest.raises(NotAllowedError, match="is OOSRV: to shelve it"):
+    with pytest.raises(NotAllowedError, match="is OOSRV: cannot shelve it"):
         bench.book.shelve(alarm_id, 60, "eva")
     bench.restart()
     assert bench.only().state == "OOSRV"
@@ -233,7 +233,7 @@ def test_who_sets_a_normal_alarm_aside_finds_it_again_under_the_same_id(bench: B
         assert bench.book.unshelve(normal.id, "eva").state == "NORM"
     bench.book.take_out_of_service(normal.id, "ina", "not fitted yet")
     bench.book.return_to_service(normal.id, "ina")
-    with pytest.raises(NotAllowedError, match="is NORM: to unshelve it"):
+    with pytest.raises(NotAllowedError, match="is NORM: cannot unshelve it"):
         bench.book.unshelve(normal.id, "eva")
     assert [(one.id, one.comment) for one in bench.book.normal()] == [(normal.id, None)]
     assert bench.after(1, HOT) == "UNACK"
@@ -257,7 +257,7 @@ def test_a_latched_alarm_waits_for_its_reset(bench: Bench, acknowledge_first: bo
         bench.after(1, LATCHED_COLD)
     else:
         bench.after(1, LATCHED_COLD)
-        with pytest.raises(NotAllowedError, match="is RTNUN: to reset it"):
+        with pytest.raises(NotAllowedError, match="is RTNUN: cannot reset it"):
             bench.book.reset(alarm_id, "eva")
         bench.book.acknowledge(alarm_id, "eva")
     bench.restart()

@@ -117,7 +117,7 @@ def test_bad_rows_and_cells_are_told_with_their_lines_and_the_rest_is_stored(
     [
         (HEADER.replace(",load_n", ""), "line 1: missing column 'load_n'"),
         (HEADER + ",t_gear_c", "line 1: unknown column 't_gear_c'"),
-        (HEADER + ",load_n", "line 1: column 'load_n' stands there twice"),
+        (HEADER + ",load_n", "line 1: column 'load_n' occurs twice"),
         (HEADER.replace("time,", ""), "missing column time or time_s"),
         (HEADER.replace("time,", "time_s,"), "expected --start"),
         ("time,channel,value,colour", "unknown column 'colour'"),
