@@ -95,4 +95,4 @@ def test_the_readme_is_short() -> None:
 def test_every_page_opens_with_what_its_reader_can_do(page: Path) -> None:
     title, opening = page.read_text().split("\n\n")[:2]
     assert title.startswith("# ")
-    assert re.match(r"(After this page|Here) you ", opening)
+    assert re.match(r"(After (reading )?this page|Here) you ", opening)

@@ -176,7 +176,7 @@ class QualityChecks:
     ) -> None:
         checked = {key: of for key, of in limits.items() if not of.anything}
         machines = {asset: _Machine() for asset, _ in checked}
-        # The speed tells whether a machine is at standstill, also where nothing else is checked of it.
+        # The speed shows a standstill, also where nothing else is checked of it.
         checked |= {
             (asset, SPEED): checked.get((asset, SPEED), CheckLimits()) for asset in machines
         }
