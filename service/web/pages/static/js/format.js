@@ -20,10 +20,10 @@ function ownName(channel) {
   return words ? words[0].toUpperCase() + words.slice(1) : channel;
 }
 
-const LABELS = { 'runaway not excluded': 'thermal runaway not ruled out' };
+const FORECAST_LABELS = { 'runaway not excluded': 'thermal runaway not ruled out' };
 
 /** What a label of a forecast is called on screen. */
-export const labelText = (label) => LABELS[label] ?? label;
+export const labelText = (label) => FORECAST_LABELS[label] ?? label;
 
 export const isNumber = (value) => typeof value === 'number' && Number.isFinite(value);
 
