@@ -15,7 +15,6 @@ TOGETHER = (
     "tests/browser/",
     "tests/faults/test_wires",
     "tests/service/offline/",
-    "tests/service/web/api/",
     "tests/twin_core/identification/",
 )
 #: What takes longest, in this order; the rest follows as it was collected.
@@ -29,6 +28,8 @@ FIRST = (
     "tests/service/store/",
     "tests/service/lab/",
     "tests/service/offline/",
+    "tests/twin_core/identification/",
+    "tests/adapters/virtual_bench/",
 )
 
 
