@@ -9,8 +9,8 @@ from rich.table import Table
 
 from service.cli.consoles import make_console
 from service.cli.progress import progress_bar
-from service.lab.studies.common import Options, Report, prepare
 from service.lab.studies.registry import ALL, STUDIES, chosen
+from service.lab.studies.study import Options, Report, prepare
 from service.offline.interruption import exit_on_signals
 
 # Columns of a table that no terminal limits.
@@ -33,6 +33,9 @@ def study(
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder with recorded field data.")
     ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few and short cases; shows that all of it works.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
@@ -41,7 +44,7 @@ def study(
 
     With "all" the JSON document holds one document per study, by name.
     """
-    options = Options(benches, seed, data)
+    options = Options(benches, seed, data, quick)
     studies = chosen(name, options)
     if out is not None:
         prepare(out)

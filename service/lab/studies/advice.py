@@ -9,10 +9,10 @@ it changes speed and load at once, or nothing; the twin is identified again from
 forecasts the point.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,14 +26,17 @@ from service.lab.studies.bench_runs import (
     run_bench,
 )
 from service.lab.studies.bench_scores import Score, score_rings
-from service.lab.studies.common import (
+from service.lab.studies.study import (
+    Document,
+    Drawing,
     Options,
-    Plot,
-    Progress,
-    Report,
+    Study,
     Table,
+    cell,
     figure,
-    in_processes,
+    mean,
+    named,
+    table,
 )
 from twin_core.forecasting.advice import Advice, advise
 from twin_core.forecasting.design import Level
@@ -43,7 +46,6 @@ from twin_core.windows import LowRiskRegion
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAME = "advice"
 BENCHES = 20
 WARNING_C = {"t_inner_ring_c": 90.0, "t_outer_ring_c": 80.0}
 ALARM_C = {"t_inner_ring_c": 105.0, "t_outer_ring_c": 95.0}
@@ -149,12 +151,6 @@ class BenchResult:
         return "advised" in self.arms
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Run all arms on all benches in all arrangements."""
-    tasks = [Task(name, seed) for name in ARRANGEMENTS for seed in options.seeds(BENCHES)]
-    return report(in_processes(examine, tasks, progress))
-
-
 def examine(task: Task) -> BenchResult:
     """Ask for advice on one bench and run all arms."""
     arrangement = ARRANGEMENTS[task.arrangement]
@@ -222,69 +218,60 @@ def chosen(advice: Advice) -> dict[str, tuple[tuple[Level, ...], Mapping[str, fl
     return arms
 
 
-def report(found: Sequence[BenchResult]) -> Report:
-    """Put all benches together."""
-    arrangements: dict[str, Any] = {}
-    tables = []
-    for name, arrangement in ARRANGEMENTS.items():
-        benches = [one for one in found if one.task.arrangement == name]
-        normal = [one for one in benches if one.advisable and not one.ran_away]
-        arms = {arm: _figures([one.arms[arm] for one in normal if arm in one.arms]) for arm in ARMS}
-        arrangements[name] = {
-            "bearing": arrangement.bearing,
-            "target": {
-                "speed_rpm": arrangement.heavy.speed_rpm,
-                "load_n": arrangement.heavy.load_n,
-            },
-            "arms": arms,
-            "no_feasible_step": [one.task.seed for one in benches if not one.advisable],
-            "ran_away": {
-                one.task.seed: {arm: told.warned for arm, told in one.arms.items()}
-                for one in benches
-                if one.ran_away
-            },
-            "steps": {
-                one.task.seed: {
-                    arm: [[level.speed_rpm, level.load_n, level.duration_s] for level in run.levels]
-                    for arm, run in one.arms.items()
-                }
-                for one in benches
-            },
-        }
-        tables.append(_table(name, arms, len(normal), len(benches)))
-    document = {
-        "study": NAME,
+def figures_of(found: Sequence[BenchResult]) -> Document:
+    """Figures of every arm in every arrangement, and the benches that stand apart."""
+    return {
         "seeds": sorted({one.task.seed for one in found}),
-        "arrangements": arrangements,
+        "arrangements": {
+            name: _arrangement(arrangement, [one for one in found if one.task.arrangement == name])
+            for name, arrangement in ARRANGEMENTS.items()
+        },
     }
-    plots = (Plot("advice-widths", partial(draw_widths, found)),)
-    return Report(NAME, document, tuple(tables), plots)
 
 
-def _figures(arms: Sequence[Arm]) -> dict[str, Any]:
+def _arrangement(arrangement: Arrangement, benches: Sequence[BenchResult]) -> Document:
+    normal = [one for one in benches if one.advisable and not one.ran_away]
+    return {
+        "bearing": arrangement.bearing,
+        "target": {"speed_rpm": arrangement.heavy.speed_rpm, "load_n": arrangement.heavy.load_n},
+        "arms": {
+            arm: _figures([one.arms[arm] for one in normal if arm in one.arms]) for arm in ARMS
+        },
+        "no_feasible_step": [one.task.seed for one in benches if not one.advisable],
+        "ran_away": {
+            one.task.seed: {arm: told.warned for arm, told in one.arms.items()}
+            for one in benches
+            if one.ran_away
+        },
+        "steps": {
+            one.task.seed: {
+                arm: [[level.speed_rpm, level.load_n, level.duration_s] for level in run.levels]
+                for arm, run in one.arms.items()
+            }
+            for one in benches
+        },
+    }
+
+
+def _figures(arms: Sequence[Arm]) -> Document:
     used = [arm for arm in arms if not arm.refused_fit]
 
-    def mean(values: Sequence[float]) -> float | None:
-        return float(np.mean(values)) if values else None
+    def means(values: Callable[[Arm], Mapping[str, float]]) -> dict[str, float | None]:
+        # Of a refused step nothing is predicted.
+        found = [by_ring for arm in used if (by_ring := values(arm))]
+        return {ring: mean(by_ring[ring] for by_ring in found) for ring in RINGS}
+
+    def means_of(score: str) -> dict[str, float | None]:
+        return means(lambda arm: {ring: getattr(arm.rings[ring], score) for ring in RINGS})
 
     return {
         "benches": len(used),
         "fits_refused": len(arms) - len(used),
-        "half_width_predicted_k": {
-            ring: mean([arm.predicted_k[ring] for arm in used if arm.predicted_k]) for ring in RINGS
-        },
-        "half_width_obtained_k": {
-            ring: mean([arm.obtained_k[ring] for arm in used]) for ring in RINGS
-        },
-        "steady_error_c": {
-            ring: mean([arm.rings[ring].steady_error_k for arm in used]) for ring in RINGS
-        },
-        "steady_bias_c": {
-            ring: mean([arm.rings[ring].steady_bias_k for arm in used]) for ring in RINGS
-        },
-        "coverage_95": {
-            ring: mean([arm.rings[ring].coverage_95 for arm in used]) for ring in RINGS
-        },
+        "half_width_predicted_k": means(lambda arm: arm.predicted_k),
+        "half_width_obtained_k": means(lambda arm: arm.obtained_k),
+        "steady_error_c": means_of("steady_error_k"),
+        "steady_bias_c": means_of("steady_bias_k"),
+        "coverage_95": means_of("coverage_95"),
         "worst_coverage_95": {
             ring: min((arm.rings[ring].coverage_95 for arm in used), default=None) for ring in RINGS
         },
@@ -292,48 +279,42 @@ def _figures(arms: Sequence[Arm]) -> dict[str, Any]:
     }
 
 
-def _table(name: str, figures: Mapping[str, Any], used: int, benches: int) -> Table:
-    def both(by_ring: Mapping[str, float | None], factor: float = 1.0, digits: int = 1) -> str:
-        values = [by_ring[ring] for ring in RINGS]
-        return " / ".join(
-            "-" if value is None else f"{factor * value:.{digits}f}" for value in values
+def tables(found: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """One per arrangement."""
+    for name, arrangement in document["arrangements"].items():
+        benches = [one for one in found if one.task.arrangement == name]
+        used = sum(one.advisable and not one.ran_away for one in benches)
+        target = arrangement["target"]
+        yield table(
+            f"Excitation advice, {name}: forecasts at {target['speed_rpm']:g} rpm, "
+            f"{target['load_n']:g} N (T_ir / T_or)",
+            named(arrangement["arms"]),
+            (
+                ("step before", lambda arm: ARMS[arm["name"]]),
+                ("benches", cell("benches")),
+                ("half-width predicted, K", cell("half_width_predicted_k", _both)),
+                ("obtained, K", cell("half_width_obtained_k", _both)),
+                ("steady error, K", cell("steady_error_c", _both, 1.0, 2)),
+                ("coverage, %", cell("coverage_95", _both, 100.0, 0)),
+                ("worst bench, %", cell("worst_coverage_95", _both, 100.0, 0)),
+            ),
+            f"Means over {used} of {len(benches)} random benches; the others ran away at the "
+            "target, or were too hot for any step. Half-widths are those of the 95 % band at the "
+            "end of the target. What a refused step would bring is not predicted.",
         )
 
-    heavy = ARRANGEMENTS[name].heavy
-    rows = tuple(
-        (
-            text,
-            str(figures[arm]["benches"]),
-            both(figures[arm]["half_width_predicted_k"]),
-            both(figures[arm]["half_width_obtained_k"]),
-            both(figures[arm]["steady_error_c"], digits=2),
-            both(figures[arm]["coverage_95"], 100.0, 0),
-            both(figures[arm]["worst_coverage_95"], 100.0, 0),
-        )
-        for arm, text in ARMS.items()
-    )
-    return Table(
-        f"Excitation advice, {name}: forecasts at {heavy.speed_rpm:g} rpm, {heavy.load_n:g} N "
-        "(T_ir / T_or)",
-        (
-            "step before",
-            "benches",
-            "half-width predicted, K",
-            "obtained, K",
-            "steady error, K",
-            "coverage, %",
-            "worst bench, %",
-        ),
-        rows,
-        (
-            f"Means over {used} of {benches} random benches; the others ran away at the target, or "
-            "were too hot for any step. Half-widths are those of the 95 % band at the end of the "
-            "target. What a refused step would bring is not predicted.",
-        ),
-    )
+
+def _both(by_ring: Mapping[str, float | None], factor: float = 1.0, digits: int = 1) -> str:
+    values = [by_ring[ring] for ring in RINGS]
+    return " / ".join("-" if value is None else f"{factor * value:.{digits}f}" for value in values)
 
 
-def draw_widths(found: Sequence[BenchResult]) -> "Figure":
+def plots(found: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Half-widths, predicted over obtained."""
+    return {"advice-widths": partial(_draw_widths, found)}
+
+
+def _draw_widths(found: Sequence[BenchResult]) -> "Figure":
     """Half-widths of the inner ring: predicted over obtained, one point per bench and arm."""
     from matplotlib.ticker import LogLocator
 
@@ -370,3 +351,11 @@ def draw_widths(found: Sequence[BenchResult]) -> "Figure":
         )
         axes.grid(alpha=0.3, which="both")
     return drawing
+
+
+def cases(options: Options) -> list[Task]:
+    """All benches in all arrangements."""
+    return [Task(name, seed) for name in ARRANGEMENTS for seed in options.seeds(BENCHES)]
+
+
+STUDY = Study("advice", cases, examine, figures_of, tables, plots)

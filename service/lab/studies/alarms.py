@@ -6,9 +6,8 @@ false alarms; four scenarios bring faults. Process time, nothing waits.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -23,31 +22,19 @@ from service.lab.studies.alarm_runs import (
     AlarmRun,
     examine,
 )
-from service.lab.studies.common import Options, Progress, Report, Table, in_processes
+from service.lab.studies.study import Document, Study, Table, table, text
 
-NAME = "alarms"
 BENCHES = 4
 KINDS = (*ALARM_KINDS, "history not kept")
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Run all benches through all cases."""
-    found = in_processes(examine, list(options.seeds(BENCHES)), progress)
-    return report([one for runs in found for one in runs])
-
-
-def report(runs: Sequence[AlarmRun]) -> Report:
-    """Put all benches together into figures and tables."""
+def figures_of(results: Sequence[Sequence[AlarmRun]]) -> Document:
+    """False alarms, delays, and every run."""
+    runs = [one for bench in results for one in bench]
     controls = [one for one in runs if one.case in CONTROLS]
     hours = sum(one.hours for one in controls)
     false = Counter(call.kind for one in controls for call in one.calls)
-    delays = {
-        case: _delays([one for one in runs if one.case == case])
-        for case in (*LONG_CASES, *SHORT_CASES)
-        if case not in CONTROLS
-    }
-    document: dict[str, Any] = {
-        "study": NAME,
+    return {
         "seeds": sorted({one.seed for one in runs}),
         "margins_k": {"warning": MARGIN_WARNING_K, "alarm": MARGIN_ALARM_K},
         "watched_from_h": IDENTIFIED_H,
@@ -55,15 +42,18 @@ def report(runs: Sequence[AlarmRun]) -> Report:
         "false_alarms_per_1000_h": {
             kind: round(1000.0 * false[kind] / hours, 2) if hours else None for kind in KINDS
         },
-        "detection": delays,
+        "detection": {
+            case: _delays([one for one in runs if one.case == case])
+            for case in (*LONG_CASES, *SHORT_CASES)
+            if case not in CONTROLS
+        },
         "runs": [asdict(one) for one in runs],
     }
-    return Report(NAME, document, (_false_table(false, hours), _delay_table(delays)), ())
 
 
-def _delays(runs: Sequence[AlarmRun]) -> dict[str, Any]:
+def _delays(runs: Sequence[AlarmRun]) -> Document:
     """For every kind: on how many benches it told of the fault, and after how long."""
-    found: dict[str, Any] = {}
+    found: Document = {}
     for kind in KINDS:
         firsts, faults = [], 0
         for one in runs:
@@ -88,39 +78,43 @@ def _delays(runs: Sequence[AlarmRun]) -> dict[str, Any]:
     return found
 
 
-def _false_table(false: Counter[str], hours: float) -> Table:
-    rows = tuple(
-        (kind, str(false[kind]), f"{1000.0 * false[kind] / hours:.2f}" if hours else "-")
-        for kind in KINDS
+def tables(results: Sequence[Sequence[AlarmRun]], document: Document) -> Iterator[Table]:
+    """False alarms, then delays."""
+    calls = (
+        call for bench in results for one in bench if one.case in CONTROLS for call in one.calls
     )
-    return Table(
-        f"False alarms in {hours:.0f} h without a fault",
-        ("kind", "alarms", "per 1000 h"),
-        rows,
-        (f"Limits {MARGIN_WARNING_K:g} and {MARGIN_ALARM_K:g} K over the hottest reading before.",),
+    false = Counter(call.kind for call in calls)
+    yield table(
+        f"False alarms in {document['fault_free_hours']:.0f} h without a fault",
+        KINDS,
+        (
+            ("kind", str),
+            ("alarms", lambda kind: str(false[kind])),
+            ("per 1000 h", lambda kind: text(document["false_alarms_per_1000_h"][kind])),
+        ),
+        f"Limits {MARGIN_WARNING_K:g} and {MARGIN_ALARM_K:g} K over the hottest reading before.",
     )
 
+    def delay(case: str) -> Callable[[str], str]:
+        return lambda kind: _delay(document["detection"][case][kind])
 
-def _delay_table(delays: dict[str, Any]) -> Table:
-    rows = []
-    for kind in KINDS:
-        cells = [kind]
-        for found in delays.values():
-            one = found[kind]
-            cells.append(
-                f"{_span(one['median_delay_s'])} ({one['told']} of {one['faults']})"
-                if one["told"]
-                else "-"
-            )
-        rows.append(tuple(cells))
-    return Table(
+    yield table(
         "Median delay from the onset of a fault to the alarm (on how many of the faults)",
-        ("kind", *delays),
-        tuple(rows),
+        KINDS,
+        (("kind", str), *((case, delay(case)) for case in document["detection"])),
     )
+
+
+def _delay(found: Document) -> str:
+    if not found["told"]:
+        return "-"
+    return f"{_span(found['median_delay_s'])} ({found['told']} of {found['faults']})"
 
 
 def _span(seconds: float) -> str:
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
+STUDY = Study("alarms", lambda options: options.seeds(BENCHES), examine, figures_of, tables)

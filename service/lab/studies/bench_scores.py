@@ -4,16 +4,16 @@ Errors are against the noise-free temperatures of the bench, coverage and the sc
 against what the sensors read.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.lab.studies.bench_runs import NODES, RINGS, BenchRun, Twin, with_sensors
-from service.lab.studies.common import Table
 from service.lab.studies.forecasters import TWIN, ForecastScore, rivals, score
+from service.lab.studies.study import Table, mean, share, table, text
 from twin_core import scores
 from twin_core.forecasting import Forecast, of_ensemble
 from twin_core.simulation import OperatingProfile
@@ -63,6 +63,25 @@ class Score:
 
 RingScores = Mapping[str, Score]
 """The scores of both rings."""
+
+
+class BenchResult(Protocol):
+    """What a study found on one bench."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the bench."""
+
+    @property
+    def ran_away(self) -> bool:
+        """Whether it ran away thermally."""
+
+    @property
+    def refused(self) -> Any:
+        """Why fits must not forecast; empty where all may."""
+
+
+BenchType = TypeVar("BenchType", bound=BenchResult)
 
 
 def score_rings(
@@ -193,27 +212,27 @@ def figures(found: Sequence[RingScores]) -> dict[str, Any]:
         for field in fields(Score)
     }
 
-    def mean(name: str) -> dict[str, float | None]:
-        return {ring: _mean(values) for ring, values in by_sensor[name].items()}
+    def mean_of(name: str) -> dict[str, float | None]:
+        return {ring: mean(values) for ring, values in by_sensor[name].items()}
 
     def over_all(name: str) -> float | None:
-        return _mean([value for values in by_sensor[name].values() for value in values])
+        return mean([value for values in by_sensor[name].values() for value in values])
 
     def worst(name: str, of: Any) -> dict[str, float | None]:
         return {ring: of(values) if values else None for ring, values in by_sensor[name].items()}
 
     return {
         "benches": len(found),
-        "max_error_c": mean("max_error_k"),
+        "max_error_c": mean_of("max_error_k"),
         "worst_max_error_c": worst("max_error_k", max),
         "rms_error_k": over_all("rms_error_k"),
-        "rms_error_by_sensor_k": mean("rms_error_k"),
-        "rise_max_c": mean("rise_max_k"),
-        "steady_error_c": mean("steady_error_k"),
+        "rms_error_by_sensor_k": mean_of("rms_error_k"),
+        "rise_max_c": mean_of("rise_max_k"),
+        "steady_error_c": mean_of("steady_error_k"),
         "worst_steady_error_c": worst("steady_error_k", max),
-        "steady_bias_c": mean("steady_bias_k"),
+        "steady_bias_c": mean_of("steady_bias_k"),
         "coverage_95": over_all("coverage_95"),
-        "coverage_95_by_sensor": mean("coverage_95"),
+        "coverage_95_by_sensor": mean_of("coverage_95"),
         "worst_coverage_95": worst("coverage_95", min),
         "benches_covered_below_80_percent": {
             ring: sum(value < LEAST_COVERAGE for value in values)
@@ -221,10 +240,10 @@ def figures(found: Sequence[RingScores]) -> dict[str, Any]:
         },
         "rise_coverage_95": over_all("rise_coverage_95"),
         "steady_coverage_95": over_all("steady_coverage_95"),
-        "half_width_c": mean("half_width_k"),
-        "interval_score_c": mean("interval_score_k"),
-        "crps_c": mean("crps_k"),
-        "r_squared": mean("r_squared"),
+        "half_width_c": mean_of("half_width_k"),
+        "interval_score_c": mean_of("interval_score_k"),
+        "crps_c": mean_of("crps_k"),
+        "r_squared": mean_of("r_squared"),
     }
 
 
@@ -232,30 +251,35 @@ def _column(found: Sequence[RingScores], ring: str, name: str) -> list[float]:
     return [float(getattr(one[ring], name)) for one in found]
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
 def pair(by_sensor: Mapping[str, float | None] | None, digits: int = 2) -> str:
     """Both rings' figures as they stand in the tables, inner ring first."""
     if by_sensor is None:
         return "–"
-    return "/".join(
-        "–" if by_sensor[ring] is None else f"{by_sensor[ring]:.{digits}f}" for ring in RINGS
-    )
+    return "/".join(text(by_sensor[ring], digits) for ring in RINGS)
 
 
 def percent(by_sensor: Mapping[str, float | None]) -> str:
     """Both rings' shares in percent, inner ring first."""
-    return "/".join(
-        "–" if value is None else f"{100.0 * value:.0f}"
-        for value in (by_sensor[ring] for ring in RINGS)
-    )
+    return "/".join(share(by_sensor[ring]) for ring in RINGS)
 
 
-def text(value: float | None, digits: int = 2) -> str:
-    """A figure as it stands in the tables."""
-    return "–" if value is None else f"{value:.{digits}f}"
+def phases(found: Mapping[str, float | None]) -> str:
+    """Coverage before the last half hours of the stages, and in them."""
+    return f"{text(found['rise_coverage_95'])}/{text(found['steady_coverage_95'])}"
+
+
+def usable(results: Iterable[BenchType]) -> list[BenchType]:
+    """Benches that did not run away and whose fits may forecast."""
+    return [result for result in results if not (result.ran_away or result.refused)]
+
+
+def seeds_of(results: Iterable[BenchResult]) -> dict[str, Any]:
+    """Seeds of all benches, of those that ran away, and of those whose fit must not forecast."""
+    return {
+        "seeds": [result.seed for result in results],
+        "ran_away": [result.seed for result in results if result.ran_away],
+        "refused": {result.seed: result.refused for result in results if result.refused},
+    }
 
 
 def methods_tables(
@@ -272,29 +296,31 @@ def methods_tables(
     """
     methods = dict.fromkeys(one.method for found in conditions.values() for one in found)
 
-    def table(what: str, figure: str, note: str) -> Table:
-        rows = []
-        for method in methods:
-            cells = [method]
-            for found in conditions.values():
-                own = {one.sensor: getattr(one, figure) for one in found if one.method == method}
-                cells.append(pair({ring: own.get(ring) for ring in RINGS}))
-            rows.append(tuple(cells))
-        return Table(
-            f"{title}: {what}, K, T_ir/T_or", ("method", *conditions), tuple(rows), (note,)
-        )
+    def of(condition: str, figure: str) -> Callable[[str], str]:
+        return lambda method: pair(of_method(conditions[condition], method, figure))
+
+    def one_table(what: str, figure: str, note: str) -> Table:
+        columns = [(condition, of(condition, figure)) for condition in conditions]
+        heading = f"{title}: {what}, K, T_ir/T_or"
+        return table(heading, methods, [("method", str), *columns], note)
 
     return (
-        table(
+        one_table(
             "largest error",
             "max_error_k",
             "Means over the benches. All methods learn from the same rows and know the same "
             "operation ahead.",
         ),
-        table(
+        one_table(
             "CRPS",
             "crps_k",
             "Continuous ranked probability score of the readings; for a method without a band its "
             "mean absolute error.",
         ),
     )
+
+
+def of_method(found: Iterable[ForecastScore], method: str, figure: str) -> dict[str, float | None]:
+    """One figure of one method for both rings; None where it has none."""
+    own = {one.sensor: getattr(one, figure) for one in found if one.method == method}
+    return {ring: own.get(ring) for ring in RINGS}

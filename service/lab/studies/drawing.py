@@ -1,16 +1,19 @@
 """What the plots of the studies have in common."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.lab.studies.bench_runs import RINGS, BenchRun
+from service.lab.studies.bench_runs import NODES, RINGS, BenchRun
+from service.lab.studies.study import Document, figure
 from twin_core.forecasting import Forecast
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
 
@@ -116,3 +119,46 @@ def draw_agreement(axes: "Axes", measured: FloatArray, quantiles: FloatArray, ti
     axes.set(title=title, xlabel="predicted, °C", ylabel="real, °C")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
+
+
+def draw_node_map(
+    schemes: Mapping[str, Document], name: str, title: str, digits: int = 2
+) -> "Figure":
+    """A figure of all nodes under every scheme; nodes with a sensor of their own are framed.
+
+    Parameters
+    ----------
+    schemes
+        By name; with the figures of ``nodes``, and with ``sensors`` where some have their own.
+    name
+        Which figure.
+    title, digits
+        What stands over it, and decimals.
+    """
+    made = figure(12.0, 4.0)
+    axes = made.subplots()
+    values = np.array(
+        [
+            [scheme["nodes"].get(node, {}).get(name, np.nan) for node in NODES]
+            for scheme in schemes.values()
+        ],
+        dtype=np.float64,
+    )
+    image = axes.imshow(values, cmap="YlOrBr_r", aspect="auto", vmin=0.0)
+    for (row, column), value in np.ndenumerate(values):
+        shade = "black" if value > 0.4 * np.nanmax(values) else "white"
+        framed = NODES[column] in list(schemes.values())[row].get("sensors", ())
+        axes.text(
+            column,
+            row,
+            f"{value:.{digits}f}",
+            ha="center",
+            va="center",
+            color=shade,
+            bbox={"boxstyle": "round", "fill": False, "edgecolor": shade} if framed else None,
+        )
+    axes.set_xticks(range(len(NODES)), [f"T{number + 1}" for number in range(len(NODES))])
+    axes.set_yticks(range(len(schemes)), list(schemes))
+    axes.set_title(title)
+    made.colorbar(image, ax=axes)
+    return made

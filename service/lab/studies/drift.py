@@ -7,14 +7,13 @@ slow ageing of the grease, by grease that bleeds, by a housing that gets covered
 has the bench's own truth next to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
 from service.lab.studies.drift_runs import (
     BEARING,
     CASES,
@@ -22,40 +21,42 @@ from service.lab.studies.drift_runs import (
     VERSION_MIN,
     Finding,
     RunResult,
+    Task,
     examine,
+)
+from service.lab.studies.study import (
+    Document,
+    Drawing,
+    Options,
+    Study,
+    Table,
+    cell,
+    figure,
+    mean,
+    named,
+    table,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAME = "drift"
 BENCHES = 8
+QUICK_DAYS = 4
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Follow all benches in all cases."""
-    tasks = [(case, seed) for seed in options.seeds(BENCHES) for case in CASES]
-    return report(in_processes(examine, tasks, progress))
-
-
-def report(results: Sequence[RunResult]) -> Report:
-    """Put all benches together into figures, tables and plots."""
+def figures_of(results: Sequence[RunResult]) -> Document:
+    """Figures of all cases, and every run."""
     cases = {case: [one for one in results if one.case == case] for case in CASES}
-    found = {case: _figures(case, runs) for case, runs in cases.items() if runs}
-    document: dict[str, Any] = {
-        "study": NAME,
+    return {
         "bearing": BEARING,
         "seeds": sorted({result.seed for result in results}),
         "hours_per_version": VERSION_MIN / 60.0,
-        "cases": found,
-        "runs": [_run_document(result) for result in results],
+        "cases": {case: _figures(case, runs) for case, runs in cases.items() if runs},
+        "runs": [asdict(result) for result in results],
     }
-    shown = min(result.seed for result in results)
-    plots = (Plot("drift-series", partial(_draw, [one for one in results if one.seed == shown])),)
-    return Report(NAME, document, (_summary(found), _benches(results)), plots)
 
 
-def _figures(case: str, runs: Sequence[RunResult]) -> dict[str, Any]:
+def _figures(case: str, runs: Sequence[RunResult]) -> Document:
     moves = CASES[case]
     calm: list[Finding] = []
     after: list[Finding] = []
@@ -92,8 +93,8 @@ def _figures(case: str, runs: Sequence[RunResult]) -> dict[str, Any]:
         "true_change_at_report": _median([one.truth[moves] for _, one in firsts if moves]),
         "sudden_reports": len(sudden),
         "named_right": sum(one.group == moves for one in sudden),
-        "mean_abs_error": _mean(errors),
-        "interval_holds_truth": _mean(held),
+        "mean_abs_error": mean(errors),
+        "interval_holds_truth": mean(held),
         "tripped": sum(result.tripped_h is not None for result in runs),
         "reported_before_trip": sum(result.tripped_h is not None for result, _ in firsts),
     }
@@ -101,20 +102,6 @@ def _figures(case: str, runs: Sequence[RunResult]) -> dict[str, Any]:
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
-def _run_document(result: RunResult) -> dict[str, Any]:
-    return {
-        "case": result.case,
-        "seed": result.seed,
-        "onset_h": result.onset_h,
-        "tripped_h": result.tripped_h,
-        "versions": [asdict(version) for version in result.versions],
-    }
 
 
 def _share(part: int, whole: int) -> str:
@@ -129,87 +116,90 @@ def _hours(value: float | None) -> str:
     return "-" if value is None else f"{value:.0f} h"
 
 
-def _summary(cases: dict[str, dict[str, Any]]) -> Table:
-    rows = []
-    for case, one in cases.items():
-        moves = one["moves"]
-        rows.append(
-            (
-                case,
-                moves or "nothing",
-                _share(one["false_reports"], one["compared_without_change"]),
-                _share(one["detected"], one["benches"]) if moves else "-",
-                f"{_hours(one['delay_h_median'])} / {_hours(one['delay_h_max'])}",
-                _percent(one["true_change_at_report"], "+"),
-                _share(one["named_right"], one["sudden_reports"]) if moves else "-",
-                _percent(one["mean_abs_error"]),
-                _percent(one["interval_holds_truth"]),
-                str(one["failed_fits"]),
-            )
-        )
-    return Table(
+def tables(results: Sequence[RunResult], document: Document) -> Iterator[Table]:
+    """Cases, then benches."""
+    yield table(
         "Changes of the machine: reported, named, measured",
+        named(document["cases"]),
         (
-            "case",
-            "what moves",
-            "false reports",
-            "benches detected",
-            "delay, median / longest",
-            "true change by then",
-            "named right",
-            "error of the change",
-            "95 % interval holds",
-            "failed fits",
-        ),
-        tuple(rows),
-        (
-            "A version is half a day. The delay counts from the onset of the fault to the end of "
-            "the version that reports it, in steps of 12 h. Stated rate of false reports: 1 % per "
-            "comparison, besides those of the sums.",
-            "A failed fit, as a rule over a change amid its data, is not compared.",
-        ),
-    )
-
-
-def _benches(results: Sequence[RunResult]) -> Table:
-    rows = []
-    for result in results:
-        moves = CASES[result.case]
-        first = result.first_report()
-        if moves is None or first is None or first.finding is None:
-            continue
-        found = first.finding
-        said = found.group if found.sudden else f"creeping {', '.join(found.creeping)}"
-        last = [one.finding for one in result.versions if one.finding is not None][-1]
-        change, low, high = last.moves[moves]
-        rows.append(
+            ("case", cell("name")),
+            ("what moves", lambda one: one["moves"] or "nothing"),
             (
-                result.case,
-                str(result.seed),
-                _hours(result.onset_h),
-                _hours(first.end_h),
-                said,
-                _percent(found.truth[moves], "+"),
-                f"{_percent(change, '+')} ({_percent(low, '+')} to {_percent(high, '+')})",
-                _percent(last.truth[moves], "+"),
-                _hours(result.tripped_h),
-            )
-        )
-    return Table(
-        "Bench by bench",
-        (
-            "case",
-            "seed",
-            "onset",
-            "first report",
-            "what it names",
-            "true change by then",
-            "change at the last version",
-            "truth",
-            "tripped",
+                "false reports",
+                lambda one: _share(one["false_reports"], one["compared_without_change"]),
+            ),
+            (
+                "benches detected",
+                lambda one: _share(one["detected"], one["benches"]) if one["moves"] else "-",
+            ),
+            (
+                "delay, median / longest",
+                lambda one: f"{_hours(one['delay_h_median'])} / {_hours(one['delay_h_max'])}",
+            ),
+            ("true change by then", cell("true_change_at_report", _percent, "+")),
+            (
+                "named right",
+                lambda one: (
+                    _share(one["named_right"], one["sudden_reports"]) if one["moves"] else "-"
+                ),
+            ),
+            ("error of the change", cell("mean_abs_error", _percent)),
+            ("95 % interval holds", cell("interval_holds_truth", _percent)),
+            ("failed fits", cell("failed_fits")),
         ),
-        tuple(rows),
+        "A version is half a day. The delay counts from the onset of the fault to the end of "
+        "the version that reports it, in steps of 12 h. Stated rate of false reports: 1 % per "
+        "comparison, besides those of the sums.",
+        "A failed fit, as a rule over a change amid its data, is not compared.",
     )
+    yield table(
+        "Bench by bench",
+        [shown for result in results if (shown := _shown(result)) is not None],
+        [
+            (heading, cell(heading))
+            for heading in (
+                "case",
+                "seed",
+                "onset",
+                "first report",
+                "what it names",
+                "true change by then",
+                "change at the last version",
+                "truth",
+                "tripped",
+            )
+        ],
+    )
+
+
+def _shown(result: RunResult) -> Document | None:
+    """Texts of a bench whose change was reported."""
+    moves = CASES[result.case]
+    first = result.first_report()
+    if moves is None or first is None or first.finding is None:
+        return None
+    found = first.finding
+    last = [one.finding for one in result.versions if one.finding is not None][-1]
+    change, low, high = last.moves[moves]
+    return {
+        "case": result.case,
+        "seed": result.seed,
+        "onset": _hours(result.onset_h),
+        "first report": _hours(first.end_h),
+        "what it names": found.group if found.sudden else f"creeping {', '.join(found.creeping)}",
+        "true change by then": _percent(found.truth[moves], "+"),
+        "change at the last version": (
+            f"{_percent(change, '+')} ({_percent(low, '+')} to {_percent(high, '+')})"
+        ),
+        "truth": _percent(last.truth[moves], "+"),
+        "tripped": _hours(result.tripped_h),
+    }
+
+
+def plots(results: Sequence[RunResult], document: Document) -> dict[str, Drawing]:
+    """The first bench in all cases."""
+    first = min(result.seed for result in results)
+    return {"drift-series": partial(_draw, [one for one in results if one.seed == first])}
 
 
 def _draw(results: Sequence[RunResult]) -> "Figure":
@@ -250,3 +240,12 @@ def _draw(results: Sequence[RunResult]) -> "Figure":
     }
     axes[0, 0].legend(entries.values(), entries, fontsize=8, loc="upper left")
     return drawn
+
+
+def cases(options: Options) -> list[Task]:
+    """All benches in all cases; quickly, the first days of each."""
+    days = QUICK_DAYS if options.quick else None
+    return [Task(case, seed, days) for seed in options.seeds(BENCHES) for case in CASES]
+
+
+STUDY = Study("drift", cases, examine, figures_of, tables, plots)

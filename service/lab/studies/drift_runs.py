@@ -1,6 +1,7 @@
 """Runs of the study ``drift``: machines that change and machines that do not, followed."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,9 +133,17 @@ class RunResult:
         return next((one for one in self.versions if one.reported and one.end_h > start), None)
 
 
-def examine(task: tuple[str, int], days: int | None = None) -> RunResult:
-    """Follow one bench in one case; `days` cuts the run short."""
-    case, seed = task
+class Task(NamedTuple):
+    """One bench in one case; a number of days cuts the run short."""
+
+    case: str
+    seed: int
+    days: int | None = None
+
+
+def examine(task: Task) -> RunResult:
+    """Follow one bench in one case."""
+    case, seed, days = task
     bench = BenchParameters.random(seed, BEARING)
     scenario = scenario_of(case, seed)
     profile = scenario_profile(scenario, bench, seed, _ROW_S)

@@ -4,7 +4,7 @@ All methods learn from the same rows, know the same profile ahead and the same r
 first row, and are scored against the same temperatures.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from importlib.util import find_spec
@@ -13,17 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.lab.studies.common import Table
+from service.lab.studies.study import mean
 from twin_core import scores
 from twin_core.forecasting import (
     QUANTILE_LEVELS,
-    Forecast,
     Forecaster,
     SensorForecast,
     naive_forecasters,
-    of_ensemble,
 )
-from twin_core.simulation import OperatingProfile
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
@@ -57,49 +54,6 @@ class ForecastScore:
     crps_k: float
 
 
-def compare(
-    training: Sequence[MinuteData],
-    ahead: OperatingProfile,
-    initial_c: Mapping[str, float],
-    measured_c: Mapping[str, FloatArray],
-    twin: Forecast | SensorForecast,
-    truth_c: Mapping[str, FloatArray] | None = None,
-) -> tuple[ForecastScore, ...]:
-    """Score the twin and the methods next to it.
-
-    Parameters
-    ----------
-    training
-        Windows that the twin was identified from; all methods learn from them.
-    ahead
-        n rows; the first is now.
-    initial_c
-        What every sensor reads now.
-    measured_c
-        (n,) temperatures by sensor; NaN at rows that do not count.
-    twin
-        Its forecast over the same rows.
-    truth_c
-        (n,) noise-free temperatures by sensor, where they are known: then errors are against them,
-        while bands are always scored against the measurements.
-
-    Raises
-    ------
-    ValueError
-        If the twin's rows are not those of the profile.
-    """
-    own = of_ensemble(twin) if isinstance(twin, Forecast) else twin
-    if not np.array_equal(own.time_s, ahead.time_s):
-        raise ValueError(
-            f"the twin's forecast has {own.time_s.size} rows, expected the {ahead.size} rows of "
-            "the profile"
-        )
-    found = score(TWIN, own, measured_c, truth_c)
-    for method, forecaster in rivals(training).items():
-        found += score(method, forecaster(ahead, initial_c), measured_c, truth_c)
-    return found
-
-
 def rivals(training: Sequence[MinuteData]) -> dict[str, Forecaster]:
     """Fit every method that is compared with the twin.
 
@@ -121,7 +75,10 @@ def score(
     measured_c: Mapping[str, FloatArray],
     truth_c: Mapping[str, FloatArray] | None = None,
 ) -> tuple[ForecastScore, ...]:
-    """Score one method's forecast on every sensor that was measured at all; see `compare`."""
+    """Score one method's forecast on every sensor that was measured at all.
+
+    Errors are against the truth where it is known, bands always against the readings.
+    """
     found = []
     for name, values_c in measured_c.items():
         known = np.isfinite(values_c)
@@ -165,62 +122,14 @@ def mean_scores(runs: Sequence[Sequence[ForecastScore]]) -> tuple[ForecastScore,
     figures = [field.name for field in fields(ForecastScore)][2:]
     return tuple(
         ForecastScore(
-            *key, **{name: _mean([getattr(one, name) for one in group]) for name in figures}
+            *key, **{name: _mean_known(getattr(one, name) for one in group) for name in figures}
         )
         for key, group in groups.items()
     )
 
 
-def _mean(values: Sequence[float | None]) -> Any:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
-
-
-def score_table(
-    found: Sequence[ForecastScore],
-    title: str = "The twin beside naive forecasts and surrogates",
-    notes: Sequence[str] = (),
-) -> Table:
-    """One row per method; a cell holds the sensors' figures in their order."""
-    methods = list(dict.fromkeys(one.method for one in found))
-    sensors = list(dict.fromkeys(one.sensor for one in found))
-    by_key = {(one.method, one.sensor): one for one in found}
-    rows = []
-    for method in methods:
-        of_sensors = [by_key[method, sensor] for sensor in sensors if (method, sensor) in by_key]
-        rows.append(
-            (
-                method,
-                _cell([one.max_error_k for one in of_sensors]),
-                _cell([one.rms_k for one in of_sensors]),
-                _cell([one.crps_k for one in of_sensors]),
-                _cell([one.coverage for one in of_sensors], "{:.0%}"),
-                _cell([one.half_width_k for one in of_sensors]),
-                _cell([one.interval_score_k for one in of_sensors]),
-            )
-        )
-    return Table(
-        title,
-        (
-            "method",
-            "max error, K",
-            "rms, K",
-            "CRPS, K",
-            "95 % band covers",
-            "half-width, K",
-            "interval score, K",
-        ),
-        tuple(rows),
-        (
-            f"Figures of {' / '.join(sensors)}. A method without a band has no coverage, and its "
-            "CRPS is its mean absolute error.",
-            *notes,
-        ),
-    )
-
-
-def _cell(values: Sequence[float | None], form: str = "{:.2f}") -> str:
-    return " / ".join("–" if value is None else form.format(value) for value in values)
+def _mean_known(values: Iterable[float | None]) -> Any:
+    return mean(value for value in values if value is not None)
 
 
 def score_document(found: Sequence[ForecastScore]) -> dict[str, dict[str, dict[str, Any]]]:

@@ -6,23 +6,13 @@ seven parameters are within 1 %. Seconds depend on a machine and on a library's 
 simulations do not, so they carry the comparison.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from service.lab.studies.common import (
-    Options,
-    Plot,
-    Progress,
-    Report,
-    Table,
-    figure,
-    in_processes,
-    require,
-)
 from service.lab.studies.inverse import (
     TOLERANCE,
     CountedSearch,
@@ -31,13 +21,25 @@ from service.lab.studies.inverse import (
 )
 from service.lab.studies.methods import METHODS
 from service.lab.studies.methods import run as run_method
+from service.lab.studies.study import (
+    Document,
+    Drawing,
+    Options,
+    Study,
+    Table,
+    cell,
+    figure,
+    named,
+    table,
+    text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-NAME = "noa-vs-pso"
 RUNS = 20
+QUICK_RUNS = 2
 PAPER_NOA_S = 103.0
 PAPER_PSO_S = 1045.0
 
@@ -85,13 +87,11 @@ class Run:
     k4: FloatArray
 
 
-def run(progress: Progress, _: Options) -> Report:
-    """Compare all methods from twenty seeds each."""
-    require("pymoo", "cma")
-    # The longest first, so that no processor waits long for the last one.
+def cases(options: Options) -> list[Task]:
+    """All methods from all seeds, the longest first: no processor waits long for the last one."""
     order = sorted(METHODS, key=lambda name: -METHODS[name].budget)
-    tasks = [Task(name, seed, METHODS[name].budget) for seed in range(RUNS) for name in order]
-    return report(in_processes(search, tasks, progress))
+    runs = QUICK_RUNS if options.quick else RUNS
+    return [Task(name, seed, METHODS[name].budget) for seed in range(runs) for name in order]
 
 
 def search(task: Task) -> Run:
@@ -112,19 +112,17 @@ def search(task: Task) -> Run:
     )
 
 
-def report(runs: Sequence[Run]) -> Report:
-    """Put runs together into figures, table and plot."""
-    methods = {name: summary([run for run in runs if run.method == name]) for name in METHODS}
+def figures_of(runs: Sequence[Run]) -> Document:
+    """Figures of all methods, and how PSO compares with NOA."""
     # A best point that is still far from the target passes k4's by chance, again and again.
     ratio, is_bound = ratio_of_k4(runs, "k4_for_good")
     first_ratio, first_is_bound = ratio_of_k4(runs, "k4_first")
     seeds = sorted({run.seed for run in runs})
-    document = {
-        "study": NAME,
+    return {
         "runs": len(seeds),
         "seeds": seeds,
         "success": "all 7 parameters of the best point within 1 % of their targets",
-        "methods": methods,
+        "methods": {name: summary([run for run in runs if run.method == name]) for name in METHODS},
         "ratio_pso_over_noa": ratio,
         "ratio_is_lower_bound": is_bound,
         "ratio_of": "median simulations from which on k4 of the best point is within 1 %",
@@ -136,34 +134,46 @@ def report(runs: Sequence[Run]) -> Report:
             "ratio_pso_over_noa": PAPER_PSO_S / PAPER_NOA_S,
         },
     }
-    table = Table(
-        f"NOA against other optimisers, simple network, {len(seeds)} seeds",
+
+
+def tables(runs: Sequence[Run], document: Document) -> Iterator[Table]:
+    """All methods."""
+
+    def count(name: str) -> Callable[[Document], str]:
+        return lambda row: f"over {row['budget']}" if row[name] is None else f"{row[name]:.0f}"
+
+    yield table(
+        f"NOA against other optimisers, simple network, {document['runs']} seeds",
+        named(document["methods"]),
         (
-            "method",
-            "solved",
-            "simulations",
-            "most",
-            "seconds",
-            "k4 within 1 %",
-            "for good",
+            ("method", cell("name")),
+            ("solved", lambda row: f"{row['success_rate']:.0%}"),
+            ("simulations", count("median_evaluations")),
+            ("most", count("max_evaluations")),
+            ("seconds", cell("median_seconds", text)),
+            ("k4 within 1 %", count("k4_first_median")),
+            ("for good", count("k4_for_good_median")),
         ),
-        tuple(_row(name, facts) for name, facts in methods.items()),
-        (
-            f"Until k4 is within 1 % for good PSO needs {_times(ratio, is_bound)} the simulations "
-            f"of NOA. The paper, in seconds, one run each: {PAPER_NOA_S:.0f} s against "
-            f"{PAPER_PSO_S:.0f} s, {_times(PAPER_PSO_S / PAPER_NOA_S, False)}. The first time, "
-            f"which may be by chance: {_times(first_ratio, first_is_bound)}.",
-            "Solved: all seven parameters of the best point within 1 %. Medians, and the most of "
-            "any run; a run that fails counts with its budget. Every simulation counts, those of "
-            "finite differences too.",
-            "Searched by all: the logarithms of the parameters, and instead of k6 the resistance "
-            "at 3000 rpm that it makes with k7, because the two hide each other.",
-            "Settings: "
-            + "; ".join(f"{name}: {method.settings}" for name, method in METHODS.items())
-            + ". T of NOA is its budget and its schedule at once.",
-        ),
+        f"Until k4 is within 1 % for good PSO needs "
+        f"{_times(document['ratio_pso_over_noa'], document['ratio_is_lower_bound'])} the "
+        f"simulations of NOA. The paper, in seconds, one run each: {PAPER_NOA_S:.0f} s against "
+        f"{PAPER_PSO_S:.0f} s, {_times(PAPER_PSO_S / PAPER_NOA_S, False)}. The first time, "
+        "which may be by chance: "
+        f"{_times(document['ratio_first_time'], document['ratio_first_time_is_lower_bound'])}.",
+        "Solved: all seven parameters of the best point within 1 %. Medians, and the most of "
+        "any run; a run that fails counts with its budget. Every simulation counts, those of "
+        "finite differences too.",
+        "Searched by all: the logarithms of the parameters, and instead of k6 the resistance "
+        "at 3000 rpm that it makes with k7, because the two hide each other.",
+        "Settings: "
+        + "; ".join(f"{name}: {method.settings}" for name, method in METHODS.items())
+        + ". T of NOA is its budget and its schedule at once.",
     )
-    return Report(NAME, document, (table,), (Plot("fig09-noa-vs-pso", partial(_draw, runs)),))
+
+
+def plots(runs: Sequence[Run], document: Document) -> dict[str, Drawing]:
+    """Figure 9 of the paper."""
+    return {"fig09-noa-vs-pso": partial(_draw, runs)}
 
 
 def summary(runs: Sequence[Run]) -> dict[str, Any]:
@@ -218,22 +228,6 @@ def _times(ratio: float, is_bound: bool) -> str:
     return f"{'more than ' if is_bound else ''}{ratio:.1f} times"
 
 
-def _row(name: str, facts: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        name,
-        f"{facts['success_rate']:.0%}",
-        _count(facts["median_evaluations"], facts["budget"]),
-        _count(facts["max_evaluations"], facts["budget"]),
-        f"{facts['median_seconds']:.2f}",
-        _count(facts["k4_first_median"], facts["budget"]),
-        _count(facts["k4_for_good_median"], facts["budget"]),
-    )
-
-
-def _count(value: float | None, budget: int) -> str:
-    return f"over {budget}" if value is None else f"{value:.0f}"
-
-
 def _draw(runs: Sequence[Run]) -> "Figure":
     """Figure 9 of the paper, all seeds; and how the share of solved runs grows."""
     drawn = figure(12.0, 4.5)
@@ -276,3 +270,6 @@ def _draw_solved(axes: "Axes", runs: Sequence[Run]) -> None:
         axes.step([1, *ends, longest], [*share, share[-1]], where="post", label=name)
     axes.set_ylabel("runs with all 7 within 1 %, in %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+STUDY = Study("noa-vs-pso", cases, search, figures_of, tables, plots, libraries=("pymoo", "cma"))

@@ -5,7 +5,7 @@ twelve hours; from there the twin forecasts a test that accelerates at 300 rpm/s
 rpm, with stops between.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -26,16 +26,17 @@ from service.lab.studies.bench_scores import (
     pair,
     percent,
     score_rings,
+    seeds_of,
+    usable,
 )
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
 from service.lab.studies.drawing import RING_NAMES, Curves, curves, draw_agreement, draw_curves
 from service.lab.studies.forecasters import ForecastScore, mean_scores, score_document
 from service.lab.studies.sample_size import BEARING, LOAD_N, STAIRCASE
+from service.lab.studies.study import Document, Drawing, Study, Table, cell, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAME = "rapid-acceleration"
 BENCHES = 10
 STANDSTILL = Stage(720, 0.0, LOAD_N)
 ACCELERATIONS = (
@@ -83,11 +84,6 @@ class BenchResult:
     shown: Curves
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Identify and forecast on all benches."""
-    return report(in_processes(examine, options.seeds(BENCHES), progress))
-
-
 def examine(seed: int) -> BenchResult:
     """Identify from the staircase of one bench and forecast its test."""
     bench = run_bench(
@@ -116,44 +112,41 @@ def examine(seed: int) -> BenchResult:
     )
 
 
-def report(results: Sequence[BenchResult]) -> Report:
-    """Put all benches together into figures, tables and plots."""
-    used = [result for result in results if not (result.ran_away or result.refused)]
-    found = figures([result.rings for result in used])
-    parts = {
+def figures_of(results: Sequence[BenchResult]) -> Document:
+    """Figures of the test and of its parts over the benches whose fit may forecast."""
+    used = usable(results)
+    return {
+        "bearing": BEARING,
+        **seeds_of(results),
+        **figures([result.rings for result in used]),
         "running": figures([result.running for result in used]),
         "standing": figures([result.standing for result in used]),
         "ambient_and_points_as_planned": figures([result.planned for result in used]),
-    }
-    methods = mean_scores([result.methods for result in used])
-    document = {
-        "study": NAME,
-        "bearing": BEARING,
-        "seeds": [result.seed for result in results],
-        "ran_away": [result.seed for result in results if result.ran_away],
-        "refused": {result.seed: result.refused for result in results if result.refused},
-        **found,
-        **parts,
-        "methods": score_document(methods),
+        "methods": score_document(mean_scores([result.methods for result in used])),
         "paper": {"r_squared": list(PAPER_R_SQUARED), "coverage_95": "nearly all points"},
     }
-    paper = "/".join(f"{value:.4f}" for value in PAPER_R_SQUARED)
-    columns = (found, *parts.values())
 
-    def row(title: str, paper: str, cell: Callable[[dict[str, Any]], str]) -> tuple[str, ...]:
-        return (title, paper, *(cell(one) for one in columns))
 
-    table = Table(
+def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """The test and its parts; the methods next to the twin."""
+    used = usable(results)
+    parts = ("running", "standing", "ambient_and_points_as_planned")
+    columns = (document, *(document[part] for part in parts))
+
+    def row(title: str, paper: str, *shown: Any) -> tuple[str, ...]:
+        return (title, paper, *map(cell(*shown), columns))
+
+    yield Table(
         f"Rapid acceleration: forecast from a cold machine, T_ir/T_or, {len(used)} benches",
         ("", "paper", "ours", "running", "in the stops", "plan only"),
         (
-            row("R2", paper, lambda one: pair(one["r_squared"], 4)),
-            row("95 % band covers, %", "all", lambda one: percent(one["coverage_95_by_sensor"])),
-            row("worst bench, %", "–", lambda one: percent(one["worst_coverage_95"])),
-            row("largest error, K", "–", lambda one: pair(one["max_error_c"])),
-            row("worst bench, K", "–", lambda one: pair(one["worst_max_error_c"])),
-            row("rms error, K", "–", lambda one: pair(one["rms_error_by_sensor_k"])),
-            row("half-width, K", "wide", lambda one: pair(one["half_width_c"])),
+            row("R2", "/".join(f"{value:.4f}" for value in PAPER_R_SQUARED), "r_squared", pair, 4),
+            row("95 % band covers, %", "all", "coverage_95_by_sensor", percent),
+            row("worst bench, %", "–", "worst_coverage_95", percent),
+            row("largest error, K", "–", "max_error_c", pair),
+            row("worst bench, K", "–", "worst_max_error_c", pair),
+            row("rms error, K", "–", "rms_error_by_sensor_k", pair),
+            row("half-width, K", "wide", "half_width_c", pair),
         ),
         (
             "Errors against the noise-free temperature; R2 and coverage of the measured data. "
@@ -162,13 +155,13 @@ def report(results: Sequence[BenchResult]) -> Report:
             "has stops; its text says nearly all points, its conclusion all.",
         ),
     )
-    drawn = used[0] if used else results[0]
-    return Report(
-        NAME,
-        document,
-        (table, *methods_tables("Rapid acceleration, the twin beside others", {"test": methods})),
-        (Plot("fig12-rapid-acceleration", partial(_draw, drawn)),),
-    )
+    methods = {"test": mean_scores([result.methods for result in used])}
+    yield from methods_tables("Rapid acceleration, the twin beside others", methods)
+
+
+def plots(results: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Figure 12 of the paper, of the first bench."""
+    return {"fig12-rapid-acceleration": partial(_draw, (usable(results) or results)[0])}
 
 
 def _draw(drawn: BenchResult) -> "Figure":
@@ -186,3 +179,8 @@ def _draw(drawn: BenchResult) -> "Figure":
             f"{RING_NAMES[ring]}: R2 {score.r_squared:.4f}, {score.coverage_95:.0%} inside",
         )
     return made
+
+
+STUDY = Study(
+    "rapid-acceleration", lambda options: options.seeds(BENCHES), examine, figures_of, tables, plots
+)

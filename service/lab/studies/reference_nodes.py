@@ -5,27 +5,34 @@ of the paper's nodes T1 to Tn, and compared in all 13 nodes over the prediction 
 compares its model with itself, here the bench knows the true temperatures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.virtual_bench import BenchParameters
 from service.lab.studies.bench_runs import NODES, RINGS, forecast_from, identify_twin, run_bench
-from service.lab.studies.bench_scores import node_coverage, node_errors, text
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
+from service.lab.studies.bench_scores import node_coverage, node_errors
+from service.lab.studies.drawing import draw_node_map
 from service.lab.studies.sample_size import BEARING, STAIRCASE
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from service.lab.studies.study import (
+    Document,
+    Drawing,
+    Study,
+    Table,
+    cell,
+    named,
+    share,
+    table,
+    text,
+)
 
 FloatArray = NDArray[np.float64]
 
-NAME = "reference-nodes"
 BENCHES = 10
 SAMPLES = 180
 SCHEMES = {"rings": RINGS, **{f"N_Ref_{count}": NODES[:count] for count in (4, 6, 8, 10, 13)}}
@@ -66,11 +73,6 @@ class BenchResult:
     schemes: dict[str, NodesRun]
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Identify and forecast with all schemes on all benches."""
-    return report(in_processes(examine, options.seeds(BENCHES), progress))
-
-
 def examine(seed: int) -> BenchResult:
     """Run all schemes on one bench."""
     bench = run_bench(BenchParameters.random(seed, BEARING), STAIRCASE, seed, node_sensors=True)
@@ -88,59 +90,20 @@ def examine(seed: int) -> BenchResult:
     return BenchResult(seed, bench.ran_away(0, end), schemes)
 
 
-def report(results: Sequence[BenchResult]) -> Report:
-    """Put all benches together into figures, table and plot."""
+def figures_of(results: Sequence[BenchResult]) -> Document:
+    """Figures of all schemes over the benches that do not run away."""
     normal = [result for result in results if not result.ran_away]
     schemes = {name: _figures(name, normal) for name in SCHEMES}
-    falling = _falls([schemes[name]["euclidean_distance_k"] for name in PAPER_DISTANCE_K])
-    document = {
-        "study": NAME,
+    return {
         "bearing": BEARING,
         "samples": SAMPLES,
         "seeds": [result.seed for result in results],
         "ran_away": [result.seed for result in results if result.ran_away],
         "schemes": schemes,
-        "falls_monotonically": falling,
+        "falls_monotonically": _falls(
+            [schemes[name]["euclidean_distance_k"] for name in PAPER_DISTANCE_K]
+        ),
     }
-    rows = [
-        (
-            name,
-            f"T1 to T{len(SCHEMES[name])}" if name in PAPER_DISTANCE_K else "T_ir, T_or",
-            text(PAPER_DISTANCE_K.get(name), 1),
-            text(found["euclidean_distance_k"], 1),
-            text(found["rms_error_k"]),
-            text(found["worst_node_rms_error_k"]),
-            "–" if found["coverage_95"] is None else f"{100.0 * found['coverage_95']:.0f}",
-            str(len(found["refused"])),
-        )
-        for name, found in schemes.items()
-    ]
-    table = Table(
-        f"Reference nodes: all 13 nodes in the prediction zone, {len(normal)} benches",
-        (
-            "scheme",
-            "thermometers",
-            "paper, distance in K",
-            "ours, distance in K",
-            "rms, K",
-            "worst node, rms",
-            "covers, %",
-            "fit too poor",
-        ),
-        tuple(rows),
-        (
-            "Mean over nodes and benches. The paper's reference is its own model with other "
-            "parameters, ours the bench's true temperatures. "
-            + ("The error falls" if falling else "The error does not fall")
-            + " with every further step of reference nodes.",
-            "Fit too poor: more than 0.5 K rms off in a node, a twin that the service would not "
-            "let forecast; counted in the figures here, as these schemes are about how much the "
-            "network itself can follow.",
-        ),
-    )
-    return Report(
-        NAME, document, (table,), (Plot("fig15-reference-nodes", partial(_draw, schemes)),)
-    )
 
 
 def _figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]:
@@ -174,34 +137,46 @@ def _falls(values: Sequence[float | None]) -> bool:
     return len(known) == len(values) and all(later < earlier for earlier, later in pairwise(known))
 
 
-def _draw(schemes: dict[str, Any]) -> "Figure":
-    """Figure 15 of the paper: every node under every scheme; reference nodes are framed."""
-    made = figure(12.0, 4.0)
-    axes = made.subplots()
-    values = np.array(
-        [
-            [found["nodes"].get(node, {}).get("euclidean_distance_k", np.nan) for node in NODES]
-            for found in schemes.values()
-        ]
+def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """All schemes."""
+    benches = len(results) - len(document["ran_away"])
+    yield table(
+        f"Reference nodes: all 13 nodes in the prediction zone, {benches} benches",
+        named(document["schemes"]),
+        (
+            ("scheme", cell("name")),
+            ("thermometers", lambda scheme: _thermometers(scheme["name"])),
+            ("paper, distance in K", cell("paper.euclidean_distance_k", text, 1)),
+            ("ours, distance in K", cell("euclidean_distance_k", text, 1)),
+            ("rms, K", cell("rms_error_k", text)),
+            ("worst node, rms", cell("worst_node_rms_error_k", text)),
+            ("covers, %", cell("coverage_95", share)),
+            ("fit too poor", lambda scheme: str(len(scheme["refused"]))),
+        ),
+        "Mean over nodes and benches. The paper's reference is its own model with other "
+        "parameters, ours the bench's true temperatures. "
+        f"The error {'falls' if document['falls_monotonically'] else 'does not fall'} with every "
+        "further step of reference nodes.",
+        "Fit too poor: more than 0.5 K rms off in a node, a twin that the service would not "
+        "let forecast; counted in the figures here, as these schemes are about how much the "
+        "network itself can follow.",
     )
-    image = axes.imshow(values, cmap="YlOrBr_r", aspect="auto", vmin=0.0)
-    for (row, column), value in np.ndenumerate(values):
-        shade = "black" if value > 0.4 * np.nanmax(values) else "white"
-        framed = NODES[column] in list(schemes.values())[row]["sensors"]
-        axes.text(
-            column,
-            row,
-            f"{value:.1f}",
-            ha="center",
-            va="center",
-            color=shade,
-            bbox={"boxstyle": "round", "fill": False, "edgecolor": shade} if framed else None,
-        )
-    axes.set_xticks(range(len(NODES)), [f"T{number + 1}" for number in range(len(NODES))])
-    axes.set_yticks(range(len(schemes)), list(schemes))
-    axes.set_title(
+
+
+def _thermometers(scheme: str) -> str:
+    return f"T1 to T{len(SCHEMES[scheme])}" if scheme in PAPER_DISTANCE_K else "T_ir, T_or"
+
+
+def plots(results: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Figure 15 of the paper."""
+    title = (
         "Euclidean distance in K between forecast and truth, mean over the benches; framed: "
         "thermometer"
     )
-    made.colorbar(image, ax=axes)
-    return made
+    draw = partial(draw_node_map, document["schemes"], "euclidean_distance_k", title, 1)
+    return {"fig15-reference-nodes": draw}
+
+
+STUDY = Study(
+    "reference-nodes", lambda options: options.seeds(BENCHES), examine, figures_of, tables, plots
+)

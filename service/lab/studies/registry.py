@@ -3,21 +3,23 @@
 from dataclasses import dataclass
 from importlib import import_module
 
-from service.lab.studies.common import Options, Progress, Report, StudyError
+from service.lab.studies.processes import Progress
+from service.lab.studies.study import Options, Report, StudyError
+
+ALL = "all"
+_BENCHES = ("benches", "seed")
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
-    """A study and what it understands.
+class Entry:
+    """A study that is loaded when it is run.
 
     Parameters
     ----------
     module
-        Where its ``run(progress, options)`` is.
-    takes
-        The fields of `Options` that it heeds.
-    needs
-        Those without which it cannot run.
+        Where its ``STUDY`` is.
+    takes, needs
+        The fields of `Options` that it heeds, and those without which it cannot run.
     """
 
     module: str
@@ -26,31 +28,27 @@ class Study:
 
     def run(self, progress: Progress, options: Options) -> Report:
         """Run it; its module and the numerical libraries are loaded now."""
-        report: Report = import_module(self.module).run(progress, options)
+        report: Report = import_module(f"{__package__}.{self.module}").STUDY.run(progress, options)
         return report
 
 
-BENCH_OPTIONS = ("benches", "seed")
-
 STUDIES = {
-    "simple-network": Study("service.lab.studies.simple_network"),
-    "noa-vs-pso": Study("service.lab.studies.noa_vs_pso"),
-    "variable-speed": Study("service.lab.studies.variable_speed", takes=BENCH_OPTIONS),
-    "rapid-acceleration": Study("service.lab.studies.rapid_acceleration", takes=BENCH_OPTIONS),
-    "sample-size": Study("service.lab.studies.sample_size", takes=BENCH_OPTIONS),
-    "reference-nodes": Study("service.lab.studies.reference_nodes", takes=BENCH_OPTIONS),
-    "variable-load": Study("service.lab.studies.variable_load", takes=BENCH_OPTIONS),
-    "advice": Study("service.lab.studies.advice", takes=BENCH_OPTIONS),
-    "drift": Study("service.lab.studies.drift", takes=BENCH_OPTIONS),
-    "alarms": Study("service.lab.studies.alarms", takes=BENCH_OPTIONS),
-    "field-data": Study("service.lab.studies.field_data", takes=("data",), needs=("data",)),
-    "surrogates": Study("service.lab.studies.surrogates", takes=BENCH_OPTIONS),
+    "simple-network": Entry("simple_network"),
+    "noa-vs-pso": Entry("noa_vs_pso"),
+    "variable-speed": Entry("variable_speed", takes=_BENCHES),
+    "rapid-acceleration": Entry("rapid_acceleration", takes=_BENCHES),
+    "sample-size": Entry("sample_size", takes=_BENCHES),
+    "reference-nodes": Entry("reference_nodes", takes=_BENCHES),
+    "variable-load": Entry("variable_load", takes=_BENCHES),
+    "advice": Entry("advice", takes=_BENCHES),
+    "drift": Entry("drift", takes=_BENCHES),
+    "alarms": Entry("alarms", takes=_BENCHES),
+    "field-data": Entry("field_data", takes=("data",), needs=("data",)),
+    "surrogates": Entry("surrogates", takes=_BENCHES),
 }
 
-ALL = "all"
 
-
-def chosen(name: str, options: Options) -> dict[str, Study]:
+def chosen(name: str, options: Options) -> dict[str, Entry]:
     """The study of that name; or all of them, but for those that need what is not given.
 
     Raises

@@ -5,7 +5,7 @@ the twin forecasts the rest. The paper has one bench and, for the nodes without 
 its model with itself; here several random benches tell the truth of every node.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -31,12 +31,23 @@ from service.lab.studies.bench_scores import (
     node_errors,
     pair,
     percent,
+    phases,
     score_rings,
+)
+from service.lab.studies.drawing import RING_NAMES, Curves, curves, draw_curves, draw_node_map
+from service.lab.studies.forecasters import ForecastScore, mean_scores, score_document
+from service.lab.studies.study import (
+    Document,
+    Drawing,
+    Study,
+    Table,
+    cell,
+    figure,
+    mean,
+    named,
+    table,
     text,
 )
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
-from service.lab.studies.drawing import RING_NAMES, Curves, curves, draw_curves
-from service.lab.studies.forecasters import ForecastScore, mean_scores, score_document
 from twin_core.forecasting.labels import RUNAWAY
 
 if TYPE_CHECKING:
@@ -44,7 +55,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-NAME = "sample-size"
 BEARING = "6311"
 BENCHES = 24
 SPEEDS_RPM = (1500.0, 2400.0, 4200.0, 4900.0, 5600.0, 6200.0)
@@ -122,11 +132,6 @@ class BenchResult:
     schemes: dict[str, SchemeRun]
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Identify and forecast with all schemes on all benches."""
-    return report(in_processes(examine, options.seeds(BENCHES), progress))
-
-
 def examine(seed: int) -> BenchResult:
     """Run all schemes on one bench."""
     bench = run_bench(BenchParameters.random(seed, BEARING), STAIRCASE, seed)
@@ -153,39 +158,20 @@ def _scheme(bench: BenchRun, rows: int, end: int) -> SchemeRun:
     )
 
 
-def report(results: Sequence[BenchResult]) -> Report:
-    """Put all benches together into figures, tables and plots."""
-    normal = [result for result in results if not result.ran_away]
-    schemes = {name: _scheme_figures(name, normal) for name in SCHEMES}
-    document = {
-        "study": NAME,
+def figures_of(results: Sequence[BenchResult]) -> Document:
+    """Figures of all schemes over the benches that do not run away, and those that do apart."""
+    normal = _normal(results)
+    return {
         "bearing": BEARING,
         "benches": len(results),
         "seeds": [result.seed for result in results],
         "ran_away": {result.seed: _apart(result) for result in results if result.ran_away},
-        "schemes": schemes,
+        "schemes": {name: _scheme_figures(name, normal) for name in SCHEMES},
     }
-    methods = {
-        name: mean_scores([_of(result, name).methods for result in normal]) for name in SCHEMES
-    }
-    tables = (
-        _error_table(schemes, len(normal)),
-        _band_table(schemes, len(normal)),
-        _runaway_table([result for result in results if result.ran_away], schemes),
-        _node_table(schemes),
-        *methods_tables("Sample sizes, the twin beside other methods", methods),
-    )
-    drawn = (normal or results)[0]
-    plots = (
-        Plot("fig13-sample-sizes", partial(_draw_curves, drawn)),
-        Plot("fig14-nodes", partial(_draw_nodes, schemes)),
-        Plot("sample-size-errors", partial(_draw_errors, normal)),
-    )
-    return Report(NAME, document, tables, plots)
 
 
-def _of(result: BenchResult, name: str) -> SchemeRun:
-    return result.schemes[name]
+def _normal(results: Sequence[BenchResult]) -> list[BenchResult]:
+    return [result for result in results if not result.ran_away]
 
 
 def _apart(result: BenchResult) -> dict[str, Any]:
@@ -223,14 +209,14 @@ def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]
         },
         "nodes": {
             node: {
-                "rms_error_k": _mean(rms[:, number]),
-                "euclidean_distance_k": _mean(distances[:, number]),
+                "rms_error_k": mean(rms[:, number]),
+                "euclidean_distance_k": mean(distances[:, number]),
             }
             for number, node in enumerate(NODES)
         },
-        "node_rms_error_k": _mean(rms),
-        "euclidean_distance_k": _mean(distances),
-        "seconds": _mean(np.array([one.seconds for one in runs])),
+        "node_rms_error_k": mean(rms.ravel()),
+        "euclidean_distance_k": mean(distances.ravel()),
+        "seconds": mean(one.seconds for one in runs),
         "methods": score_document(mean_scores([one.methods for one in used])),
         "paper": {
             "max_error_c": dict(zip(RINGS, PAPER_MAX_C[name], strict=True)),
@@ -243,120 +229,107 @@ def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]
     }
 
 
-def _mean(values: FloatArray) -> float | None:
-    return float(np.mean(values)) if values.size else None
-
-
-def _error_table(schemes: dict[str, Any], benches: int) -> Table:
-    rows = [
+def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """Errors, bands, warnings, nodes, and the methods next to the twin."""
+    normal = _normal(results)
+    schemes = named(document["schemes"])
+    refused = sum(len(found["refused"]) for found in schemes)
+    yield table(
+        f"Sample sizes: largest error in the prediction zone, K, T_ir/T_or, {len(normal)} benches",
+        schemes,
         (
-            name,
-            pair(found["paper"]["max_error_c"]),
-            pair(found["offline_scheme"]["max_error_c"]),
-            pair(found["max_error_c"]),
-            pair(found["worst_max_error_c"], 1),
-            pair(found["ambient_and_points_as_planned"]["max_error_c"]),
-            text(found["rms_error_k"]),
-        )
-        for name, found in schemes.items()
-    ]
-    refused = sum(len(found["refused"]) for found in schemes.values())
-    return Table(
-        f"Sample sizes: largest error in the prediction zone, K, T_ir/T_or, {benches} benches",
-        ("scheme", "paper", "offline scheme", "ours", "worst bench", "plan only", "rms"),
-        tuple(rows),
-        (
-            "The paper has one bench; offline: the scheme of the default model on 30 other "
-            "benches. Error: median of the forecast against the noise-free temperature, all rows "
-            "after the samples. Speed, load and ambient of the validation as measured, as in the "
-            "paper; plan only: set-points and the last ambient, as the service knows them.",
-            f"Fits that failed and would not forecast: {refused}; they count in no figure.",
+            ("scheme", cell("name")),
+            ("paper", cell("paper.max_error_c", pair)),
+            ("offline scheme", cell("offline_scheme.max_error_c", pair)),
+            ("ours", cell("max_error_c", pair)),
+            ("worst bench", cell("worst_max_error_c", pair, 1)),
+            ("plan only", cell("ambient_and_points_as_planned.max_error_c", pair)),
+            ("rms", cell("rms_error_k", text)),
         ),
+        "The paper has one bench; offline: the scheme of the default model on 30 other "
+        "benches. Error: median of the forecast against the noise-free temperature, all rows "
+        "after the samples. Speed, load and ambient of the validation as measured, as in the "
+        "paper; plan only: set-points and the last ambient, as the service knows them.",
+        f"Fits that failed and would not forecast: {refused}; they count in no figure.",
     )
-
-
-def _band_table(schemes: dict[str, Any], benches: int) -> Table:
-    rows = [
+    yield table(
+        f"Sample sizes: 95 % bands, T_ir/T_or, {len(normal)} benches",
+        schemes,
         (
-            name,
-            percent(found["coverage_95_by_sensor"]),
-            percent(found["worst_coverage_95"]),
-            f"{text(found['rise_coverage_95'])}/{text(found['steady_coverage_95'])}",
-            pair(found["half_width_c"], 1),
-            pair(found["offline_scheme"]["half_width_c"], 1),
-            pair(found["interval_score_c"], 1),
-        )
-        for name, found in schemes.items()
-    ]
-    return Table(
-        f"Sample sizes: 95 % bands, T_ir/T_or, {benches} benches",
-        (
-            "scheme",
-            "covers, %",
-            "worst bench, %",
-            "rise/steady",
-            "half-width, K",
-            "offline",
-            "interval score, K",
+            ("scheme", cell("name")),
+            ("covers, %", cell("coverage_95_by_sensor", percent)),
+            ("worst bench, %", cell("worst_coverage_95", percent)),
+            ("rise/steady", phases),
+            ("half-width, K", cell("half_width_c", pair, 1)),
+            ("offline", cell("offline_scheme.half_width_c", pair, 1)),
+            ("interval score, K", cell("interval_score_c", pair, 1)),
         ),
-        tuple(rows),
-        ("Coverage of the measured data. The paper prints no band here.",),
+        "Coverage of the measured data. The paper prints no band here.",
     )
+    apart = document["ran_away"]
 
-
-def _runaway_table(results: Sequence[BenchResult], schemes: dict[str, Any]) -> Table:
-    rows = [
-        (
-            name,
-            f"{found['runaway_not_excluded']} of {found['benches']}",
-            f"{sum(_of(result, name).warned for result in results)} of {len(results)}",
-            *(
-                text(
-                    max(
-                        (_of(result, name).rings[ring].max_error_k for result in results),
-                        default=None,
-                    ),
-                    1,
-                )
-                for ring in RINGS
-            ),
+    def worst(ring: str) -> Callable[[Document], str]:
+        return lambda found: text(
+            max((one[found["name"]]["max_error_c"][ring] for one in apart.values()), default=None),
+            1,
         )
-        for name, found in schemes.items()
-    ]
-    seeds = ", ".join(str(result.seed) for result in results) or "none"
-    return Table(
+
+    yield table(
         'Sample sizes: "runaway not excluded"',
-        ("scheme", "said of calm benches", "of those that run away", "worst T_ir, K", "T_or, K"),
-        tuple(rows),
+        schemes,
         (
-            f"Benches that run away: {seeds}. Their inner ring passes 110 °C, or climbs by more "
-            "than 1 K in the last ten minutes and faster than before. They count in no other "
-            "figure; the last columns are the largest errors of their forecasts.",
+            ("scheme", cell("name")),
+            ("said of calm benches", lambda f: f"{f['runaway_not_excluded']} of {f['benches']}"),
+            (
+                "of those that run away",
+                lambda f: (
+                    f"{sum(one[f['name']]['warned'] for one in apart.values())} of {len(apart)}"
+                ),
+            ),
+            ("worst T_ir, K", worst(RINGS[0])),
+            ("T_or, K", worst(RINGS[1])),
         ),
+        f"Benches that run away: {', '.join(map(str, apart)) or 'none'}. Their inner ring passes "
+        "110 °C, or climbs by more than 1 K in the last ten minutes and faster than before. They "
+        "count in no other figure; the last columns are the largest errors of their forecasts.",
     )
-
-
-def _node_table(schemes: dict[str, Any]) -> Table:
-    rows = [
-        (
-            name,
-            f"{found['paper']['euclidean_distance_k']:.1f}",
-            f"{found['paper']['euclidean_distance_k'] / np.sqrt(found['validation']):.2f}",
-            text(found["euclidean_distance_k"], 1),
-            text(found["node_rms_error_k"], 2),
-        )
-        for name, found in schemes.items()
-    ]
-    return Table(
+    yield table(
         "Sample sizes: all 13 nodes in the prediction zone, mean over nodes",
-        ("scheme", "paper, distance in K", "the same as rms", "ours, distance in K", "ours, rms"),
-        tuple(rows),
+        schemes,
         (
-            "The paper's reference for nodes without a sensor is its own model with other "
-            "parameters, ours the bench's true temperature of every node. Euclidean distances "
-            "grow with the length of the validation and do not compare between schemes; rms does.",
+            ("scheme", cell("name")),
+            ("paper, distance in K", cell("paper.euclidean_distance_k", text, 1)),
+            (
+                "the same as rms",
+                lambda f: text(f["paper"]["euclidean_distance_k"] / np.sqrt(f["validation"])),
+            ),
+            ("ours, distance in K", cell("euclidean_distance_k", text, 1)),
+            ("ours, rms", cell("node_rms_error_k", text)),
         ),
+        "The paper's reference for nodes without a sensor is its own model with other "
+        "parameters, ours the bench's true temperature of every node. Euclidean distances "
+        "grow with the length of the validation and do not compare between schemes; rms does.",
     )
+    methods = {
+        name: mean_scores([result.schemes[name].methods for result in normal]) for name in SCHEMES
+    }
+    yield from methods_tables("Sample sizes, the twin beside other methods", methods)
+
+
+def plots(results: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Figures 13 and 14 of the paper, and the errors of all benches."""
+    normal = _normal(results)
+    return {
+        "fig13-sample-sizes": partial(_draw_curves, (normal or results)[0]),
+        # With rms errors, which compare between the schemes.
+        "fig14-nodes": partial(
+            draw_node_map,
+            document["schemes"],
+            "rms_error_k",
+            "rms error of every node in the prediction zone, K, mean over the benches",
+        ),
+        "sample-size-errors": partial(_draw_errors, normal),
+    }
 
 
 def _draw_curves(drawn: BenchResult) -> "Figure":
@@ -376,27 +349,6 @@ def _draw_curves(drawn: BenchResult) -> "Figure":
     return made
 
 
-def _draw_nodes(schemes: dict[str, Any]) -> "Figure":
-    """Figure 14 of the paper, with rms errors, which compare between the schemes."""
-    made = figure(11.0, 3.6)
-    axes = made.subplots()
-    values = np.array(
-        [
-            [np.nan if node["rms_error_k"] is None else node["rms_error_k"] for node in nodes]
-            for nodes in ([found["nodes"][name] for name in NODES] for found in schemes.values())
-        ]
-    )
-    image = axes.imshow(values, cmap="YlOrBr_r", aspect="auto", vmin=0.0)
-    for (row, column), value in np.ndenumerate(values):
-        shade = "black" if value > 0.4 * np.nanmax(values) else "white"
-        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color=shade)
-    axes.set_xticks(range(len(NODES)), [f"T{number + 1}" for number in range(len(NODES))])
-    axes.set_yticks(range(len(schemes)), list(schemes))
-    axes.set_title("rms error of every node in the prediction zone, K, mean over the benches")
-    made.colorbar(image, ax=axes)
-    return made
-
-
 def _draw_errors(results: Sequence[BenchResult]) -> "Figure":
     """Largest errors of all benches next to the paper's one."""
     made = figure(11.0, 4.2)
@@ -411,3 +363,8 @@ def _draw_errors(results: Sequence[BenchResult]) -> "Figure":
         axes.grid(alpha=0.3)
         axes.legend()
     return made
+
+
+STUDY = Study(
+    "sample-size", lambda options: options.seeds(BENCHES), examine, figures_of, tables, plots
+)

@@ -5,13 +5,13 @@ share their equations, as in the paper; what an identification is worth on a rea
 the other studies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure
 from service.lab.studies.inverse import (
     TOLERANCE,
     Best,
@@ -22,31 +22,52 @@ from service.lab.studies.inverse import (
 )
 from service.lab.studies.methods import METHODS
 from service.lab.studies.methods import run as run_method
+from service.lab.studies.study import Document, Drawing, Study, Table, cell, figure, named, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-NAME = "simple-network"
+DEFAULT = "noa+refine"
 SEED = 0
 _NOISE_K = 0.1
 _DIFFERENCE = 1e-4
 
 
-def run(progress: Progress, _: Options) -> Report:
-    """Identify with the default method and, as the paper does, with NOA alone."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What one method found: every new best point, and the simulations to 1 % and to its end."""
+
+    trace: list[Best]
+    evaluations: int
+    reached: int | None
+
+    @property
+    def values(self) -> FloatArray:
+        """The best parameters."""
+        return self.trace[-1].values
+
+    @property
+    def seconds_at_target(self) -> float | None:
+        """Seconds until all parameters were within 1 %."""
+        return next((best.seconds for best in self.trace if best.evaluations == self.reached), None)
+
+
+def examine(method: str) -> Found:
+    """Search with one method to the end of its budget."""
+    search = CountedSearch(simple_network_problem(), METHODS[method].budget, stop_at_target=False)
+    run_method(METHODS[method], search, SEED)
+    return Found(search.trace, search.evaluations, search.reached)
+
+
+def figures_of(results: Sequence[Found]) -> Document:
+    """The default method and, as the paper has it, NOA alone."""
+    found, alone = results
     problem = simple_network_problem()
-    found = _search(problem, "noa+refine")
-    progress(0.1, "noa+refine")
-    alone = _search(problem, "noa")
-    progress(0.9, "noa alone")
     spread, condition = identifiability(problem)
-    identified, noa_identified = found.trace[-1].values, alone.trace[-1].values
-    names = problem.model.parameters.names
-    document = {
-        "study": NAME,
-        "method": "noa+refine",
-        "settings": METHODS["noa+refine"].settings,
+    return {
+        "method": DEFAULT,
+        "settings": METHODS[DEFAULT].settings,
         "seed": SEED,
         "parameters": {
             name: {
@@ -56,7 +77,12 @@ def run(progress: Progress, _: Options) -> Report:
                 "std_at_0.1_k_noise": float(target * relative),
             }
             for name, target, value, noa_value, relative in zip(
-                names, problem.targets, identified, noa_identified, spread, strict=True
+                problem.model.parameters.names,
+                problem.targets,
+                found.values,
+                alone.values,
+                spread,
+                strict=True,
             )
         },
         "evaluations": found.evaluations,
@@ -65,42 +91,52 @@ def run(progress: Progress, _: Options) -> Report:
         "noa_alone": {
             "settings": METHODS["noa"].settings,
             "evaluations_to_1_percent": alone.reached,
-            "seconds_to_1_percent": _seconds_at(alone),
+            "seconds_to_1_percent": alone.seconds_at_target,
         },
-        "rms_error_k": float(np.sqrt(np.mean(problem.residuals_of(identified) ** 2))),
+        "rms_error_k": float(np.sqrt(np.mean(problem.residuals_of(found.values) ** 2))),
         "condition": condition,
         "paper": {"identified": "near-complete agreement with the targets, no figures printed"},
     }
-    rows = [
-        (
-            name,
-            f"{target:g}",
-            f"{value:.6g} ({100 * (value / target - 1):+.4f} %)",
-            f"{noa_value:.4g} ({100 * (noa_value / target - 1):+.2f} %)",
-            f"{100 * relative:.1f} %",
+
+
+def tables(results: Sequence[Found], document: Document) -> Iterator[Table]:
+    """All parameters."""
+    found, alone = results
+
+    def beside(name: str, digits: str, error: str) -> Callable[[Document], str]:
+        return lambda row: (
+            f"{row[name]:{digits}} ({100 * (row[name] / row['target'] - 1):{error}} %)"
         )
-        for name, target, value, noa_value, relative in zip(
-            names, problem.targets, identified, noa_identified, spread, strict=True
-        )
-    ]
-    table = Table(
+
+    reached = "not all within 1 %"
+    if alone.reached is not None:
+        reached = f"all within 1 % after {alone.reached} evaluations"
+    yield table(
         "Simple network: seven parameters from noise-free data",
-        ("", "paper's target", "noa+refine", "NOA alone", "std. dev. at 0.1 K noise"),
-        tuple(rows),
+        named(document["parameters"]),
         (
-            f"noa+refine ({METHODS['noa+refine'].settings}): all within 1 % after {found.reached} "
-            f"evaluations, ended by itself after {found.evaluations} and "
-            f"{document['seconds']:.2f} s.",
-            f"NOA alone ({METHODS['noa'].settings}): {_reached(alone)}; at the end the errors "
-            "above. The paper: the per-unit values approach unity, no figures printed.",
-            f"Condition of the sensitivities {condition:.0f}: with real noise k5, k6 and k7 cannot "
-            "be had to 1 %, whatever the optimiser.",
+            ("", cell("name")),
+            ("paper's target", lambda row: f"{row['target']:g}"),
+            (DEFAULT, beside("identified", ".6g", "+.4f")),
+            ("NOA alone", beside("noa_alone", ".4g", "+.2f")),
+            (
+                "std. dev. at 0.1 K noise",
+                lambda row: f"{100 * (row['std_at_0.1_k_noise'] / row['target']):.1f} %",
+            ),
         ),
+        f"{DEFAULT} ({document['settings']}): all within 1 % after {found.reached} "
+        f"evaluations, ended by itself after {found.evaluations} and "
+        f"{document['seconds']:.2f} s.",
+        f"NOA alone ({METHODS['noa'].settings}): {reached}; at the end the errors "
+        "above. The paper: the per-unit values approach unity, no figures printed.",
+        f"Condition of the sensitivities {document['condition']:.0f}: with real noise k5, k6 and "
+        "k7 cannot be had to 1 %, whatever the optimiser.",
     )
-    plot = Plot(
-        "fig08-convergence", partial(_draw, names, problem.targets, alone.trace, found.trace)
-    )
-    return Report(NAME, document, (table,), (plot,))
+
+
+def plots(results: Sequence[Found], document: Document) -> dict[str, Drawing]:
+    """Figure 8 of the paper."""
+    return {"fig08-convergence": partial(_draw, *results)}
 
 
 def identifiability(problem: InverseProblem) -> tuple[FloatArray, float]:
@@ -115,36 +151,13 @@ def identifiability(problem: InverseProblem) -> tuple[FloatArray, float]:
     return np.sqrt(np.diag(covariance)), float(np.linalg.cond(jacobian))
 
 
-def _search(problem: InverseProblem, method: str) -> CountedSearch:
-    search = CountedSearch(problem, METHODS[method].budget, stop_at_target=False)
-    run_method(METHODS[method], search, SEED)
-    return search
-
-
-def _seconds_at(search: CountedSearch) -> float | None:
-    for best in search.trace:
-        if best.evaluations == search.reached:
-            return best.seconds
-    return None
-
-
-def _reached(search: CountedSearch) -> str:
-    if search.reached is None:
-        return "not all within 1 %"
-    return f"all within 1 % after {search.reached} evaluations"
-
-
-def _draw(
-    names: Sequence[str],
-    targets: FloatArray,
-    alone: Sequence[Best],
-    found: Sequence[Best],
-) -> "Figure":
+def _draw(found: Found, alone: Found) -> "Figure":
     """Figure 8 of the paper, for NOA alone and for the default method."""
+    problem = simple_network_problem()
     drawn = figure(11.0, 4.5)
     left, right = drawn.subplots(1, 2, sharey=True)
-    for axes, trace, title in ((left, alone, "NOA alone"), (right, found, "NOA, then refinement")):
-        _draw_trace(axes, names, targets, trace)
+    for axes, one, title in ((left, alone, "NOA alone"), (right, found, "NOA, then refinement")):
+        _draw_trace(axes, problem.model.parameters.names, problem.targets, one.trace)
         axes.set_title(title)
     left.set_ylabel("best value so far / target")
     right.legend(ncols=7, loc="lower right", columnspacing=0.8, handlelength=1.0)
@@ -164,3 +177,8 @@ def _draw_trace(
     axes.set_yscale("log")
     axes.set_xlabel("simulations")
     axes.grid(alpha=0.3)
+
+
+STUDY = Study(
+    "simple-network", lambda options: (DEFAULT, "noa"), examine, figures_of, tables, plots
+)

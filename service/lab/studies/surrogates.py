@@ -9,7 +9,7 @@ the residual of the twin: of the default model, and of the paper's own form, whi
 residual. That fit is shown here even where it is so poor that it must not forecast.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -27,16 +27,12 @@ from service.lab.studies.bench_runs import (
     identify_twin,
     run_bench,
 )
-from service.lab.studies.bench_scores import pair, percent, text
-from service.lab.studies.common import (
-    Options,
-    Plot,
-    Progress,
-    Report,
-    Table,
-    figure,
-    in_processes,
-    require,
+from service.lab.studies.bench_scores import (
+    of_method,
+    pair,
+    percent,
+    seeds_of,
+    usable,
 )
 from service.lab.studies.drawing import RING_NAMES
 from service.lab.studies.forecasters import (
@@ -47,6 +43,7 @@ from service.lab.studies.forecasters import (
     score,
     score_document,
 )
+from service.lab.studies.study import Document, Drawing, Study, Table, figure, table, text
 from twin_core.forecasting import SensorForecast, of_ensemble
 from twin_core.initial_state import initial_state
 from twin_core.naive import NAIVE_KINDS
@@ -58,7 +55,6 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 Scores = tuple[ForecastScore, ...]
 
-NAME = "surrogates"
 BENCHES = 10
 BEARING = "6311"
 PAPER = "paper_model"
@@ -127,18 +123,6 @@ class BenchResult:
     refused: dict[str, str]
     scores: dict[str, dict[str, Scores]]
     shown: dict[str, Shown]
-
-
-def run(progress: Progress, options: Options) -> Report:
-    """Identify, fit and forecast on all benches.
-
-    Raises
-    ------
-    StudyError
-        Without scikit-learn; says how to install it.
-    """
-    require("sklearn")
-    return report(in_processes(examine, options.seeds(BENCHES), progress))
 
 
 def examine(seed: int) -> BenchResult:
@@ -220,48 +204,30 @@ def _scores(bench: BenchRun, made: Mapping[str, SensorForecast], begun: int, end
     )
 
 
-def report(results: Sequence[BenchResult]) -> Report:
-    """Put all benches together into figures, tables and plots."""
-    used = [result for result in results if not (result.ran_away or result.refused)]
-    means = {
-        title: {
-            test: mean_scores([result.scores[title][test] for result in used]) for test in TESTS
-        }
-        for title in TRAININGS
-    }
-    gains = {
-        title: {twin: {test: _gain(used, title, test, twin) for test in TESTS} for twin in MODELS}
-        for title in TRAININGS
-    }
-    document = {
-        "study": NAME,
+def figures_of(results: Sequence[BenchResult]) -> Document:
+    """Figures of all methods over the benches whose fits may forecast."""
+    used = usable(results)
+    return {
         "bearing": BEARING,
-        "seeds": [result.seed for result in results],
-        "ran_away": [result.seed for result in results if result.ran_away],
-        "refused": {result.seed: result.refused for result in results if result.refused},
+        **seeds_of(results),
         "benches": len(used),
         "trainings": {
             title: {
-                "rows": sum(stage.minutes for stage in TRAININGS[title]),
-                "tests": {test: score_document(found) for test, found in tests.items()},
-                "hybrid_gain": gains[title],
+                "rows": sum(stage.minutes for stage in training),
+                "tests": {test: score_document(_means(used, title, test)) for test in TESTS},
+                "hybrid_gain": {
+                    twin: {test: _gain(used, title, test, twin) for test in TESTS}
+                    for twin in MODELS
+                },
             }
-            for title, tests in means.items()
+            for title, training in TRAININGS.items()
         },
         "paper": {"figures": None, "says": "kinds B and C need more data than two sensors give"},
     }
-    tables = [
-        table
-        for title in TRAININGS
-        for table in (
-            _errors(title, means[title], len(used)),
-            _bands(title, means[title], gains[title]),
-        )
-    ]
-    plots = [Plot("surrogates-errors", partial(_draw_errors, means))]
-    if used:
-        plots.append(Plot("surrogates-forecasts", partial(_draw_forecasts, used[0])))
-    return Report(NAME, document, tuple(tables), tuple(plots))
+
+
+def _means(used: Sequence[BenchResult], title: str, test: str) -> Scores:
+    return mean_scores([result.scores[title][test] for result in used])
 
 
 def _gain(used: Sequence[BenchResult], title: str, test: str, twin: str) -> dict[str, Any]:
@@ -284,73 +250,64 @@ def _gain(used: Sequence[BenchResult], title: str, test: str, twin: str) -> dict
     }
 
 
-def _of(found: Scores, method: str, figure: str) -> dict[str, float | None]:
-    return {
-        ring: next(
-            (getattr(one, figure) for one in found if (one.method, one.sensor) == (method, ring)),
-            None,
+def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """Errors and bands, by what was learned from."""
+    used = usable(results)
+
+    def columns(
+        tests: Mapping[str, Scores], show: Callable[[Scores, str], str]
+    ) -> list[tuple[str, Callable[[str], str]]]:
+        return [("method", str), *((test, partial(show, tests[test])) for test in tests)]
+
+    def errors(found: Scores, method: str) -> str:
+        largest, crps = (of_method(found, method, name) for name in ("max_error_k", "crps_k"))
+        return f"{pair(largest)}  ({pair(crps)})"
+
+    def bands(found: Scores, method: str) -> str:
+        held, width = (of_method(found, method, name) for name in ("coverage", "half_width_k"))
+        return f"{percent(held)}  ({pair(width, 1)})"
+
+    for title in TRAININGS:
+        tests = {test: _means(used, title, test) for test in TESTS}
+        methods = _methods(tests)
+        yield table(
+            f"Learned from {title}: largest error (CRPS), K, T_ir/T_or, {len(used)} benches",
+            methods,
+            columns(tests, errors),
+            "Means over the benches; the present readings and the plan are all that is known. "
+            "For a method without a band the CRPS is its mean absolute error.",
         )
-        for ring in RINGS
-    }
+        gained = {
+            twin: "; ".join(
+                f"{test} {text(gain['twin_rms_k'])} to {text(gain['hybrid_rms_k'])} K, "
+                f"better on {gain['benches_better']} benches"
+                for test, gain in by_test.items()
+            )
+            for twin, by_test in document["trainings"][title]["hybrid_gain"].items()
+        }
+        yield table(
+            f"Learned from {title}: share in the 95 % band, % (its half-width, K), T_ir/T_or",
+            [method for method in methods if method not in NAIVE_KINDS],
+            columns(tests, bands),
+            *(
+                f"What the Gaussian process does to the rms error of {twin}: {gain}."
+                for twin, gain in gained.items()
+            ),
+        )
 
 
 def _methods(tests: Mapping[str, Scores]) -> list[str]:
     return list(dict.fromkeys(one.method for found in tests.values() for one in found))
 
 
-def _errors(title: str, tests: Mapping[str, Scores], benches: int) -> Table:
-    rows = [
-        (
-            method,
-            *(
-                f"{pair(_of(found, method, 'max_error_k'))}  ({pair(_of(found, method, 'crps_k'))})"
-                for found in tests.values()
-            ),
-        )
-        for method in _methods(tests)
-    ]
-    return Table(
-        f"Learned from {title}: largest error (CRPS), K, T_ir/T_or, {benches} benches",
-        ("method", *tests),
-        tuple(rows),
-        (
-            "Means over the benches; the present readings and the plan are all that is known. "
-            "For a method without a band the CRPS is its mean absolute error.",
-        ),
-    )
-
-
-def _bands(
-    title: str,
-    tests: Mapping[str, Scores],
-    gains: Mapping[str, Mapping[str, Mapping[str, Any]]],
-) -> Table:
-    rows = [
-        (
-            method,
-            *(
-                f"{percent(_of(found, method, 'coverage'))}  "
-                f"({pair(_of(found, method, 'half_width_k'), 1)})"
-                for found in tests.values()
-            ),
-        )
-        for method in _methods(tests)
-        if method not in NAIVE_KINDS
-    ]
-    notes = []
-    for twin, by_test in gains.items():
-        gained = "; ".join(
-            f"{test} {text(gain['twin_rms_k'])} to {text(gain['hybrid_rms_k'])} K, "
-            f"better on {gain['benches_better']} benches"
-            for test, gain in by_test.items()
-        )
-        notes.append(f"What the Gaussian process does to the rms error of {twin}: {gained}.")
-    return Table(
-        f"Learned from {title}: share in the 95 % band, % (its half-width, K), T_ir/T_or",
-        ("method", *tests),
-        tuple(rows),
-        tuple(notes),
-    )
+def plots(results: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Errors of all methods, and the forecasts of one bench."""
+    used = usable(results)
+    means = {title: {test: _means(used, title, test) for test in TESTS} for title in TRAININGS}
+    drawn: dict[str, Drawing] = {"surrogates-errors": partial(_draw_errors, means)}
+    if used:
+        drawn["surrogates-forecasts"] = partial(_draw_forecasts, used[0])
+    return drawn
 
 
 def _draw_errors(means: Mapping[str, Mapping[str, Scores]]) -> "Figure":
@@ -361,7 +318,9 @@ def _draw_errors(means: Mapping[str, Mapping[str, Scores]]) -> "Figure":
             methods = _methods(tests)
             places = np.arange(len(methods))
             for shift, ring in zip((-0.2, 0.2), RINGS, strict=True):
-                errors = [_of(found, method, "max_error_k")[ring] or np.nan for method in methods]
+                errors = [
+                    of_method(found, method, "max_error_k")[ring] or np.nan for method in methods
+                ]
                 axes.barh(places + shift, errors, 0.4, label=RING_NAMES[ring])
             axes.set_yticks(places, methods)
             axes.set_title(f"{test}, learned from {title}", fontsize=10)
@@ -390,3 +349,14 @@ def _draw_forecasts(result: BenchResult) -> "Figure":
     row[0].set_ylabel("degC")
     drawn.legend(*row[0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
     return drawn
+
+
+STUDY = Study(
+    "surrogates",
+    lambda options: options.seeds(BENCHES),
+    examine,
+    figures_of,
+    tables,
+    plots,
+    libraries=("sklearn",),
+)

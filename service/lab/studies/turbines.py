@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339
-from service.lab.studies.common import StudyError
+from service.lab.studies.study import StudyError
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]

@@ -5,10 +5,10 @@ its model then follows the two temperature sensors, and the temperatures that it
 without one; here the bench tells how true those are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +23,30 @@ from service.lab.studies.bench_scores import (
     pair,
     percent,
     score_rings,
-    text,
+    seeds_of,
+    usable,
 )
-from service.lab.studies.common import Options, Plot, Progress, Report, Table, figure, in_processes
 from service.lab.studies.drawing import RING_NAMES, Curves, curves, draw_curves
 from service.lab.studies.sample_size import BEARING, STAIRCASE
+from service.lab.studies.study import (
+    Document,
+    Drawing,
+    Study,
+    Table,
+    cell,
+    figure,
+    mean,
+    share,
+    table,
+    text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
+Texts = tuple[str, ...]
 
-NAME = "variable-speed"
 BENCHES = 10
 PAPER_MAX_C = dict(zip(RINGS, (1.2, 0.5), strict=True))
 NODE_TITLES = (
@@ -91,11 +103,6 @@ class BenchResult:
     evaluations: int
 
 
-def run(progress: Progress, options: Options) -> Report:
-    """Identify on all benches."""
-    return report(in_processes(examine, options.seeds(BENCHES), progress))
-
-
 def examine(seed: int) -> BenchResult:
     """Identify on one bench and run the twin over the same samples."""
     bench = run_bench(BenchParameters.random(seed, BEARING), STAIRCASE, seed)
@@ -117,70 +124,52 @@ def examine(seed: int) -> BenchResult:
     )
 
 
-def report(results: Sequence[BenchResult]) -> Report:
-    """Put all benches together into figures, tables and plots."""
-    used = [result for result in results if not (result.ran_away or result.refused)]
-    found = figures([result.rings for result in used])
+def figures_of(results: Sequence[BenchResult]) -> Document:
+    """Figures of the rings and of all nodes over the benches whose fit may forecast."""
+    used = usable(results)
     errors = [result.node_errors_k for result in used]
     covered = [result.node_coverage for result in used]
-    nodes = {
-        node: {
-            "rms_error_k": _mean([_rms(one[number]) for one in errors]),
-            "bias_at_6200_rpm_k": _mean([float(np.mean(one[number, -30:])) for one in errors]),
-            "coverage_95": _mean([float(one[number]) for one in covered]),
-        }
-        for number, node in enumerate(NODES)
-    }
-    document = {
-        "study": NAME,
+    return {
         "bearing": BEARING,
         "samples": results[0].node_errors_k.shape[1],
-        "seeds": [result.seed for result in results],
-        "ran_away": [result.seed for result in results if result.ran_away],
-        "refused": {result.seed: result.refused for result in results if result.refused},
-        **found,
-        "nodes": nodes,
-        "seconds": _mean([result.seconds for result in results]),
-        "evaluations": _mean([float(result.evaluations) for result in results]),
+        **seeds_of(results),
+        **figures([result.rings for result in used]),
+        "nodes": {
+            node: {
+                "rms_error_k": mean(float(np.sqrt(np.mean(one[number] ** 2))) for one in errors),
+                "bias_at_6200_rpm_k": mean(float(np.mean(one[number, -30:])) for one in errors),
+                "coverage_95": mean(float(one[number]) for one in covered),
+            }
+            for number, node in enumerate(NODES)
+        },
+        "seconds": mean(result.seconds for result in used),
+        "evaluations": mean(float(result.evaluations) for result in used),
         "paper": {"max_error_c": PAPER_MAX_C},
     }
-    drawn = used[0] if used else results[0]
-    plots = (
-        Plot("fig10-variable-speed", partial(_draw_rings, drawn)),
-        Plot("fig11-nodes", partial(_draw_all_nodes, drawn)),
-    )
-    return Report(NAME, document, (_ring_table(document), _node_table(nodes)), plots)
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table]:
+    """Rings, then nodes."""
 
+    def row(title: str, show: Callable[..., str], name: str, worst: str = "", *how: int) -> Texts:
+        paper = pair(PAPER_MAX_C, 1) if name == "max_error_c" else "–"
+        return (
+            title,
+            paper,
+            show(document[name], *how),
+            show(document[worst], *how) if worst else "–",
+        )
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
-def _ring_table(document: dict[str, Any]) -> Table:
-    return Table(
+    yield Table(
         f"Variable speed: the twin of all {document['samples']} samples, T_ir/T_or, "
         f"{document['benches']} benches",
         ("", "paper", "ours", "worst bench"),
         (
-            (
-                "largest error, K",
-                pair(PAPER_MAX_C, 1),
-                pair(document["max_error_c"]),
-                pair(document["worst_max_error_c"]),
-            ),
-            ("rms error, K", "–", pair(document["rms_error_by_sensor_k"]), "–"),
-            (
-                "95 % band covers, %",
-                "–",
-                percent(document["coverage_95_by_sensor"]),
-                percent(document["worst_coverage_95"]),
-            ),
-            ("half-width of the band, K", "–", pair(document["half_width_c"]), "–"),
-            ("R2", "–", pair(document["r_squared"], 4), "–"),
+            row("largest error, K", pair, "max_error_c", "worst_max_error_c"),
+            row("rms error, K", pair, "rms_error_by_sensor_k"),
+            row("95 % band covers, %", percent, "coverage_95_by_sensor", "worst_coverage_95"),
+            row("half-width of the band, K", pair, "half_width_c"),
+            row("R2", pair, "r_squared", "", 4),
         ),
         (
             "Against the noise-free temperature, from the cold start on, over the samples that the "
@@ -191,24 +180,32 @@ def _ring_table(document: dict[str, Any]) -> Table:
             "parameters of its five-node network.",
         ),
     )
-
-
-def _node_table(nodes: dict[str, Any]) -> Table:
-    return Table(
+    yield table(
         "Variable speed: all nodes, of which none has a thermometer",
-        ("node", "", "rms error, K", "bias at 6200 rpm, K", "95 % band covers, %"),
-        tuple(
-            (
-                f"T{number + 1}",
-                NODE_TITLES[number],
-                text(found["rms_error_k"]),
-                text(found["bias_at_6200_rpm_k"]),
-                "–" if found["coverage_95"] is None else f"{100.0 * found['coverage_95']:.0f}",
+        [
+            {"title": title, "node": f"T{number + 1}", **found}
+            for number, (title, found) in enumerate(
+                zip(NODE_TITLES, document["nodes"].values(), strict=True)
             )
-            for number, found in enumerate(nodes.values())
+        ],
+        (
+            ("node", cell("node")),
+            ("", cell("title")),
+            ("rms error, K", cell("rms_error_k", text)),
+            ("bias at 6200 rpm, K", cell("bias_at_6200_rpm_k", text)),
+            ("95 % band covers, %", cell("coverage_95", share)),
         ),
-        ("The paper has no data of these nodes and shows the twin's temperatures alone.",),
+        "The paper has no data of these nodes and shows the twin's temperatures alone.",
     )
+
+
+def plots(results: Sequence[BenchResult], document: Document) -> dict[str, Drawing]:
+    """Figures 10 and 11 of the paper, of the first bench."""
+    drawn = (usable(results) or results)[0]
+    return {
+        "fig10-variable-speed": partial(_draw_rings, drawn),
+        "fig11-nodes": partial(_draw_all_nodes, drawn),
+    }
 
 
 def _draw_rings(drawn: BenchResult) -> "Figure":
@@ -249,3 +246,8 @@ def _draw_all_nodes(drawn: BenchResult) -> "Figure":
     left.set_ylabel("temperature, °C")
     left.legend(fontsize="x-small", ncols=2, loc="upper left")
     return made
+
+
+STUDY = Study(
+    "variable-speed", lambda options: options.seeds(BENCHES), examine, figures_of, tables, plots
+)

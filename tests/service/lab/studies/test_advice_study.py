@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.lab.studies import advice
-from service.lab.studies.advice import ARMS, ARRANGEMENTS, BenchResult, Task, examine, report
+from service.lab.studies.advice import ARMS, ARRANGEMENTS, BenchResult, Task, examine
 from service.lab.studies.bench_runs import RINGS, Stage
 
 
@@ -48,7 +48,7 @@ def test_what_was_ranked_last_or_refused_is_worse(bench: BenchResult) -> None:
 def test_benches_that_ran_away_stand_apart(bench: BenchResult, tmp_path: Path) -> None:
     other = replace(bench, task=Task("known-speed", 7), ran_away=True)
     elsewhere = replace(bench, task=Task("unknown-speed", 7))
-    made = report([bench, other, elsewhere])
+    made = advice.STUDY.report([bench, other, elsewhere])
     assert made.document["seeds"] == [7, 102]
     known = made.document["arrangements"]["known-speed"]
     assert list(known["ran_away"]) == [7]
@@ -70,14 +70,14 @@ def test_benches_that_ran_away_stand_apart(bench: BenchResult, tmp_path: Path) -
 
 def test_a_fit_that_must_not_forecast_is_counted_not_averaged(bench: BenchResult) -> None:
     refused = {name: replace(arm, refused_fit="too bad a fit") for name, arm in bench.arms.items()}
-    made = report([bench, replace(bench, task=Task("known-speed", 8), arms=refused)])
+    made = advice.STUDY.report([bench, replace(bench, task=Task("known-speed", 8), arms=refused)])
     for found in made.document["arrangements"]["known-speed"]["arms"].values():
         assert (found["benches"], found["fits_refused"]) == (1, 1)
 
 
 def test_a_bench_too_hot_for_any_step_stands_apart(bench: BenchResult) -> None:
     hot = replace(bench, task=Task("known-speed", 9), arms={"none": bench.arms["none"]})
-    found = report([bench, hot]).document["arrangements"]["known-speed"]
+    found = advice.STUDY.report([bench, hot]).document["arrangements"]["known-speed"]
     assert found["no_feasible_step"] == [9]
     assert found["arms"]["none"]["benches"] == 1
 
@@ -85,7 +85,9 @@ def test_a_bench_too_hot_for_any_step_stands_apart(bench: BenchResult) -> None:
 def test_arms_that_there_are_not_are_left_out(bench: BenchResult) -> None:
     """Where all speeds are known nothing is refused."""
     arms = {name: arm for name, arm in bench.arms.items() if name != "refused"}
-    found = report([replace(bench, arms=arms)]).document["arrangements"]["known-speed"]["arms"]
+    found = advice.STUDY.report([replace(bench, arms=arms)]).document["arrangements"][
+        "known-speed"
+    ]["arms"]
     assert found["refused"]["benches"] == 0
     assert found["refused"]["steady_error_c"]["t_inner_ring_c"] is None
     assert found["advised"]["benches"] == 1

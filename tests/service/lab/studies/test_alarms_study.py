@@ -7,7 +7,7 @@ import pytest
 from adapters.virtual_bench import BenchParameters, Measured, find_scenario
 from service.lab.studies import alarm_runs
 from service.lab.studies.alarm_runs import AlarmRun, Call, Fault
-from service.lab.studies.alarms import report
+from service.lab.studies.alarms import STUDY
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
@@ -41,19 +41,21 @@ def test_false_alarms_are_counted_per_1000_h_and_delays_from_the_onset() -> None
         Call("sensor fault", "t_inner_ring_c", "", 1.01),
         Call("sensor fault", "t_inner_ring_c", "", 2.01),  # of another sensor's time
     ]
-    found = report(
+    found = STUDY.report(
         [
-            AlarmRun("unchanged", 1, 150.0, (calm, calm), ()),
-            AlarmRun("unchanged, other plans", 1, 100.0, (), ()),
-            AlarmRun("cooling-loss", 1, 60.0, (early, late, later), (Fault("", 54.0),)),
-            AlarmRun("cooling-loss", 2, 60.0, (), (Fault("", 54.0),)),
-            AlarmRun(
-                "sensor-break",
-                1,
-                1.5,
-                tuple(broken),
-                (Fault("t_inner_ring_c", 1.0), Fault("t_outer_ring_c", 2.0)),
-            ),
+            [
+                AlarmRun("unchanged", 1, 150.0, (calm, calm), ()),
+                AlarmRun("unchanged, other plans", 1, 100.0, (), ()),
+                AlarmRun("cooling-loss", 1, 60.0, (early, late, later), (Fault("", 54.0),)),
+                AlarmRun("cooling-loss", 2, 60.0, (), (Fault("", 54.0),)),
+                AlarmRun(
+                    "sensor-break",
+                    1,
+                    1.5,
+                    tuple(broken),
+                    (Fault("t_inner_ring_c", 1.0), Fault("t_outer_ring_c", 2.0)),
+                ),
+            ]
         ]
     )
     document = found.document

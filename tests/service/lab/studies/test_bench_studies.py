@@ -15,8 +15,9 @@ from service.lab.studies import (
     variable_load,
     variable_speed,
 )
+from service.lab.studies import variable_load_runs as load_runs
 from service.lab.studies.bench_runs import NODES, RINGS, Stage, run_bench
-from service.lab.studies.common import Report
+from service.lab.studies.study import Report
 
 SHORT = tuple(Stage(20, speed, 2650.0) for speed in (1500.0, 2400.0, 4200.0))
 
@@ -38,10 +39,10 @@ def short_runs() -> Iterator[None]:
             "single": (Stage(40, 5800.0, 2650.0),),
             "with_stage": (Stage(40, 5800.0, 2650.0), Stage(25, 5800.0, 3300.0)),
         }
-        patch.setattr(variable_load, "TRAININGS", trainings)
-        patch.setattr(variable_load, "LIGHT", trainings["single"][0])
+        patch.setattr(load_runs, "TRAININGS", trainings)
+        patch.setattr(load_runs, "LIGHT", trainings["single"][0])
         heavy = (Stage(35, 5800.0, 4000.0), Stage(35, 5800.0, 5500.0))
-        patch.setattr(variable_load, "HEAVY", heavy)
+        patch.setattr(load_runs, "HEAVY", heavy)
         yield
 
 
@@ -70,7 +71,7 @@ def sizes() -> list[sample_size.BenchResult]:
 def test_sample_sizes_are_means_over_the_benches(
     sizes: list[sample_size.BenchResult], tmp_path: Path
 ) -> None:
-    document = document_of(sample_size.report(sizes), tmp_path, 3)
+    document = document_of(sample_size.STUDY.report(sizes), tmp_path, 3)
     assert document["seeds"] == [100, 101]
     for name in ("N_90", "N_180"):
         found = document["schemes"][name]
@@ -99,7 +100,7 @@ def test_a_refused_fit_counts_in_no_figure_but_is_named(
 ) -> None:
     first, second = sizes
     schemes = {**first.schemes, "N_90": replace(first.schemes["N_90"], refused="poor fit")}
-    found = sample_size.report([replace(first, schemes=schemes), second]).document["schemes"]
+    found = sample_size.STUDY.report([replace(first, schemes=schemes), second]).document["schemes"]
     assert found["N_90"]["benches"] == 1
     assert found["N_90"]["refused"] == {100: "poor fit"}
     assert found["N_180"]["benches"] == 2
@@ -111,7 +112,7 @@ def test_a_bench_that_runs_away_is_reported_apart(
     sizes: list[sample_size.BenchResult],
 ) -> None:
     first, second = sizes
-    made = sample_size.report([replace(first, ran_away=True), second])
+    made = sample_size.STUDY.report([replace(first, ran_away=True), second])
     assert list(made.document["ran_away"]) == [100]
     apart = made.document["ran_away"][100]["N_90"]
     assert apart["warned"] == first.schemes["N_90"].warned
@@ -119,34 +120,34 @@ def test_a_bench_that_runs_away_is_reported_apart(
         ring: first.schemes["N_90"].rings[ring].max_error_k for ring in RINGS
     }
     assert made.document["schemes"]["N_90"]["benches"] == 1
-    nobody = sample_size.report([replace(one, ran_away=True) for one in sizes])
+    nobody = sample_size.STUDY.report([replace(one, ran_away=True) for one in sizes])
     assert nobody.document["schemes"]["N_90"]["coverage_95"] is None
     json.dumps(nobody.document, allow_nan=False)
 
 
 @pytest.fixture(scope="module")
-def loads() -> list[variable_load.LoadRun]:
+def loads() -> list[load_runs.LoadRun]:
     """Of two benches; the flat law on one of them."""
     with pytest.MonkeyPatch.context() as patch:
         light = Stage(40, 5800.0, 2650.0)
         trainings = {"single": (light,), "with_stage": (light, Stage(25, 5800.0, 3300.0))}
-        patch.setattr(variable_load, "TRAININGS", trainings)
-        patch.setattr(variable_load, "LIGHT", light)
+        patch.setattr(load_runs, "TRAININGS", trainings)
+        patch.setattr(load_runs, "LIGHT", light)
         heavy = (Stage(35, 5800.0, 4000.0), Stage(35, 5800.0, 5500.0))
-        patch.setattr(variable_load, "HEAVY", heavy)
+        patch.setattr(load_runs, "HEAVY", heavy)
         tasks = [
-            variable_load.Task(101, "catalogue", "single"),
-            variable_load.Task(101, "catalogue", "with_stage"),
-            variable_load.Task(102, "catalogue", "single"),
-            variable_load.Task(101, "flat", "single"),
+            load_runs.Task(101, "catalogue", "single"),
+            load_runs.Task(101, "catalogue", "with_stage"),
+            load_runs.Task(102, "catalogue", "single"),
+            load_runs.Task(101, "flat", "single"),
         ]
-        return [variable_load.examine(task) for task in tasks]
+        return [load_runs.examine(task) for task in tasks]
 
 
 def test_variable_load_has_the_papers_conditions(
-    loads: list[variable_load.LoadRun], tmp_path: Path
+    loads: list[load_runs.LoadRun], tmp_path: Path
 ) -> None:
-    document = document_of(variable_load.report(loads[:2]), tmp_path, 2)
+    document = document_of(variable_load.STUDY.report(loads[:2]), tmp_path, 2)
     assert list(document["conditions"]) == ["2650", "4000", "5500"]
     run = loads[0].conditions["5500"].rings["t_inner_ring_c"]
     found = document["conditions"]["5500"]
@@ -161,7 +162,7 @@ def test_variable_load_has_the_papers_conditions(
 
 def test_other_laws_have_the_same_rolling_friction_at_the_light_load() -> None:
     catalogue, flat = (
-        variable_load.bench_with(101, variable_load.LAWS[name]) for name in ("catalogue", "flat")
+        load_runs.bench_with(101, load_runs.LAWS[name]) for name in ("catalogue", "flat")
     )
     assert flat.rolling_load_exponent == 0.05
     assert flat.sliding_scale == pytest.approx(0.6 * catalogue.sliding_scale)
@@ -180,8 +181,10 @@ def test_other_laws_have_the_same_rolling_friction_at_the_light_load() -> None:
     assert heavy[0] > heavy[1] + 1.0
 
 
-def test_verdicts_are_counted_against_what_happened(loads: list[variable_load.LoadRun]) -> None:
-    def told(run: variable_load.LoadRun, ran_away: bool, warned: bool) -> variable_load.LoadRun:
+def test_verdicts_are_counted_against_what_happened(
+    loads: list[load_runs.LoadRun],
+) -> None:
+    def told(run: load_runs.LoadRun, ran_away: bool, warned: bool) -> load_runs.LoadRun:
         conditions = {
             load: replace(one, ran_away=ran_away and load == "5500", warned=warned)
             for load, one in run.conditions.items()
@@ -198,7 +201,7 @@ def test_verdicts_are_counted_against_what_happened(loads: list[variable_load.Lo
         replace(told(base, True, False), refused="poor fit"),
         replace(told(base, True, False), lost=True),
     ]
-    found = variable_load.report(runs).document["single"]
+    found = variable_load.STUDY.report(runs).document["single"]
     verdicts = found["runaway_verdicts"]["5500"]
     names = ("true", "missed", "false", "rightly_silent", "no_forecast_and_ran_away")
     assert [verdicts[name] for name in names] == [2, 1, 1, 1, 1]
@@ -207,13 +210,15 @@ def test_verdicts_are_counted_against_what_happened(loads: list[variable_load.Lo
     assert found["ran_away_in_training"] == [101]
 
 
-def test_a_single_load_says_that_its_law_is_the_priors(loads: list[variable_load.LoadRun]) -> None:
+def test_a_single_load_says_that_its_law_is_the_priors(
+    loads: list[load_runs.LoadRun],
+) -> None:
     single, with_stage = loads[:2]
     assert single.conditions["5500"].load_law_labelled
     assert not with_stage.conditions["5500"].load_law_labelled
 
 
-def test_a_runaway_bench_is_drawn_apart(loads: list[variable_load.LoadRun], tmp_path: Path) -> None:
+def test_a_runaway_bench_is_drawn_apart(loads: list[load_runs.LoadRun], tmp_path: Path) -> None:
     away = [
         replace(
             run,
@@ -221,21 +226,21 @@ def test_a_runaway_bench_is_drawn_apart(loads: list[variable_load.LoadRun], tmp_
         )
         for run in loads[:2]
     ]
-    made = variable_load.report(away)
-    assert [plot.name for plot in made.plots] == ["variable-load-runaway"]
+    made = variable_load.STUDY.report(away)
+    assert list(made.plots) == ["variable-load-runaway"]
     document_of(made, tmp_path, 1)
 
 
 def test_variable_speed_fits_its_samples_and_scores_every_node(tmp_path: Path) -> None:
     result = variable_speed.examine(100)
-    document = document_of(variable_speed.report([result]), tmp_path, 2)
+    document = document_of(variable_speed.STUDY.report([result]), tmp_path, 2)
     assert document["samples"] == 60
     for ring in RINGS:
         assert document["max_error_c"][ring] < 1.5
     assert list(document["nodes"]) == list(NODES)
     expected = np.sqrt(np.mean(result.node_errors_k[11] ** 2))
     assert document["nodes"]["t_node_12_c"]["rms_error_k"] == pytest.approx(expected)
-    refused = variable_speed.report([replace(result, refused="poor fit")]).document
+    refused = variable_speed.STUDY.report([replace(result, refused="poor fit")]).document
     assert refused["benches"] == 0
     json.dumps(refused, allow_nan=False)
 
@@ -245,7 +250,7 @@ def test_rapid_acceleration_is_forecast_from_standstill(tmp_path: Path) -> None:
     assert result.shown.time_h[0] == 0.0
     assert result.shown.ahead_h[0] == 0.0
     assert result.shown.ahead_h.size == 31
-    document = document_of(rapid_acceleration.report([result]), tmp_path, 1)
+    document = document_of(rapid_acceleration.STUDY.report([result]), tmp_path, 1)
     for ring in RINGS:
         own = result.rings[ring]
         assert document["r_squared"][ring] == own.r_squared
@@ -263,7 +268,7 @@ def test_more_reference_nodes_are_compared_in_all_nodes(tmp_path: Path) -> None:
         patch.setattr(reference_nodes, "SCHEMES", chosen)
         patch.setattr(reference_nodes, "PAPER_DISTANCE_K", {"N_Ref_4": 13.7, "N_Ref_13": 0.7})
         result = reference_nodes.examine(100)
-        document = document_of(reference_nodes.report([result]), tmp_path, 1)
+        document = document_of(reference_nodes.STUDY.report([result]), tmp_path, 1)
     assert set(result.schemes["N_Ref_4"].errors_k.shape) == {13, 20}
     for name, one in result.schemes.items():
         distance = np.mean(np.linalg.norm(one.errors_k, axis=1))

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.lab.studies.drift import report
+from service.lab.studies.drift import STUDY
 from service.lab.studies.drift_runs import (
     CASES,
     Finding,
     RunResult,
+    Task,
     Version,
     examine,
     scenario_of,
@@ -20,7 +21,7 @@ from service.lab.studies.drift_runs import (
 @pytest.fixture(scope="module")
 def covered() -> RunResult:
     """Three days of a bench whose housing is covered on the third."""
-    return examine(("cooling-loss", 101), days=3)
+    return examine(Task("cooling-loss", 101, days=3))
 
 
 def test_covered_housing_is_reported_named_and_measured(covered: RunResult) -> None:
@@ -92,7 +93,7 @@ def test_report_counts_false_reports_delays_and_names(tmp_path: Path) -> None:
         RunResult("grease-degradation", 2, 54.0, None, grease[:3]),
         RunResult("unchanged", 1, None, None, quiet),
     ]
-    made = report(results)
+    made = STUDY.report(results)
     found = made.document["cases"]["grease-degradation"]
     assert found["false_reports"] == 2  # one on each bench
     assert found["compared_without_change"] == 2
@@ -116,6 +117,6 @@ def test_report_counts_false_reports_delays_and_names(tmp_path: Path) -> None:
 
 def test_report_is_written_with_its_plot(covered: RunResult, tmp_path: Path) -> None:
     calm = replace(covered, case="unchanged", onset_h=None, versions=covered.versions[:2])
-    written = report([calm, covered]).write(tmp_path)
+    written = STUDY.report([calm, covered]).write(tmp_path)
     assert [path.name for path in written] == ["drift.json", "drift.md", "drift-series.png"]
     assert np.all([path.stat().st_size > 1000 for path in written])

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.lab.studies.common import Options, StudyError
-from service.lab.studies.field_data import (
+from service.lab.studies.field_data import STUDY, judge
+from service.lab.studies.field_data_runs import (
     CASES,
     HIGH_KW,
     LOW_KW,
@@ -21,14 +21,13 @@ from service.lab.studies.field_data import (
     VARIANTS,
     Order,
     case_network,
+    examine,
     excursions,
-    follow_order,
-    run,
     spans,
     variant_of,
 )
-from service.lab.studies.field_data_report import judge, report
 from service.lab.studies.registry import chosen
+from service.lab.studies.study import Options, StudyError
 from service.lab.studies.turbines import (
     GENERATOR_BEARING,
     HUB,
@@ -134,7 +133,7 @@ def test_the_variants_differ_in_the_law_of_the_heat_alone() -> None:
 
 def test_the_twin_beats_the_naive_forecasts_and_the_free_law_is_refused(tmp_path: Path) -> None:
     write_turbine(tmp_path)
-    found = run(lambda fraction, text: None, Options(data=tmp_path))
+    found = STUDY.run(lambda fraction, text: None, Options(data=tmp_path))
     bearings = found.document["turbines"]["X1"]
     assert set(bearings) == {"rotor bearing", "generator bearing 1"}
     for shown in bearings.values():
@@ -155,13 +154,13 @@ def test_a_variant_that_extrapolates_badly_within_the_low_part_may_not_forecast(
 ) -> None:
     """Whatever its error at high power is: the verdict knows the low part alone."""
     file = write_turbine(tmp_path)
-    kept = follow_order(Order((file,), "X1", ROTOR, "load on its prior"))
-    wild = follow_order(Order((file,), "X1", ROTOR, "speed only"))
+    kept = examine(Order((file,), "X1", ROTOR, "load on its prior"))
+    wild = examine(Order((file,), "X1", ROTOR, "speed only"))
     wild.nested.rmse_k["twin"] = 5.0  # type: ignore[index]
     wild.high.rmse_k["twin"] = 0.0  # type: ignore[index]
     (verdict, *_) = judge([wild, kept])
     assert verdict.chosen is kept
-    shown = report([wild, kept]).document["turbines"]["X1"]["rotor bearing"]["variants"]
+    shown = STUDY.report([wild, kept]).document["turbines"]["X1"]["rotor bearing"]["variants"]
     assert shown["speed only"]["accepted"] is False
     assert "extrapolation: 5.00 K rms" in shown["speed only"]["reason"]
     assert shown["load on its prior"]["accepted"] is True
@@ -182,7 +181,7 @@ def test_an_unusable_file_is_named(tmp_path: Path, old: str, new: str, expected:
     assert old in text
     file.write_text(text.replace(old, new, 1))
     with pytest.raises(StudyError, match=r"^lhb_X1_20200101\.csv: ") as caught:
-        run(lambda fraction, text: None, Options(data=tmp_path))
+        STUDY.run(lambda fraction, text: None, Options(data=tmp_path))
     assert expected in str(caught.value)
 
 
@@ -200,7 +199,7 @@ def test_a_turbine_that_never_runs_high_is_named(tmp_path: Path) -> None:
     lines = file.read_text().splitlines()
     file.write_text("\n".join(lines[:60]))
     with pytest.raises(StudyError, match="turbine X1: no "):
-        follow_order(Order((file,), "X1", ROTOR, "speed only"))
+        examine(Order((file,), "X1", ROTOR, "speed only"))
 
 
 def test_files_are_sorted_by_turbine(tmp_path: Path) -> None:
@@ -221,7 +220,7 @@ if RECORDED.is_dir():
     @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
     def test_the_twin_beats_the_naive_forecasts_on_a_recorded_turbine(case: object) -> None:
         turbine, files = next(iter(turbine_files(RECORDED).items()))
-        outcome = follow_order(
+        outcome = examine(
             Order(tuple(files[:2]), turbine, case, VARIANTS[0])  # type: ignore[arg-type]
         )
         naive = {kind: k for kind, k in outcome.high.rmse_k.items() if kind != "twin"}

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.lab.studies.common import in_processes, prepare
 from service.lab.studies.methods import METHODS
-from service.lab.studies.noa_vs_pso import Run, Task, ratio_of_k4, report, search, summary
+from service.lab.studies.noa_vs_pso import STUDY, Run, Task, ratio_of_k4, search, summary
+from service.lab.studies.processes import in_processes
+from service.lab.studies.study import prepare
 
 
 def _run(method: str, seed: int, reached: int | None, k4: int | None) -> Run:
@@ -54,7 +55,7 @@ def test_report_of_all_methods_with_table_and_plot(tmp_path: Path) -> None:
         for name in METHODS
         for seed in range(4)
     ]
-    made = report(runs)
+    made = STUDY.report(runs)
     document = json.loads(json.dumps(made.document, allow_nan=False))
     assert document["runs"] == 4
     assert set(document["methods"]) == set(METHODS)

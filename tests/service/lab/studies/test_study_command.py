@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from processes import wait_until
 
 from service.lab.studies.registry import STUDIES
+from service.lab.studies.study import Options
 
 COMMAND = [sys.executable, "-m", "service", "study"]
 
@@ -82,6 +84,19 @@ def test_options_that_do_not_fit(tmp_path: Path, arguments: tuple[str, ...], mes
     assert ended.stdout == ""
     (line,) = ended.stderr.splitlines()
     assert line.startswith(f"bearing-twin: {message}")
+
+
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if not study.needs])
+def test_quickly_a_study_has_few_cases_of_the_same_kind(name: str) -> None:
+    """One bench where there are many by default; the other searches from two seeds of twenty."""
+    declared = import_module(f"service.lab.studies.{STUDIES[name].module}").STUDY
+    assert declared.name == name
+    every, quick = declared.cases(Options()), declared.cases(Options(quick=True))
+    assert [type(case) for case in quick] == [type(case) for case in every[: len(quick)]]
+    if name == "simple-network":
+        assert list(quick) == list(every)
+    else:
+        assert 4 * len(quick) <= len(every)
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:

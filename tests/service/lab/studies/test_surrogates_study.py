@@ -11,8 +11,8 @@ import pytest
 from adapters.virtual_bench import BenchParameters
 from service.lab.studies import surrogates
 from service.lab.studies.bench_runs import RINGS, Stage, forecast_from, identify_twin, run_bench
-from service.lab.studies.common import Options, StudyError
 from service.lab.studies.forecasters import TWIN
+from service.lab.studies.study import Options, StudyError
 from service.lab.surrogates import SURROGATE_KINDS
 from twin_core.forecasting import of_ensemble
 from twin_core.naive import NAIVE_KINDS
@@ -58,7 +58,7 @@ def test_figures_of_the_report_are_those_of_the_benches(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(surrogates, "TESTS", TESTS)
         lost = replace(result, seed=101, ran_away=True)
-        made = surrogates.report([result, lost])
+        made = surrogates.STUDY.report([result, lost])
         written = made.write(tmp_path)
     assert [path.suffix for path in written] == [".json", ".md", ".png", ".png"]
     assert all(path.stat().st_size > 20_000 for path in written[2:])
@@ -79,10 +79,10 @@ def test_figures_of_the_report_are_those_of_the_benches(
 def test_a_report_without_any_usable_bench_has_no_figures(
     result: surrogates.BenchResult,
 ) -> None:
-    made = surrogates.report([replace(result, ran_away=True)])
+    made = surrogates.STUDY.report([replace(result, ran_away=True)])
     json.dumps(made.document, allow_nan=False)
     assert made.document["benches"] == 0
-    assert [plot.name for plot in made.plots] == ["surrogates-errors"]
+    assert list(made.plots) == ["surrogates-errors"]
 
 
 def test_the_twins_path_starts_where_the_bench_does_and_follows_it() -> None:
@@ -98,6 +98,6 @@ def test_the_twins_path_starts_where_the_bench_does_and_follows_it() -> None:
 
 
 def test_the_study_says_how_to_install_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.lab.studies.common.find_spec", lambda name: None)
+    monkeypatch.setattr("service.lab.studies.study.find_spec", lambda name: None)
     with pytest.raises(StudyError, match=r"pip install 'bearing-twin\[bench\]'"):
-        surrogates.run(lambda fraction, text: None, Options())
+        surrogates.STUDY.run(lambda fraction, text: None, Options())
