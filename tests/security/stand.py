@@ -19,8 +19,8 @@ from processes import Command, Station, free_port, wait_until
 from security.attackers import ASSET, OPCUA_PORT, PUSHED, PUSHED_ASSET
 
 from adapters.samples import Sample
+from service.domain.roles import Role
 from service.security.keys import create_key
-from service.store import Role
 
 POLLS_PER_S = 10.0
 STARTED_S = 180.0

@@ -9,7 +9,7 @@ import pytest
 from security.attackers import ASSET
 from security.stand import Stand
 
-from service.store import Role
+from service.domain.roles import Role
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
