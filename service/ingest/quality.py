@@ -106,7 +106,7 @@ class _Channel:
         finding = self._outside(value) or self._examine(time_us, value)
         self._time_us, self._received_us = time_us, received_us
         if self._is_speed and finding is None:
-            self._machine.turns = value >= AT_REST_RPM
+            self._machine.turns = abs(value) >= AT_REST_RPM
         if finding is not None:
             if len(self._found) >= _REMEMBERED:
                 del self._found[next(iter(self._found))]

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339, rfc3339
+from service.domain.channels import RING_SENSORS
 
-SENSORS = ("t_inner_ring_c", "t_outer_ring_c")
+SENSORS = RING_SENSORS
 QUANTILES = ("q025", "q50", "q975")
 
 

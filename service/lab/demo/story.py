@@ -11,6 +11,7 @@ import numpy as np
 from adapters.virtual_bench import Scenario
 from service.alarms import SET_ASIDE_STATES
 from service.clock import from_rfc3339, rfc3339
+from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, LOAD, RING_SENSORS, SPEED
 from service.lab.demo.configuration import ASSET
 from service.lab.demo.processes import DemoError
 from service.lab.demo.score import (
@@ -26,15 +27,8 @@ LOOK_EVERY_WALL_S = 0.4
 READY_WALL_S = 60.0
 #: The longest wait before a high-risk stage: a service that never identifies must not end the demo.
 HOLD_WALL_S = 600.0
-MODBUS_CHANNELS = (
-    "t_inner_ring_c",
-    "t_outer_ring_c",
-    "ambient_c",
-    "phase",
-    "speed_setpoint_rpm",
-    "load_setpoint_n",
-)
-CAN_CHANNELS = ("speed_rpm", "load_n")
+MODBUS_CHANNELS = (*RING_SENSORS, AMBIENT, *CONTROLLER_CHANNELS)
+CAN_CHANNELS = (SPEED, LOAD)
 MINUTE_US = 60_000_000
 
 

@@ -23,6 +23,7 @@ from adapters.virtual_bench import (
 )
 from adapters.virtual_bench.scenarios import Step
 from adapters.virtual_bench.sensors import Pt100
+from service.domain import channels
 from twin_core.bearings import bearing
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import Forecast, forecast
@@ -42,8 +43,8 @@ from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
 
-RINGS = ("t_inner_ring_c", "t_outer_ring_c")
-NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
+RINGS = channels.RING_SENSORS
+NODES = channels.NODES
 MINUTE_S = 60.0
 SECONDS = 60
 STEADY_ROWS = 30

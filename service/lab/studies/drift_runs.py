@@ -18,6 +18,7 @@ from adapters.virtual_bench import (
     scenario_profile,
     simulate,
 )
+from service.domain.channels import RING_SENSORS
 from twin_core.bearings import bearing
 from twin_core.drift import usual_point
 from twin_core.drift_series import follow
@@ -39,7 +40,7 @@ CASES: dict[str, str | None] = {
 }
 """What is run, and what truly moves."""
 
-RINGS = ("t_inner_ring_c", "t_outer_ring_c")
+RINGS = RING_SENSORS
 REGION = LowRiskRegion(4300.0, 3400.0)
 TRUE_QUANTITIES = ("friction", "convection outside")
 _TRIP_C = 130.0

@@ -102,6 +102,11 @@ def test_a_frozen_value_is_uncertain_while_the_machine_runs() -> None:
     assert line.feed((100, 63.5)) == [192]
 
 
+def test_a_machine_that_turns_backwards_turns() -> None:
+    line = Line(speed_rpm=-3000.0)
+    assert line.feed(*((t, 50.0) for t in range(1, 120)))[-1] == Quality.FROZEN
+
+
 @pytest.mark.parametrize("speed_rpm", [0.0, None])
 def test_at_rest_or_with_unknown_speed_a_value_may_stand_still(speed_rpm: float | None) -> None:
     line = Line(speed_rpm=speed_rpm)
