@@ -6,13 +6,11 @@ import struct
 import zlib
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple, Self
-
-import structlog
+from typing import NamedTuple, Self
 
 from adapters.samples import Sample, is_bad
 from service.domain.channels import importance
-from service.store import Mended, PageRow, QueueFile, QueueLayout, note_count
+from service.store import DurableQueue, Mended, QueueFile, QueueLayout, Row
 
 FILE_NAME = "spool.db"
 
@@ -34,12 +32,8 @@ CREATE TABLE IF NOT EXISTS samples (
     checksum INTEGER
 )
 """
-_COLUMNS = "asset, channel, time_us, value, quality, received_us, checksum"
-_PROBE = f"SELECT id, importance, {_COLUMNS} FROM samples LIMIT 1"
-_INSERT = f"INSERT INTO samples (importance, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_COLUMNS = ("importance", "asset", "channel", "time_us", "value", "quality", "received_us")
 _FIXED = struct.Struct("<qqqd")
-
-_log = structlog.get_logger(__name__)
 
 
 class Chunk(NamedTuple):
@@ -61,20 +55,18 @@ class Spool:
 
     Parameters
     ----------
-    file : QueueFile
-        The spool's file.
+    queue : DurableQueue
+        The spool's queue.
     size_mib : int
         Size that the samples may take. A full spool gives up the oldest samples of the least
         important channels.
     """
 
-    def __init__(self, file: QueueFile, size_mib: int) -> None:
-        self._file = file
-        self._lost = 0 if file.mended is None else file.mended.lost
-        file.on_mended(self._note_mended)
-        with file.reading() as connection:
+    def __init__(self, queue: DurableQueue, size_mib: int) -> None:
+        self._queue = queue
+        self._taken_lost = 0
+        with queue.file.reading() as connection:
             self._page_bytes = int(connection.execute("PRAGMA page_size").fetchone()[0])
-            self._count = _count(connection)
         self._pages_max = max(size_mib * _BYTES_PER_MIB // self._page_bytes, 16)
 
     @classmethod
@@ -86,26 +78,27 @@ class Spool:
         StoreError
             If the file can be neither opened nor made; one line that names it.
         """
-        return cls(QueueFile.open(folder / FILE_NAME, _LAYOUT), size_mib)
+        return cls(DurableQueue(QueueFile.open(folder / FILE_NAME, _LAYOUT)), size_mib)
 
     def __len__(self) -> int:
         """Samples that wait."""
-        return self._count
+        return len(self._queue)
 
     @property
     def mended(self) -> Mended | None:
         """What became of the file when it was last found damaged in this run."""
-        return self._file.mended
+        return self._queue.mended
 
     def take_lost(self) -> int:
         """Samples that damage of the file has cost since the last call."""
-        lost, self._lost = self._lost, 0
+        lost = self._queue.lost - self._taken_lost
+        self._taken_lost += lost
         return lost
 
     @property
     def size_bytes(self) -> int:
         """What the samples take on the disk."""
-        with self._file.reading() as connection:
+        with self._queue.file.reading() as connection:
             return _used_pages(connection) * self._page_bytes
 
     def oldest_received_us(self) -> int | None:
@@ -116,7 +109,7 @@ class Spool:
         QueueUnavailableError
             If the file cannot be read now.
         """
-        with self._file.reading() as connection:
+        with self._queue.file.reading() as connection:
             row = connection.execute(
                 "SELECT received_us FROM samples ORDER BY id LIMIT 1"
             ).fetchone()
@@ -139,14 +132,10 @@ class Spool:
         for one in samples:
             # Minus zero, which the file does not keep, becomes zero.
             value = one.value + 0.0 if math.isfinite(one.value) else None
-            row = (one.asset, one.channel, one.time_us, value, int(one.quality), one.received_us)
-            rows.append((importance(one.channel), *row, _checksum(*row)))
-        with self._file.writing() as connection:
-            connection.executemany(_INSERT, rows)
-            given_up = self._make_room(connection, self._count + len(rows))
-            note_count(connection, self._count + len(rows) - given_up)
-        self._count += len(rows) - given_up
-        return given_up
+            rank, quality = importance(one.channel), int(one.quality)
+            row = (rank, one.asset, one.channel, one.time_us, value, quality, one.received_us)
+            rows.append(row)
+        return self._queue.append(rows, self._make_room)
 
     def first(self, limit: int) -> Chunk | None:
         """Read the oldest samples, in the order in which they came; None when there are none.
@@ -156,20 +145,14 @@ class Spool:
         QueueUnavailableError
             If the file cannot be read now.
         """
-        with self._file.reading() as connection:
-            rows = connection.execute(
-                f"SELECT id, {_COLUMNS} FROM samples ORDER BY id LIMIT ?", (limit,)
-            ).fetchall()
+        rows = self._queue.first(limit)
         if not rows:
-            self._lost += self._count
-            self._count = 0
             return None
         samples = [
             Sample(asset, channel, time_us, math.nan if value is None else value, quality, received)
-            for _, asset, channel, time_us, value, quality, received, checksum in rows
-            # Rows of an earlier version have no checksum.
-            if checksum is None
-            or checksum == _checksum(asset, channel, time_us, value, quality, received)
+            for _, asset, channel, time_us, value, quality, received in (
+                row for _, row in rows if row is not None
+            )
         ]
         return Chunk(rows[-1][0], samples, len(rows) - len(samples))
 
@@ -181,19 +164,12 @@ class Spool:
         QueueUnavailableError
             If the disk does not take the change; they will be read, and stored, once more.
         """
-        with self._file.writing() as connection:
-            removed = connection.execute(
-                "DELETE FROM samples WHERE id <= ?", (chunk.last_id,)
-            ).rowcount
-            note_count(connection, self._count - removed)
-        self._count -= removed
-        if chunk.damaged:
-            self._lost += chunk.damaged
-            _log.error("spool_samples_damaged", lost=chunk.damaged)
+        self._queue.remove(chunk.last_id)
+        self._queue.note_damaged(chunk.damaged)
 
     def newest(self) -> dict[tuple[str, str], int | None]:
         """Time of the newest sample of each asset and channel; None where it is bad."""
-        with self._file.reading() as connection:
+        with self._queue.file.reading() as connection:
             rows = connection.execute(
                 # SQLite gives the other columns of the row that has the maximum.
                 "SELECT asset, channel, MAX(time_us), quality FROM samples GROUP BY asset, channel"
@@ -205,12 +181,7 @@ class Spool:
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
-
-    def _note_mended(self, mended: Mended) -> None:
-        # What waited is known better than the damaged file can say.
-        self._lost += max(self._count - mended.salvaged, 0)
-        self._count = mended.salvaged
+        self._queue.close()
 
     def _make_room(self, connection: sqlite3.Connection, count: int) -> int:
         given_up = 0
@@ -224,14 +195,9 @@ class Spool:
         return given_up
 
 
-def _count(connection: sqlite3.Connection) -> int:
-    return int(connection.execute("SELECT COUNT(*) FROM samples").fetchone()[0])
-
-
-def _checksum(
-    asset: str, channel: str, time_us: int, value: float | None, quality: int, received_us: int
-) -> int:
+def _checksum(row: Row) -> int:
     """CRC-32 of a sample: SQLite has none of its own, and a flipped bit makes a wrong value."""
+    _, asset, channel, time_us, value, quality, received_us = row
     try:
         numbers = _FIXED.pack(time_us, quality, received_us, math.nan if value is None else value)
         return zlib.crc32(f"{asset}\0{channel}".encode(), zlib.crc32(numbers))
@@ -239,47 +205,30 @@ def _checksum(
         return -1  # a damaged row has other kinds of values
 
 
-def _salvage(row: PageRow) -> tuple[Any, ...] | None:
-    """Turn a row of any page into one of the table of samples; None if it is none."""
-    if row.rowid is None or len(row.values) not in (8, 9):
-        return None
-    _, rank, asset, channel, time_us, value, quality, received_us, *checksum = row.values
+def _salvage(row: Row) -> Row | None:
+    """Accept values that can be a sample, the value as a number; None if they cannot."""
+    rank, asset, channel, time_us, value, quality, received_us = row
     numbers = (rank, time_us, quality, received_us)
     if not (
         isinstance(asset, str)
         and isinstance(channel, str)
         and all(isinstance(number, int) for number in numbers)
         and isinstance(value, int | float | None)
-        and isinstance(quality, int)
         and 0 <= quality <= 255
-        and isinstance(time_us, int)
-        and isinstance(received_us, int)
         and 0 <= time_us < 2**63
     ):
         return None
     value = None if value is None else float(value)
-    if checksum and checksum[0] is not None:
-        wanted = _checksum(asset, channel, time_us, value, quality, received_us)
-        if checksum[0] != wanted:
-            return None
-    return (
-        row.rowid,
-        rank,
-        asset,
-        channel,
-        time_us,
-        value,
-        quality,
-        received_us,
-        checksum[0] if checksum else None,
-    )
+    return rank, asset, channel, time_us, value, quality, received_us
 
 
 _LAYOUT = QueueLayout(
     application_id=_APPLICATION_ID,
     tables=_TABLES,
-    probe=_PROBE,
     table="samples",
+    key="id",
+    columns=_COLUMNS,
+    checksum=_checksum,
     salvage=_salvage,
     added_columns=[("checksum", "INTEGER")],
 )

@@ -9,6 +9,7 @@ from service.store.alarm_records import (
     JournalFilter,
 )
 from service.store.database_lock import DatabaseLock, lock_database
+from service.store.durable_queue import DurableQueue
 from service.store.errors import (
     ActiveJobError,
     DatabaseInUseError,
@@ -25,7 +26,7 @@ from service.store.queue_file import (
     QueueFile,
     QueueLayout,
     QueueUnavailableError,
-    note_count,
+    Row,
 )
 from service.store.records import (
     Activation,
@@ -62,6 +63,7 @@ __all__ = [
     "DataDirectoryLock",
     "DatabaseInUseError",
     "DatabaseLock",
+    "DurableQueue",
     "Job",
     "JobChanges",
     "JournalFilter",
@@ -77,6 +79,7 @@ __all__ = [
     "Retention",
     "RetentionTime",
     "Rollup",
+    "Row",
     "Store",
     "StoreDamagedError",
     "StoreError",
@@ -85,5 +88,4 @@ __all__ = [
     "WriteCounts",
     "lock_data_directory",
     "lock_database",
-    "note_count",
 ]

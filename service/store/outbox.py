@@ -1,7 +1,6 @@
 """Alarm changes and audit lines on their way to the store: in order, crash-safe, once."""
 
 import json
-import sqlite3
 import threading
 import zlib
 from collections import deque
@@ -9,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 from uuid import uuid4
 
 import structlog
@@ -17,15 +16,9 @@ import structlog
 from service.store.alarm_records import Alarm, AlarmTransition
 from service.store.closable import Closable
 from service.store.deliveries import Delivery
+from service.store.durable_queue import DurableQueue
 from service.store.errors import StoreUnavailableError
-from service.store.pages import PageRow
-from service.store.queue_file import (
-    Mended,
-    QueueFile,
-    QueueLayout,
-    QueueUnavailableError,
-    note_count,
-)
+from service.store.queue_file import Mended, QueueFile, QueueLayout, QueueUnavailableError, Row
 from service.store.records import AuditEntry
 from service.store.store import Store
 
@@ -40,7 +33,6 @@ CREATE TABLE IF NOT EXISTS changes (
     checksum INTEGER
 );
 """
-_PROBE = "SELECT number, sender, document, checksum FROM changes"
 #: Some 700 changes find room on a full disk.
 _RESERVED_BYTES = 2**20
 #: Both the store and the disk are left alone this many wall seconds after they refused.
@@ -73,7 +65,7 @@ class Outbox(Closable):
 
     Parameters
     ----------
-    file : QueueFile
+    queue : DurableQueue
         Where changes wait.
     store : Store
         Where they go.
@@ -84,26 +76,22 @@ class Outbox(Closable):
         Why the store takes nothing at the moment; None while all is well.
     disk_problem : str or None
         Why the disk takes nothing: changes wait in memory only. None while it does.
-    lost : int
-        Changes that damage of the file has cost in this run.
     """
 
-    def __init__(self, file: QueueFile, store: Store) -> None:
-        self._file = file
+    def __init__(self, queue: DurableQueue, store: Store) -> None:
+        self._queue = queue
         self._store = store
         self._condition = threading.Condition()
         self._new: deque[Change] = deque()
         self._taken = 0
+        self._kept = len(queue)
         self._closing = False
         self.problem: str | None = None
         self.disk_problem: str | None = None
         # Each run is a sender of its own: the numbers of a file that was restored from a copy
         # begin again where the store has gone on from.
         self._sender = uuid4().hex
-        self.lost = 0 if file.mended is None else file.mended.lost
-        file.on_mended(self._note_mended)
-        with file.reading() as connection:
-            self._kept = int(connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
+        queue.on_mended(self._note_mended)
         self._threads = [
             threading.Thread(target=self._repeat, args=(has_work, work), name=name, daemon=True)
             for name, has_work, work in (
@@ -124,12 +112,17 @@ class Outbox(Closable):
             If its file can be neither opened nor made; one line that names it.
         """
         path = data_dir / FILE_NAME
-        return cls(QueueFile.open(path, _LAYOUT), store)
+        return cls(DurableQueue(QueueFile.open(path, _LAYOUT)), store)
 
     @property
     def mended(self) -> Mended | None:
         """What became of the file when it was last found damaged in this run."""
-        return self._file.mended
+        return self._queue.mended
+
+    @property
+    def lost(self) -> int:
+        """Changes that damage of the file has cost in this run."""
+        return self._queue.lost
 
     @property
     def waiting(self) -> int:
@@ -191,7 +184,7 @@ class Outbox(Closable):
         elif self._kept:
             _log.warning("changes_wait_for_next_start", count=self._kept, error=self.problem)
         if not any(thread.is_alive() for thread in self._threads):
-            self._file.close()
+            self._queue.close()
 
     # ------------------------------------------------------------------ the two threads
     def _repeat(self, has_work: Callable[[], object], work: Callable[[], bool]) -> None:
@@ -216,13 +209,7 @@ class Outbox(Closable):
         with self._condition:
             changes = list(islice(self._new, _PORTION))
         try:
-            with self._file.writing() as connection:
-                documents = [_document(change) for change in changes]
-                connection.executemany(
-                    "INSERT INTO changes (sender, document, checksum) VALUES (?, ?, ?)",
-                    [(self._sender, text, _checksum(self._sender, text)) for text in documents],
-                )
-                _note_rows(connection)
+            self._queue.append([(self._sender, _document(change)) for change in changes])
         except QueueUnavailableError as error:
             if self.disk_problem is None:
                 _log.error("outbox_unavailable", error=str(error), waiting=self.waiting)
@@ -254,9 +241,7 @@ class Outbox(Closable):
             self._taken = delivery.number
             count += 1
         try:
-            with self._file.writing() as connection:
-                connection.execute("DELETE FROM changes WHERE number <= ?", (self._taken,))
-                _note_rows(connection)
+            self._queue.remove(self._taken)
         except QueueUnavailableError as error:
             # No harm: the store knows what it has.
             _log.warning("outbox_unavailable", error=str(error), waiting=self.waiting)
@@ -272,7 +257,7 @@ class Outbox(Closable):
             elif change is not None:
                 self._store.alarms.save(change.alarm, change.lines, delivery)
             else:
-                self.lost += 1
+                self._queue.note_damaged(1)
         except StoreUnavailableError as error:
             if self.problem is None:
                 _log.warning("changes_wait", error=str(error), waiting=self.waiting)
@@ -288,21 +273,16 @@ class Outbox(Closable):
 
     def _read(self, limit: int = -1) -> list[tuple[Delivery, Change | None]]:
         """Read the oldest changes that the store does not have."""
-        with self._file.reading() as connection:
-            rows = connection.execute(
-                "SELECT sender, number, document, checksum FROM changes WHERE number > ? "
-                "ORDER BY number LIMIT ?",
-                (self._taken, limit),
-            ).fetchall()
         return [
-            (Delivery(sender, number), _change(sender, document, checksum))
-            for sender, number, document, checksum in rows
+            (Delivery("", number), None)
+            if row is None
+            else (Delivery(row[0], number), _change(row[1]))
+            for number, row in self._queue.first(limit, self._taken)
         ]
 
-    def _note_mended(self, mended: Mended) -> None:
+    def _note_mended(self) -> None:
         with self._condition:
-            self.lost += max(self._kept - mended.salvaged, 0)
-            self._kept = mended.salvaged
+            self._kept = len(self._queue)
             # The numbers may begin again: what the store has already it knows by its sender.
             self._sender, self._taken = uuid4().hex, 0
 
@@ -312,11 +292,9 @@ def _document(change: Change) -> str:
     return json.dumps({kind: asdict(change)}, default=float)
 
 
-def _change(sender: str, document: str, checksum: int | None) -> Change | None:
-    """Read a change; None, with a log line, for a damaged one or one of another version."""
+def _change(document: str) -> Change | None:
+    """Read a change; None, with a log line, for one of another version."""
     try:
-        if checksum is not None and checksum != _checksum(sender, document):
-            raise ValueError("damaged")
         ((kind, given),) = json.loads(document).items()
         if kind == "audit":
             return AuditEntry(**given)
@@ -327,31 +305,22 @@ def _change(sender: str, document: str, checksum: int | None) -> Change | None:
         return None
 
 
-def _checksum(sender: str, document: str) -> int:
+def _checksum(row: Row) -> int:
+    sender, document = row
     return zlib.crc32(f"{sender}\0{document}".encode(errors="replace"))
 
 
-def _note_rows(connection: sqlite3.Connection) -> None:
-    note_count(connection, connection.execute("SELECT COUNT(*) FROM changes").fetchone()[0])
-
-
-def _salvage(row: PageRow) -> tuple[Any, ...] | None:
-    """Turn a row of any page into one of the table of changes; None if it is none."""
-    if row.rowid is None or len(row.values) not in (3, 4):
-        return None
-    _, sender, document, *checksum = row.values
-    if not (isinstance(sender, str) and isinstance(document, str)):
-        return None
-    if checksum and checksum[0] is not None and checksum[0] != _checksum(sender, document):
-        return None
-    return row.rowid, sender, document, checksum[0] if checksum else None
+def _salvage(row: Row) -> Row | None:
+    return row if all(isinstance(value, str) for value in row) else None
 
 
 _LAYOUT = QueueLayout(
     application_id=_APPLICATION_ID,
     tables=_TABLES,
-    probe=_PROBE,
     table="changes",
+    key="number",
+    columns=("sender", "document"),
+    checksum=_checksum,
     salvage=_salvage,
     added_columns=[("checksum", "INTEGER")],
     reserved_bytes=_RESERVED_BYTES,

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sqlite3
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -41,6 +41,10 @@ class QueueUnavailableError(RuntimeError):
     """The file cannot be read or written now (disk full, I/O error)."""
 
 
+Row = Sequence[Any]
+"""Values of a row of a queue, in the order of its columns."""
+
+
 @dataclass(frozen=True, slots=True)
 class Mended:
     """What became of a damaged file.
@@ -71,12 +75,16 @@ class QueueLayout:
         Marks the file as ours.
     tables : str
         SQL that makes the tables where they are missing.
-    probe : str
-        SQL that fails on tables of another shape.
     table : str
         The table whose rows wait.
+    key : str
+        Its first column, the number of the row.
+    columns : tuple of str
+        Its other columns, but for the last one, which is ``checksum``.
+    checksum : callable
+        The checksum of a row of these columns; it must not raise for a damaged one.
     salvage : callable
-        Turns a row of any page into a row of that table, its number first, or None if it is none.
+        Turns values of those columns, from a row of any page, into a row; None if they are none.
     added_columns : collection of (str, str)
         Columns, with their types, that files of earlier versions lack.
     reserved_bytes : int
@@ -86,11 +94,33 @@ class QueueLayout:
 
     application_id: int
     tables: str
-    probe: str
     table: str
-    salvage: Callable[[PageRow], tuple[Any, ...] | None]
+    key: str
+    columns: tuple[str, ...]
+    checksum: Callable[[Row], int]
+    salvage: Callable[[Row], Row | None]
     added_columns: Collection[tuple[str, str]] = ()
     reserved_bytes: int = 0
+
+    @property
+    def probe(self) -> str:
+        """SQL that fails on a table of another shape."""
+        names = ", ".join((self.key, *self.columns, "checksum"))
+        return f"SELECT {names} FROM {self.table} LIMIT 1"
+
+    def salvaged(self, found: PageRow) -> Row | None:
+        """Turn a row of any page into one of the table; None if it is none, or is damaged."""
+        # Rows of an earlier version have no checksum.
+        missing = 1 + len(self.columns) - len(found.values)
+        if found.rowid is None or missing not in (0, -1):
+            return None
+        row = self.salvage(found.values[1 : 1 + len(self.columns)])
+        if row is None:
+            return None
+        checksum = found.values[-1] if missing else None
+        if checksum is not None and checksum != self.checksum(row):
+            return None
+        return found.rowid, *row, checksum
 
 
 class QueueFile:
@@ -105,6 +135,10 @@ class QueueFile:
 
     Attributes
     ----------
+    name : str
+        What messages call it.
+    layout : QueueLayout
+        What is in it.
     mended : Mended or None
         What became of the file when it was last found damaged.
 
@@ -116,7 +150,8 @@ class QueueFile:
 
     def __init__(self, path: Path, layout: QueueLayout) -> None:
         self._path = path
-        self._layout = layout
+        self.name = path.stem
+        self.layout = layout
         self._lock = threading.RLock()
         self._failures = 0
         self._on_mended: Callable[[Mended], None] | None = None
@@ -202,11 +237,11 @@ class QueueFile:
         self._failures = 0
         self._connection.close()
         try:
-            self._connection, self.mended = _mend(self._path, self._layout, error)
+            self._connection, self.mended = _mend(self._path, self.layout, error)
         except (sqlite3.Error, OSError) as problem:
             _log.error(f"{self._path.stem}_not_mended", file=str(self._path), error=str(problem))
             with contextlib.suppress(sqlite3.Error):
-                self._connection = _connect(self._path, self._layout)
+                self._connection = _connect(self._path, self.layout)
             return
         if self._on_mended is not None:
             self._on_mended(self.mended)
@@ -336,7 +371,7 @@ def _copy_rows(
             if isinstance(found.values[1], int):
                 latest = found.values[1]
             continue
-        row = layout.salvage(found)
+        row = layout.salvaged(found)
         if row is None or not 0 < row[0] < _LARGEST_NUMBER:
             continue
         taken = connection.execute(insert, row).rowcount == 0

@@ -116,14 +116,14 @@ def test_a_full_disk_leaves_the_spool_as_it_was(tmp_path: Path) -> None:
     spool = Spool.open(tmp_path, 16)
     spool.append([sample(1)])
     # The limit that SQLite itself knows gives the same error as the disk's.
-    spool._file._connection.execute("PRAGMA max_page_count = 8")
+    spool._queue.file._connection.execute("PRAGMA max_page_count = 8")
     with pytest.raises(QueueUnavailableError, match="full"):
         spool.append([sample(k) for k in range(5000)])
     chunk = spool.first(99)
     assert chunk is not None
     assert chunk.samples == [sample(1)]
     assert len(spool) == 1
-    spool._file._connection.execute("PRAGMA max_page_count = 100000")
+    spool._queue.file._connection.execute("PRAGMA max_page_count = 100000")
     spool.append([sample(2)])
     assert len(spool) == 2
     spool.close()

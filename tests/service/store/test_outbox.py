@@ -177,7 +177,7 @@ def test_a_full_disk_still_takes_much_and_what_it_refuses_goes_straight_on(
     sqlite_store: Store, tmp_path: Path
 ) -> None:
     with Outbox.open(tmp_path, sqlite_store) as outbox:
-        with outbox._file.reading() as connection:
+        with outbox._queue.file.reading() as connection:
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
             # The limit that SQLite itself knows gives the same error as the disk's.
             connection.execute(f"PRAGMA max_page_count = {pages}")
@@ -190,7 +190,7 @@ def test_a_full_disk_still_takes_much_and_what_it_refuses_goes_straight_on(
             assert "full" in str(outbox.disk_problem)
         wait_until(written(outbox), PATIENCE_S, "the store has all")
         # Not even the room that was kept: the disk is broken.
-        with outbox._file.reading() as connection:
+        with outbox._queue.file.reading() as connection:
             connection.execute("PRAGMA query_only = ON")
         outbox.record(long_change(3000))
         wait_until(written(outbox), PATIENCE_S, "the store has it without the disk")
