@@ -14,6 +14,9 @@ from adapters.protocol import Clock
 from service.files import replacing
 
 MICROSECONDS = 1_000_000
+MINUTE_US = 60 * MICROSECONDS
+HOUR_US = 60 * MINUTE_US
+DAY_US = 24 * HOUR_US
 _ANCHOR_FILE = "clock.json"
 # Time servers correct a clock by less; process seconds at rate 1.
 _CLOCK_SET_S = 1.0
@@ -48,7 +51,7 @@ class ProcessClock:
         if not (math.isfinite(rate) and rate > 0):
             raise ValueError(f"clock rate {rate!r}: expected a positive number")
         self.rate = float(rate)
-        self._anchor = anchor or (time.time(), time.time_ns() // 1000)
+        self._anchor = anchor or (time.time(), wall_us())
 
     @classmethod
     def resume(cls, rate: float, data_dir: Path) -> "ProcessClock":
@@ -70,13 +73,13 @@ class ProcessClock:
         """
         path = data_dir / _ANCHOR_FILE
         earlier = cls._read(path)
-        wall_us = time.time_ns() // 1000
-        begin_us = wall_us
+        started_us = wall_us()
+        begin_us = started_us
         if earlier is not None:
             if earlier.rate == rate:
                 return earlier
             reached_us = earlier.now_us()
-            ahead_s = (reached_us - wall_us) / MICROSECONDS
+            ahead_s = (reached_us - started_us) / MICROSECONDS
             if rate == 1.0 and ahead_s > _CLOCK_SET_S:
                 raise ClockError(
                     f"clock.rate = 1: the clock of {data_dir} ran at rate {earlier.rate:g} and has "
@@ -87,11 +90,11 @@ class ProcessClock:
             _log.warning(
                 "clock_rate_changed", before=earlier.rate, now=rate, at=rfc3339(reached_us)
             )
-            begin_us = max(reached_us, wall_us)
+            begin_us = max(reached_us, started_us)
         if rate == 1.0:
             path.unlink(missing_ok=True)  # else a later run would count this one at that rate
             return cls()
-        clock = cls(rate, (wall_us / MICROSECONDS, begin_us))
+        clock = cls(rate, (started_us / MICROSECONDS, begin_us))
         wall_s, process_us = clock._anchor
         with replacing(path, private=True) as file:
             json.dump({"rate": rate, "wall_s": wall_s, "process_us": process_us}, file)
@@ -120,7 +123,7 @@ class ProcessClock:
     def now_us(self) -> int:
         """Process time in UTC microseconds since the epoch."""
         if self.rate == 1.0:
-            return time.time_ns() // 1000
+            return wall_us()
         wall_s, process_us = self._anchor
         return process_us + round((time.time() - wall_s) * self.rate * MICROSECONDS)
 
@@ -151,6 +154,11 @@ class ClockWatch:
         ahead_s = (now_us - self._seen_us - passed_us) / MICROSECONDS
         self._seen_us, self._seen_s = now_us, now_s
         return ahead_s if abs(ahead_s) > _CLOCK_SET_S * max(self._clock.rate, 1.0) else 0.0
+
+
+def wall_us() -> int:
+    """Wall time in UTC microseconds: keys, sessions and the audit trail are dated by it."""
+    return time.time_ns() // 1000
 
 
 def rfc3339(time_us: int) -> str:

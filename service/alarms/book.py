@@ -18,6 +18,7 @@ from service.alarms.records import (
 )
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
+from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
 from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
 
@@ -25,7 +26,6 @@ from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
 SERVICE = "service"
 #: No alarm may be shelved for longer at a time, in process seconds.
 LONGEST_SHELVING_S = 8 * 3600.0
-_MICROSECONDS = 1_000_000
 _NOT_CONFIGURED = "no longer configured"
 _TIME_IS_OVER = "the shelving time has expired"
 # What is said to the alarm of a source counts for these of its channels, too.
@@ -97,7 +97,7 @@ class AlarmBook:
                 timer.reset()
                 alarm = self._turn(alarm, condition, holds, now_us)
             alarm = self._suppress(alarm, condition, now_us)
-            standing_s = (now_us - alarm.since_us) / _MICROSECONDS
+            standing_s = (now_us - alarm.since_us) / MICROSECONDS
             if alarm.state == AlarmState.ACKED and 0 < condition.re_alarm_s <= standing_s:
                 self._move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE)
 
@@ -252,7 +252,7 @@ class AlarmBook:
             if event == AlarmEvent.ACKNOWLEDGE:
                 alarm = replace(alarm, acknowledged_at_us=now_us, acknowledged_by=who)
             elif event == AlarmEvent.SHELVE:
-                until_us = now_us + round(duration_s * _MICROSECONDS)
+                until_us = now_us + round(duration_s * MICROSECONDS)
                 alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
             alarm = self._move(alarm, event, now_us, who, comment)
             condition = self._conditions.get(key_of(alarm))
@@ -285,7 +285,7 @@ class AlarmBook:
 
     def _end_shelving(self, now_us: int) -> None:
         """Bring back what was shelved long enough; also after the clock was set back by hours."""
-        longest_us = round(LONGEST_SHELVING_S * _MICROSECONDS)
+        longest_us = round(LONGEST_SHELVING_S * MICROSECONDS)
         for alarm in [self._open[key] for key in self._shelved]:
             until_us = alarm.shelved_until_us
             if until_us is not None and not 0 < until_us - now_us <= longest_us:

@@ -1,6 +1,6 @@
 """Delays that count process time, but only while the condition is known."""
 
-_MICROSECONDS = 1_000_000
+from service.clock import MICROSECONDS
 
 
 class Timer:
@@ -15,7 +15,7 @@ class Timer:
         if self._last_us is not None:
             self._total_us += max(now_us - self._last_us, 0)
         self._last_us = now_us
-        return self._total_us / _MICROSECONDS
+        return self._total_us / MICROSECONDS
 
     def pause(self) -> None:
         """Stand still until the condition is known again."""

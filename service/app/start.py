@@ -5,7 +5,6 @@ import contextlib
 import gc
 import ssl
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -14,7 +13,7 @@ from anyio import to_thread
 
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Service
-from service.clock import ProcessClock
+from service.clock import ProcessClock, wall_us
 from service.ingest import Spool
 from service.kernels import compile_kernels
 from service.plant.protocol import Host
@@ -222,7 +221,7 @@ def _be_prompt() -> None:
 
 
 def _check_key(store: Store, host: str) -> None:
-    now_us = time.time_ns() // 1000
+    now_us = wall_us()
     if not any(key.is_valid(now_us) for key in store.access.list_keys()):
         raise SettingsError(
             f"service.host = {host!r}: reachable from other machines, so at least one API key "

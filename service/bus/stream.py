@@ -7,7 +7,6 @@ a reason, so that it comes back and starts from a fresh snapshot.
 
 import asyncio
 import threading
-import time
 import uuid
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -17,7 +16,7 @@ from typing import Any, Literal
 from pydantic_core import to_json
 
 from adapters.protocol import Clock
-from service.clock import rfc3339
+from service.clock import rfc3339, wall_us
 
 MessageType = Literal[
     "measurement", "state", "verdict", "forecast", "alarm", "job", "health", "heartbeat"
@@ -265,7 +264,7 @@ class Bus:
             "epoch": self.epoch,
             "asset": asset,
             "time": rfc3339(self._clock.now_us() if time_us is None else time_us),
-            "sent_at": rfc3339(time.time_ns() // 1000),
+            "sent_at": rfc3339(wall_us()),
             **(extra or {}),
         }
         return f'{to_json(head).decode()[:-1]},"data":{body}}}'

@@ -8,8 +8,7 @@ import structlog
 from anyio import to_thread
 
 from adapters.protocol import Clock
-from service.clock import MICROSECONDS, ClockWatch, rfc3339
-from service.security.keys import wall_us
+from service.clock import DAY_US, MICROSECONDS, ClockWatch, rfc3339, wall_us
 from service.store import Retention, RetentionTime, Store, StoreError, StoreUnavailableError
 
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
@@ -25,7 +24,6 @@ CHECK_EVERY_S = 86_400.0
 #: but cost another computation.
 _SETTLE_US = 120_000_000
 _HOUR_S = 3600.0
-_DAY_US = 86_400_000_000
 #: What the kernel answers while no time server disciplines its clock.
 _TIME_ERROR = 5
 
@@ -131,10 +129,10 @@ class Upkeep:
         self._judge(process, wall)
         removed = self._store.rollups.expire_at(self._retention, process.at_us)
         if self._retention.journal_days:
-            before_us = process.at_us - round(self._retention.journal_days * _DAY_US)
+            before_us = process.at_us - round(self._retention.journal_days * DAY_US)
             removed += self._store.alarms.expire(before_us)
         if self._retention.audit_days:  # the trail goes by the wall clock
-            before_us = wall.at_us - round(self._retention.audit_days * _DAY_US)
+            before_us = wall.at_us - round(self._retention.audit_days * DAY_US)
             removed += self._store.audit.expire(before_us)
         return removed
 
@@ -144,7 +142,7 @@ class Upkeep:
             self.problem = None
             return
         problem = (
-            f"the clock is {ahead.ahead_us / _DAY_US:.0f} days ahead of the last look at "
+            f"the clock is {ahead.ahead_us / DAY_US:.0f} days ahead of the last look at "
             f"{rfc3339(ahead.at_us)}: nothing is removed; "
             "if the clock is right, run 'bearing-twin db horizon --confirm-clock'"
         )

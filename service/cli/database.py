@@ -50,7 +50,7 @@ def horizon(
     Samples from before that time are not stored. When a clock that was wrong moved it too far,
     lower it. Samples that come for an hour whose averages are kept replace these averages.
     """
-    from service.security.keys import wall_us
+    from service.clock import wall_us
     from service.store import Store
 
     settings = load_settings(config)

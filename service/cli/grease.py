@@ -23,7 +23,7 @@ def grease_renewed(
 
     A running service takes POST /api/v1/assets/ID/grease-renewed (role engineer) instead.
     """
-    from service.security.keys import wall_us
+    from service.clock import wall_us
     from service.store import AuditEntry, DataDirectoryInUseError, Store, lock_data_directory
 
     settings = load_settings(config)

@@ -7,13 +7,12 @@ from pydantic import Field
 
 from service.alarms.records import duration_s
 from service.alarms.states import ACTIVE_STATES, UNACKNOWLEDGED_STATES, AlarmState
-from service.clock import rfc3339
+from service.clock import DAY_US, rfc3339
 from service.documents.base import Document, Number, Page, Time, time_or_none
 from service.store import Alarm, AlarmTransition, Annunciations
 
 #: More alarms than this in ten minutes are a flood that no one can follow.
 FLOOD_IN_10_MIN = 10
-_DAY_US = 86_400_000_000
 _SPANS_PER_DAY = 144
 
 
@@ -251,7 +250,7 @@ def statistics_document(
             for one in counts.most_frequent
         ],
         stale_over_24h=sum(
-            alarm.state in ACTIVE_STATES and now_us - alarm.raised_at_us > _DAY_US
+            alarm.state in ACTIVE_STATES and now_us - alarm.raised_at_us > DAY_US
             for alarm in open_alarms
         ),
     )

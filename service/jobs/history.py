@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.protocol import Clock
-from service.clock import rfc3339
+from service.clock import MINUTE_US, rfc3339
 from service.domain.channels import AMBIENT, OPERATING_CHANNELS
 from service.site.machines.machine import Machine
 from service.site.settings import AssetSection
@@ -26,7 +26,6 @@ from twin_core.windows import (
     varied,
 )
 
-MINUTE_US = 60_000_000
 LOOK_BACK_US = 72 * 3600 * 1_000_000
 SHORTEST_WINDOW_S = 1800.0
 # How many good minutes there must be in them: of three in a row two may be missing.

@@ -19,7 +19,7 @@ import structlog
 
 from adapters.protocol import Clock
 from service.bus.stream import Bus
-from service.clock import rfc3339
+from service.clock import rfc3339, wall_us
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
 from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
@@ -37,7 +37,6 @@ from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
-from service.security.keys import wall_us
 from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavailableError
 from service.store.records import Job, ModelStatus, ModelVersion
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import structlog
 from anyio import to_thread
 
-from service.security.keys import Actor, wall_us
+from service.clock import wall_us
+from service.security.keys import Actor
 from service.security.sites import site_of
 from service.store import AuditEntry, Outbox
 

@@ -16,8 +16,9 @@ from typing import TypeVar
 import structlog
 from anyio import CapacityLimiter, to_thread
 
+from service.clock import wall_us
 from service.domain.roles import Role
-from service.security.keys import fingerprint, verify_key, wall_us
+from service.security.keys import fingerprint, verify_key
 from service.security.limits import RateLimit
 from service.store import ApiKey, Store, StoreUnavailableError
 

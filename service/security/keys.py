@@ -8,16 +8,15 @@ import hashlib
 import hmac
 import re
 import secrets
-import time
 from dataclasses import dataclass
 
+from service.clock import DAY_US, wall_us
 from service.domain.roles import ROLES, Role
 from service.store import ApiKey, AuditEntry, Store
 
 _KEY = re.compile(r"bt_[0-9a-f]{8}_[A-Za-z0-9_-]{43}")
 _PREFIX_LENGTH = len("bt_00000000")
 _SECRET_BYTES = 32
-MICROSECONDS_PER_DAY = 86_400_000_000
 LABEL_LENGTH = 100
 #: No control characters.
 LABEL_PATTERN = r"^[^\x00-\x1f\x7f-\x9f]*$"
@@ -49,11 +48,6 @@ class NewKey:
 
     text: str
     record: ApiKey
-
-
-def wall_us() -> int:
-    """Wall time in UTC microseconds: the life of keys and sessions is counted on it."""
-    return time.time_ns() // 1000
 
 
 def fingerprint(secret: str) -> str:
@@ -110,7 +104,7 @@ def create_key(
     now_us = wall_us()
     expires_us = None
     if expires_in_days is not None:
-        expires_us = now_us + round(expires_in_days * MICROSECONDS_PER_DAY)
+        expires_us = now_us + round(expires_in_days * DAY_US)
     text = f"bt_{secrets.token_hex(4)}_{secrets.token_urlsafe(_SECRET_BYTES)}"
     prefix = text[:_PREFIX_LENGTH]
     detail = f"role {role}" + (f", {label}" if label else "")

@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Select, delete, exists, func, insert, select, update
 
+from service.clock import DAY_US
 from service.store.alarm_records import (
     Alarm,
     AlarmCount,
@@ -23,7 +24,6 @@ _JOURNAL_COLUMNS = tuple(
     getattr(AlarmTransitionRow, field.name) for field in fields(AlarmTransition)
 )
 _TEN_MINUTES_US = 600_000_000
-_DAY_US = 86_400_000_000
 _MOST_FREQUENT = 10
 _EVERYTHING = JournalFilter()
 
@@ -123,7 +123,7 @@ class AlarmJournal(StorePart):
         """
         line = AlarmTransitionRow
         calls = [
-            *_conditions(JournalFilter(asset, start_us=now_us - _DAY_US + 1, end_us=now_us + 1)),
+            *_conditions(JournalFilter(asset, start_us=now_us - DAY_US + 1, end_us=now_us + 1)),
             line.to_state == "UNACK",
             line.from_state != "UNACK",
         ]

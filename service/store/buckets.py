@@ -8,8 +8,6 @@ from sqlalchemy import ColumnElement, Connection, Select, case, func, select
 from adapters.samples import Quality
 from service.store.tables import RollupRow, SampleRow
 
-MINUTE_US = 60_000_000
-HOUR_US = 3_600_000_000
 #: Lengths of the buckets that are kept computed, coarsest first; each divides the one before.
 LEVELS_S = (3600, 600, 60)
 

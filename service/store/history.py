@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from sqlalchemy import Connection, func, select
 
+from service.clock import HOUR_US, MINUTE_US
 from service.store import buckets
-from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US, Bucket
+from service.store.buckets import LEVELS_S, Bucket
 from service.store.merging import merged
 from service.store.part import StorePart
 from service.store.records import MinuteTable, Rollup

@@ -5,8 +5,9 @@ from typing import Literal
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
+from service.clock import DAY_US, HOUR_US, MINUTE_US
 from service.store import buckets
-from service.store.buckets import HOUR_US, LEVELS_S, MINUTE_US
+from service.store.buckets import LEVELS_S
 from service.store.database import Database
 from service.store.part import StorePart
 from service.store.samples import Samples, first_time_us, last_time_us, raw_horizon_us
@@ -25,7 +26,6 @@ from service.store.tables import (
 STEP_US = 20 * MINUTE_US + HOUR_US
 #: A clock that is ahead of the last look by more needs a proof before anything is removed.
 _GAP_US = 7 * 24 * HOUR_US
-_DAY_US = 24 * HOUR_US
 _COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "good", "quality")
 
 
@@ -193,7 +193,7 @@ class Rollups(StorePart):
         """As `expire`, counted from a time of `retention_time`."""
         removed = 0
         if retention.raw_days is not None:
-            horizon_us = now_us - round(retention.raw_days * _DAY_US)
+            horizon_us = now_us - round(retention.raw_days * DAY_US)
             keeps_seconds = retention.second_days is None or (
                 retention.second_days > retention.raw_days
             )
@@ -206,7 +206,7 @@ class Rollups(StorePart):
         ):
             if days is None:
                 continue
-            end_us = now_us - round(days * _DAY_US)
+            end_us = now_us - round(days * DAY_US)
             with self._database.writing() as connection:
                 removed += connection.execute(
                     delete(RollupRow).where(

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import JSON, Boolean, Column, Double, Integer, Table
 from sqlalchemy.engine import URL
 
-from service.store.buckets import HOUR_US
+from service.clock import HOUR_US
 from service.store.errors import StoreError
 from service.store.pages import PageRow, log_rows, page_rows
 from service.store.queue_file import set_aside

@@ -8,7 +8,7 @@ from typing import NoReturn
 from sqlalchemy import Connection, func, insert, select, text
 
 from adapters.samples import Quality, Sample, is_bad, is_good
-from service.store.buckets import HOUR_US
+from service.clock import HOUR_US
 from service.store.database import PATIENCE_S, Database, SampleColumns
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged

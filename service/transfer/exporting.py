@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from adapters.tables import load_pyarrow
-from service.clock import rfc3339
+from service.clock import MINUTE_US, rfc3339
 from service.domain.channels import OPERATING_CHANNELS, RING_SENSORS, is_temperature, unit_of
 from service.files import replacing
 from service.spreadsheets import text_cell
@@ -16,7 +16,6 @@ from service.transfer.errors import TransferError
 from service.transfer.pages import RAW, Place, as_csv, csv_header, read_pages
 
 PAGE_ROWS = 20_000
-MINUTE_US = 60_000_000
 
 
 def write_csv(file: BinaryIO, store: Store, asset: str, place: Place) -> int:

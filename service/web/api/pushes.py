@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from adapters.samples import Quality, Sample, is_bad
-from service.clock import rfc3339
+from service.clock import MICROSECONDS, rfc3339
 from service.domain.requests import PUSH_SOURCE, RequestBody
 from service.domain.times import parse_time
 from service.web.api.turns import caller_of, turns_of
@@ -29,7 +29,6 @@ _SHOWN_CHARACTERS = 60
 _FEW = 200
 _BYTES_OF_A_SAMPLE = 80
 _AHEAD_S = 300.0
-_MICROSECONDS = 1_000_000
 
 _SAMPLE_SCHEMA = {
     "type": "object",
@@ -138,7 +137,7 @@ def judge(
         The store takes no samples from before this time, UTC microseconds.
     """
     verdict = Verdict()
-    latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * _MICROSECONDS)
+    latest_us = now_us + round(_AHEAD_S * max(rate, 1.0) * MICROSECONDS)
     for index, raw in enumerate(samples):
         try:
             sample = _sample(raw, asset, channels, now_us, latest_us)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from service.clock import DAY_US, wall_us
 from service.domain.roles import ROLES
 from service.security import (
     UnknownKeyError,
@@ -13,7 +14,7 @@ from service.security import (
     revoke_key,
     verify_key,
 )
-from service.security.keys import MICROSECONDS_PER_DAY, fingerprint, wall_us
+from service.security.keys import fingerprint
 from service.store import Store
 
 
@@ -87,7 +88,7 @@ def test_expired_key_opens_nothing(store: Store) -> None:
 def test_expiry_is_counted_in_days(store: Store) -> None:
     record = create_key(store, "viewer", expires_in_days=30).record
     assert record.expires_us is not None
-    assert abs(record.expires_us - wall_us() - 30 * MICROSECONDS_PER_DAY) < 5_000_000
+    assert abs(record.expires_us - wall_us() - 30 * DAY_US) < 5_000_000
 
 
 @pytest.mark.parametrize("days", [0, -1, 1e9, float("nan")])
