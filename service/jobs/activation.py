@@ -10,7 +10,7 @@ from adapters.protocol import Clock
 from service.domain.errors import ActivationRefusedError
 from service.jobs.models import active_model, model_json, why_not_of_this_asset
 from service.live.asset import AssetRuntime
-from service.store import Store
+from service.store import AuditEntry, Store
 
 
 class Activations:
@@ -32,9 +32,18 @@ class Activations:
         self._switching = asyncio.Lock()
 
     async def activate(
-        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        line: AuditEntry | None = None,
     ) -> Mapping[str, Any]:
-        """Make a version the active one; see `service.domain.interfaces.JobManager`."""
+        """Make a version the active one; see `service.domain.interfaces.JobManager`.
+
+        The line of the audit trail, where there is one, is written in the same transaction.
+        """
         asset = self._assets[asset_id]
         async with self._switching:
             model = await anyio.to_thread.run_sync(self._store.models.version, asset_id, version)
@@ -55,6 +64,7 @@ class Activations:
                 who,
                 comment or f"activated by {who}",
                 self._clock.now_us(),
+                line,
             )
             asset.switch(active_model(asset.settings, activated), who, comment or "")
         return model_json(activated)

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cachetools import FIFOCache
+
 from service.clock import rfc3339
 from service.jobs.workspace import Progress
 from service.store.records import Job
@@ -37,7 +39,7 @@ class ProgressCache:
     """What the workers reported last, of the latest jobs."""
 
     def __init__(self) -> None:
-        self._reported: dict[str, ReportedProgress] = {}
+        self._reported: FIFOCache[str, ReportedProgress] = FIFOCache(_MOST_KEPT)
 
     def get(self, job_id: str) -> ReportedProgress | None:
         """Return the last report on a job; None where there was none."""
@@ -50,8 +52,6 @@ class ProgressCache:
             self._reported[job_id] = ReportedProgress(progress, now_s, progress.fraction, now_s)
         else:
             self._reported[job_id] = replace(before, progress=progress, now_s=now_s)
-        while len(self._reported) > _MOST_KEPT:
-            del self._reported[next(iter(self._reported))]
 
 
 def job_json(

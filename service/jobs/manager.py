@@ -174,7 +174,8 @@ class IdentificationJobs:
                 "expected the same body, or a new key"
             )
         if created and who == AUTOMATIC:
-            self._note("identification.start", f"asset {asset_id}, made {job.id}")
+            line = _line("identification.start", f"asset {asset_id}, made {job.id}")
+            self._outbox.record(line)
         if created:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
             self._publish(job)
@@ -418,9 +419,12 @@ class IdentificationJobs:
         """Activate what may be activated by itself; whoever sees the job's end sees that too."""
         ladder = self._assets[job.asset].settings.identification.ladder
         if version.status == "candidate" and ladder == "apply":
-            await self.activate(job.asset, version.version, AUTOMATIC, version.reason, force=False)
-            target = f"asset {job.asset}, version {version.version}"
-            self._note("model.activate", target, version.reason)
+            number, reason = version.version, version.reason
+            line = _line("model.activate", f"asset {job.asset}, version {number}", reason)
+            # In one transaction: a service that is killed leaves no change without its line.
+            await self._activations.activate(
+                job.asset, number, AUTOMATIC, reason, force=False, line=line
+            )
         ended = await self._change(
             job.id,
             "succeed",
@@ -437,10 +441,6 @@ class IdentificationJobs:
                 reason=version.reason,
             )
             self._publish(ended)
-
-    def _note(self, action: str, target: str, detail: str = "") -> None:
-        """Write what the service does by itself into the audit trail."""
-        self._outbox.record(AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail))
 
     async def _end(self, job_id: str, event: JobEvent, error: str) -> None:
         while True:
@@ -477,3 +477,8 @@ class IdentificationJobs:
     def _shut_down_executor(self) -> None:
         if self._executor is not None:
             end_executor(self._executor)
+
+
+def _line(action: str, target: str, detail: str = "") -> AuditEntry:
+    """Line of the audit trail about what the service does by itself."""
+    return AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail)

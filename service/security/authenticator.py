@@ -8,13 +8,13 @@ import asyncio
 import re
 import secrets
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
 import structlog
 from anyio import CapacityLimiter, to_thread
+from cachetools import FIFOCache, LRUCache
 
 from service.clock import wall_us
 from service.domain.roles import Role
@@ -120,8 +120,8 @@ class Authenticator:
         self.strangers = RateLimit(UNKNOWN_SESSIONS_PER_MINUTE)
         self.requests = RateLimit(requests_per_minute)
         # Wrong keys stay wrong: a client that goes on with one costs no look-up.
-        self._wrong: OrderedDict[str, None] = OrderedDict()
-        self._memory: OrderedDict[str, _Remembered] = OrderedDict()
+        self._wrong: FIFOCache[str, None] = FIFOCache(_MOST_REMEMBERED)
+        self._memory: LRUCache[str, _Remembered] = LRUCache(_MOST_REMEMBERED)
         # Apart from the threads that serve long queries: a poll never waits behind a report; and
         # who is known never waits behind those who are not.
         self._limiter, self._unknown_limiter = CapacityLimiter(1), CapacityLimiter(1)
@@ -135,7 +135,7 @@ class Authenticator:
             return None
         principal = await self._recall(f"key {sha256}", lambda: self._verify_key(text))
         if principal is None:
-            self._remember_wrong(sha256)
+            self._wrong[sha256] = None
         return principal
 
     def knows(self, text: str) -> bool:
@@ -159,7 +159,7 @@ class Authenticator:
             return None
         principal = await self._recall(f"session {sha256}", lambda: self._verify_session(sha256))
         if principal is None:  # made of random bits, it is never any other session's
-            self._remember_wrong(sha256)
+            self._wrong[sha256] = None
         return principal
 
     async def log_in(self, principal: Principal) -> tuple[str, Principal]:
@@ -228,14 +228,6 @@ class Authenticator:
             self._memory.pop(name, None)
             return
         self._memory[name] = _Remembered(principal, now_s)
-        self._memory.move_to_end(name)
-        while len(self._memory) > _MOST_REMEMBERED:
-            self._memory.popitem(last=False)
-
-    def _remember_wrong(self, sha256: str) -> None:
-        self._wrong[sha256] = None
-        while len(self._wrong) > _MOST_REMEMBERED:
-            self._wrong.popitem(last=False)
 
     async def _look_up_once(
         self, name: str, look_up: Callable[[], Principal | None], known: bool

@@ -3,8 +3,9 @@
 # The library `limits` has no token bucket, keeps each call's time, and goes by the wall clock.
 
 import time
-from collections import OrderedDict
 from collections.abc import Callable
+
+from cachetools import TTLCache
 
 _MOST_CALLERS = 4096
 _MINUTE_S = 60.0
@@ -24,8 +25,8 @@ class RateLimit:
     def __init__(self, per_minute: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.per_minute = per_minute
         self._clock = clock
-        # Calls left and when that was counted; only of callers that are not idle.
-        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        # Calls left and when that was counted; after a minute a caller has all of them again.
+        self._left: TTLCache[str, tuple[float, float]] = TTLCache(_MOST_CALLERS, _MINUTE_S, clock)
 
     def wait_s(self, caller: str) -> float:
         """Seconds until this caller may call again; 0 for now."""
@@ -34,9 +35,6 @@ class RateLimit:
     def count(self, caller: str) -> None:
         """Count one call."""
         self._left[caller] = (max(self._now_left(caller) - 1.0, 0.0), self._clock())
-        self._left.move_to_end(caller)
-        while len(self._left) > _MOST_CALLERS:
-            self._left.popitem(last=False)
 
     def _now_left(self, caller: str) -> float:
         left, at_s = self._left.get(caller, (self.per_minute, 0.0))

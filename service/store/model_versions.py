@@ -2,8 +2,9 @@
 
 from sqlalchemy import Connection, func, insert, select, update
 
+from service.store.audit import add_line
 from service.store.part import StorePart
-from service.store.records import Activation, JsonDocument, ModelStatus, ModelVersion
+from service.store.records import Activation, AuditEntry, JsonDocument, ModelStatus, ModelVersion
 from service.store.tables import ActivationRow, ModelVersionRow
 
 _VERSION_COLUMNS = (
@@ -91,7 +92,13 @@ class ModelVersions(StorePart):
         return ModelVersion(**row._mapping) if row else None
 
     def activate(
-        self, asset: str, version: int, who: str, comment: str, at_us: int
+        self,
+        asset: str,
+        version: int,
+        who: str,
+        comment: str,
+        at_us: int,
+        line: AuditEntry | None = None,
     ) -> ModelVersion:
         """Make a version the active one; the one before it is retired. Also rolls back.
 
@@ -106,6 +113,9 @@ class ModelVersions(StorePart):
             For the journal.
         at_us : int
             Process time, UTC microseconds.
+        line : AuditEntry, optional
+            Line of the audit trail, written in the same transaction, also for a version that is
+            active already.
 
         Raises
         ------
@@ -116,6 +126,7 @@ class ModelVersions(StorePart):
             wanted = _one(connection, asset, version)
             if wanted is None:
                 raise KeyError(f"asset {asset!r} has no model version {version}")
+            add_line(connection, line)
             if wanted.status == "active":
                 return wanted
             connection.execute(

@@ -1,10 +1,11 @@
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 from sqlalchemy import insert
 from sqlalchemy.exc import IntegrityError
 
-from service.store import Activation, Store
+from service.store import Activation, AuditEntry, Store
 from service.store.tables import ModelVersionRow
 
 
@@ -79,3 +80,19 @@ def test_many_at_once_get_versions_of_their_own(store: Store) -> None:
         list(pool.map(lambda version: store.models.activate("a", version, "x", "", 2), versions))
     assert [m.status for m in store.models.versions("a")].count("active") == 1
     assert len(store.models.activations("a")) == 24
+
+
+def test_an_activation_and_its_audit_line_are_written_together_or_not_at_all(store: Store) -> None:
+    store.models.add("a", "candidate", "", {}, 1)
+    line = AuditEntry(1, "eva", "192.0.2.7", "model.activate", "asset a, version 1")
+    with pytest.raises(IntegrityError):  # the database refuses a line without an author
+        store.models.activate("a", 1, "eva", "", 2, replace(line, who=None))  # type: ignore[arg-type]
+    assert store.models.active("a") is None
+    assert store.models.activations("a") == []
+    with pytest.raises(KeyError):
+        store.models.activate("a", 2, "eva", "", 2, line)
+    assert store.audit.page().items == []
+    store.models.activate("a", 1, "eva", "", 2, line)
+    (written,) = store.audit.page().items
+    assert (written.who, written.action, written.target) == ("eva", line.action, line.target)
+    assert store.models.active("a") is not None
