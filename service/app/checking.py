@@ -9,7 +9,6 @@ from typing import Any
 from pydantic_settings import EnvSettingsSource
 
 from service.domain.channels import missing_channels
-from service.plant.publishers import check_extras, endpoints
 from service.site.configuration import SettingsError, read_toml
 from service.site.settings import Settings, load_settings
 from service.site.wiring import AssetTables, Wiring, wire_what_can_be
@@ -79,6 +78,8 @@ def environment_errors(settings: Settings) -> list[str]:
             tls_context(settings.path(tls.certificate), settings.path(tls.key))
         except SettingsError as error:
             errors += error.lines
+    from service.plant.publishers import check_extras
+
     try:
         check_extras(settings)
     except SettingsError as error:
@@ -88,6 +89,8 @@ def environment_errors(settings: Settings) -> list[str]:
 
 def ports_in_use(settings: Settings) -> list[str]:
     """Name the ports of the configuration that another program listens on, one line each."""
+    from service.plant.publishers import endpoints
+
     section = settings.service
     places = {f"service.port = {section.port}": (section.host, section.port)}
     places |= {one.key: (one.host, one.port) for one in endpoints(settings)}
