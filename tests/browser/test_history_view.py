@@ -92,7 +92,7 @@ def test_zoom_to_raw_and_back(screen: Screen, past: int, problems: list[str]) ->
     assert count == pytest.approx(0.03 * LENGTH_S, rel=0.1)
     assert violet(page) == 0
     page.get_by_role("button", name="Previous range").click()
-    expect(status).to_contain_text("every 15 s")
+    expect(status).to_contain_text("per 15 s")
     assert problems == []
 
 
