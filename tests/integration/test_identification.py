@@ -24,6 +24,7 @@ from service.store import Store
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
 RATE = 100.0
+PATIENCE_S = 240.0
 ENDLESS = {"method": "noa", "budget": 5_000_000}
 LONG = {"budget": 40_000}
 LONGEST_GAP_US = 1800 * 1_000_000
@@ -52,7 +53,7 @@ def quiet(live: Site) -> Site:
     """The same site with the bench switched off and no job under way."""
     assert live.bench is not None
     live.bench.kill()
-    wait_until(lambda: jobs_under_way(live) == [], 60, "the last job by itself")
+    wait_until(lambda: jobs_under_way(live) == [], PATIENCE_S, "the last job by itself")
     return live
 
 
@@ -74,8 +75,14 @@ def post(site: Site, path: str, body: dict[str, Any], **headers: str) -> httpx2.
 
 
 def start(site: Site, body: dict[str, Any]) -> str:
-    answer = post(site, JOBS, body)
-    assert answer.status_code == 202, answer.text
+    """Ask for a job; on a busy machine the windows that it needs may still be on their way."""
+
+    def accepted() -> httpx2.Response | None:
+        answer = post(site, JOBS, body)
+        return None if answer.status_code == httpx2.codes.UNPROCESSABLE_CONTENT else answer
+
+    answer = wait_until(accepted, PATIENCE_S, f"low-risk windows for {body}")
+    assert answer.status_code == httpx2.codes.ACCEPTED, answer.text
     return str(answer.json()["id"])
 
 
@@ -84,35 +91,57 @@ def job(site: Site, job_id: str) -> dict[str, Any]:
     return found
 
 
-def ended(site: Site, job_id: str, timeout_s: float = 90.0) -> dict[str, Any]:
+def ended(site: Site, job_id: str) -> dict[str, Any]:
     return wait_until(
-        lambda: (found := job(site, job_id))["ended_at"] and found, timeout_s, f"end of {job_id}"
+        lambda: (found := job(site, job_id))["ended_at"] and found, PATIENCE_S, f"end of {job_id}"
     )
+
+
+def node_c(state: dict[str, Any]) -> float:
+    return float(state["nodes"]["t_node_7_c"]["mean_c"])
+
+
+def seconds(earlier: dict[str, Any], later: dict[str, Any]) -> float:
+    """Process seconds between two states."""
+    return (from_rfc3339(later["time"]) - from_rfc3339(earlier["time"])) / 1e6
 
 
 def running(site: Site, job_id: str) -> dict[str, Any]:
     """Wait until the worker is in the middle of it."""
     return wait_until(
-        lambda: (found := job(site, job_id))["progress"] > 0 and found, 60, "progress"
+        lambda: (found := job(site, job_id))["progress"] > 0 and found, PATIENCE_S, "progress"
     )
 
 
 def worker_of(site: Site) -> int:
     """Process id of the service's background worker."""
     assert site.service is not None
-    parent = site.service.process.pid
-    for folder in Path("/proc").iterdir():
-        if not folder.name.isdigit():
-            continue
-        try:
-            parent_of_it = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            command = (folder / "cmdline").read_text()
-        except OSError:
-            continue  # it has ended meanwhile
-        # The process of the what-ifs is another child; nobody asks it anything here.
-        if parent_of_it == parent and "spawn_main" in command and not is_at_rest(int(folder.name)):
-            return int(folder.name)
-    raise AssertionError("the service has no worker process")
+    of_service = {site.service.process.pid}
+
+    def busy() -> int | None:
+        parents = {}
+        for folder in Path("/proc").iterdir():
+            if not folder.name.isdigit():
+                continue
+            try:
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                parents[int(folder.name)] = parent, (folder / "cmdline").read_text()
+            except OSError:
+                continue  # it has ended meanwhile
+        while (
+            more := {child for child, (parent, _) in parents.items() if parent in of_service}
+            - of_service
+        ):
+            of_service.update(more)
+        # The processes of the what-ifs are children, too; nobody asks them anything here.
+        workers = (
+            process
+            for process in of_service & set(parents)
+            if "spawn_main" in parents[process][1] and not is_at_rest(process)
+        )
+        return next(workers, None)
+
+    return wait_until(busy, PATIENCE_S, "a worker that computes")
 
 
 def is_at_rest(process_id: int) -> bool:
@@ -194,7 +223,7 @@ def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> Non
         assert [one for one, status in statuses.items() if status == "active"] == [version]
     wait_until(
         lambda: live.get(f"/api/v1/assets/{ASSET}/forecast")["model_version"] == newest,
-        30,
+        PATIENCE_S,
         "a forecast of the active version",
     )
 
@@ -206,7 +235,7 @@ def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> Non
         return rows if len(rows) > 3 else None
 
     # The twin is stored once a process minute: the four switches may well take less.
-    stored = wait_until(stored_since, 30, "stored values of the twin")
+    stored = wait_until(stored_since, PATIENCE_S, "stored values of the twin")
     # A cold machine itself warms by a kelvin a minute.
     for before, after in pairwise(stored):
         may_c = 2.0 * max(minutes_between(before, after), 1.0)
@@ -233,7 +262,7 @@ def test_a_job_is_accepted_once_and_seen_at_its_location(quiet: Site) -> None:
     while len(seen) < 4:
         now = wait_until(
             lambda: (found := job(quiet, job_id))["progress"] > seen[-1]["progress"] and found,
-            60,
+            PATIENCE_S,
             "more progress",
         )
         seen.append(now)
@@ -247,7 +276,7 @@ def test_a_job_is_accepted_once_and_seen_at_its_location(quiet: Site) -> None:
     deleted = quiet.client.delete(f"{JOBS}/{job_id}")
     assert deleted.status_code == 200
     assert deleted.json()["status"] == "cancelled"
-    wait_until(lambda: is_at_rest(worker), 30, "rest of the worker", every_s=0.0)
+    wait_until(lambda: is_at_rest(worker), PATIENCE_S, "rest of the worker", every_s=0.0)
     next_job = start(quiet, ENDLESS)
     running(quiet, next_job)
     quiet.client.delete(f"{JOBS}/{next_job}")
@@ -312,7 +341,7 @@ def test_a_killed_worker_costs_only_time(quiet: Site) -> None:
     job_id = start(quiet, LONG)
     running(quiet, job_id)
     os.kill(worker_of(quiet), signal.SIGKILL)
-    wait_until(lambda: job(quiet, job_id)["attempts"] == 2, 30, "the second attempt")
+    wait_until(lambda: job(quiet, job_id)["attempts"] == 2, PATIENCE_S, "the second attempt")
     done = ended(quiet, job_id)
     assert (done["status"], done["attempts"]) == ("succeeded", 2)
     assert len(versions(quiet)) == before + 1
@@ -324,8 +353,13 @@ def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     before, active = versions(quiet), quiet.tag("model.version")
     job_id = start(quiet, LONG)
     running(quiet, job_id)
-    node = quiet.tag("t_node_7_c.twin")
-    last = quiet.get(STATE)
+    before_it = quiet.get(STATE)
+    last = wait_until(
+        lambda: (now := quiet.get(STATE)) and seconds(before_it, now) > 60.0 and now,
+        PATIENCE_S,
+        "a later state",
+    )
+    node_k_per_s = abs(node_c(last) - node_c(before_it)) / seconds(before_it, last)
     assert quiet.service is not None
     assert quiet.service.terminate() == 0, quiet.service.log.read_text()[-2000:]
     with quiet.open_store() as store:
@@ -342,13 +376,17 @@ def test_a_stopped_service_goes_on_where_it_was(quiet: Site) -> None:
     quiet.start_service()
     assert quiet.tag("model.version") == active
     now_us = ProcessClock.resume(RATE, load_settings(quiet.configuration).data_dir).now_us()
-    # After half an hour away, a third of a minute of the wall clock, the twin begins anew.
+    # After half an hour away, a third of a minute of the wall clock, the twin begins anew; that it
+    # cannot here, as no temperature comes.
     if now_us - from_rfc3339(last["time"]) < LONGEST_GAP_US:
-        again = wait_until(lambda: quiet.tag("t_node_7_c.twin"), 30, "the twin's estimate")
-        assert again == pytest.approx(node, abs=1.0), "no jump"
-        later = quiet.get(STATE)["nodes"]["t_node_7_c"]
+        wait_until(lambda: quiet.tag("t_node_7_c.twin"), PATIENCE_S, "the twin's estimate")
+        later = quiet.get(STATE)
+        away_s = seconds(last, later)
+        # The machine cools on, ever slower.
+        assert abs(node_c(later) - node_c(last)) < 1.0 + 1.5 * node_k_per_s * away_s, "no jump"
         # It grows with the time away; an estimate begun anew would know far less.
-        assert later["std_c"] == pytest.approx(last["nodes"]["t_node_7_c"]["std_c"], abs=1.5)
+        std_c = [state["nodes"]["t_node_7_c"]["std_c"] for state in (last, later)]
+        assert abs(std_c[1] - std_c[0]) < 1.5 * max(1.0, away_s / 900.0)
 
     done = ended(quiet, job_id)
     assert (done["status"], done["attempts"]) == ("succeeded", 1)
@@ -372,7 +410,9 @@ def test_a_service_killed_in_mid_job_takes_it_up_again(quiet: Site) -> None:
     worker = worker_of(quiet)
     assert quiet.service is not None
     quiet.service.kill()
-    wait_until(lambda: not Path(f"/proc/{worker}").exists(), 30, "no worker outlives its service")
+    wait_until(
+        lambda: not Path(f"/proc/{worker}").exists(), PATIENCE_S, "no worker outlives its service"
+    )
     quiet.start_service()
     done = ended(quiet, job_id)
     assert (done["status"], done["attempts"]) == ("succeeded", 2)
