@@ -23,35 +23,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin_core.machine_state import MachineState, course_known
+from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
-from twin_core.network import CompiledNetwork
-from twin_core.process_noise import disturbance_structure, transition_and_noise
+from twin_core.observers import Observers
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import (
-    SimulationError,
-    kernels,
-)
-
-DISTURBANCE_TIME_S = 5400.0
-DISTURBANCE_FADE_S = 3600.0
-DISTURBANCE_AT_REST_W = 1.0
-DISTURBANCE_LIMIT_K = 2.0
-DISTURBANCE_LIMIT_K_W = 0.05
-"""After a stop the heat that scales the disturbances fades over an hour to 1 W, as the heat flows
-in the machine do. No disturbance is larger than what moves its node by 2 K, and 0.05 K per watt
-of that heat, against its neighbours: at standstill the cage hangs on so little that one watt
-would be 50 K."""
-HEAT_NOISE_W_SQRT_S = 4.0
-"""White heat noise per node, in W s^(1/2): 0.17 K per square root of a minute on a ring."""
-NOISE_LIMIT_K = 0.3
-"""In the long run the heat noise alone moves no node by more than this."""
-
-SENSOR_NOISE_K = 0.05
-SENSOR_RESOLUTION_K = 0.1
-SENSOR_DRIFT_K = 0.1
-SENSOR_DRIFT_TIME_S = 60.0
-"""White noise, quantisation step, and a part of the error that lasts for about a minute."""
+from twin_core.simulation import SimulationError
 
 FLOOR_ERROR_K = 0.5
 """Standard deviation of the coldest temperature of the surroundings."""
@@ -73,7 +49,7 @@ class Innovation(NamedTuple):
 
 
 class Observer:
-    """Kalman filter over the state nodes of a model.
+    """Kalman filter over the state nodes of one machine: `Observers` of one.
 
     Parameters
     ----------
@@ -104,62 +80,35 @@ class Observer:
         covariance: ArrayLike,
         revolutions: float = 0.0,
     ) -> None:
-        nodes = len(model.node_names)
-        mean = np.array(temperatures_c, dtype=np.float64)
-        spread = np.array(covariance, dtype=np.float64)
-        self._model = model
-        self._values = np.array(values, dtype=np.float64)
-        for name, array, shape in (
-            ("temperatures_c", mean, (nodes,)),
-            ("covariance", spread, (nodes, nodes)),
-            ("values", self._values, (model.parameters.size,)),
-        ):
-            if array.shape != shape:
-                raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} is not finite: {array.tolist()}")
-        self._nodes = nodes
-        self._state = np.concatenate((mean, np.zeros(nodes)))
-        self._covariance = np.eye(2 * nodes)
-        self._covariance[:nodes, :nodes] = (spread + spread.T) / 2.0
-        self._revolutions = float(revolutions)
-        self._elapsed_s: dict[str, float] = {}
-        self._bound = kernels.bind_network(model.compiled, self._values)
-        self._point: tuple[float, float] | None = None
-        self._inputs: tuple[float, ...] = ()
-        self._ambient_c = 0.0
-        self._modes: tuple[NDArray[np.float64], ...] = ()
-        self._tie_w_k = np.zeros(nodes)
-        self._structure = disturbance_structure(model, self._values)
-        self._structure_size = np.sqrt((self._structure**2).sum(axis=1))
-        self._heat_w = 0.0
+        own, mean_c, spread = (
+            np.asarray(part, np.float64)[None] for part in (values, temperatures_c, covariance)
+        )
+        self._one = Observers(model, own, mean_c, spread, [revolutions])
 
     @property
     def model(self) -> ThermalModel:
         """The model in use."""
-        return self._model
+        return self._one.model
 
     @property
     def values(self) -> NDArray[np.float64]:
         """The parameters in use, shape (p,)."""
-        return self._values.copy()
+        return np.asarray(self._one.values[0])
 
     @property
     def temperatures_c(self) -> NDArray[np.float64]:
         """Mean of the node temperatures, shape (nodes,)."""
-        return self._state[: self._nodes].copy()
+        return np.asarray(self._one.temperatures_c[0])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the node temperatures in K2, shape (nodes, nodes)."""
-        return self._covariance[: self._nodes, : self._nodes].copy()
+        return np.asarray(self._one.covariance[0])
 
     @property
     def operating_point(self) -> OperatingPoint | None:
         """Operating point of the last step; None before the first."""
-        if self._point is None:
-            return None
-        return OperatingPoint(*self._point, self._ambient_c, self._inputs)
+        return self._one.operating_point(0)
 
     def state(
         self,
@@ -184,47 +133,32 @@ class Observer:
         ValueError
             If an ambient temperature or inputs are missing before the first step.
         """
-        point = self.operating_point
-        if point is None and (ambient_c is None or (inputs is None and self._model.input_names)):
-            raise ValueError("the observer has made no step yet: give ambient_c and all inputs")
-        last = point or OperatingPoint(0.0, 0.0, 0.0)
-        return MachineState(
-            temperatures_c=self.temperatures_c,
-            covariance=self.covariance,
-            revolutions=self._revolutions,
-            ambient_c=last.ambient_c if ambient_c is None else float(ambient_c),
-            inputs=last.inputs if inputs is None else tuple(inputs),
-            heat_disturbance_w=self.heat_disturbance_w,
-            operating_point=point,
-            course_known=course_known(followed_s),
-        )
+        return self._one.state(0, ambient_c, inputs, followed_s=followed_s)
 
     @property
     def std_c(self) -> NDArray[np.float64]:
         """Standard deviation of the node temperatures in K, shape (nodes,)."""
-        std: NDArray[np.float64] = np.sqrt(np.diag(self._covariance)[: self._nodes])
+        std: NDArray[np.float64] = np.sqrt(np.diag(self.covariance))
         return std
 
     @property
     def revolutions(self) -> float:
         """Revolutions since greasing."""
-        return self._revolutions
+        return float(self._one.revolutions[0])
 
     def renew_grease(self) -> None:
         """Count the revolutions from zero again: the grease is fresh."""
-        self._revolutions = 0.0
+        self._one.renew_grease(0)
 
     @property
     def heat_disturbance_w(self) -> NDArray[np.float64]:
         """Heat in W that the model lacks (or has too much of) per node, shape (nodes,).
 
         What keeps the estimate on the measurements where the model alone would leave them; it
-        fades over :data:`DISTURBANCE_TIME_S`. A forecast that left it out would jump at its start.
+        fades over :data:`twin_core.kalman.DISTURBANCE_TIME_S`. A forecast that left it out would
+        jump at its start.
         """
-        if self._point is None:
-            return np.zeros(self._nodes)
-        heat: NDArray[np.float64] = self._disturbance_w(self._heat_w) @ self._state[self._nodes :]
-        return heat
+        return self._one.heat_disturbance_w(0)
 
     def sensor(self, name: str) -> tuple[float, float]:
         """Mean in degC and standard deviation in K of what a perfect sensor would read now.
@@ -234,9 +168,8 @@ class Observer:
         ValueError
             If there is no such sensor or node.
         """
-        row = self._model.sensor_row(name)
-        spread = self._covariance[: self._nodes, : self._nodes]
-        return float(row @ self._state[: self._nodes]), float(np.sqrt(row @ spread @ row))
+        row = self.model.sensor_row(name)
+        return float(row @ self.temperatures_c), float(np.sqrt(row @ self.covariance @ row))
 
     def predict(
         self,
@@ -257,65 +190,11 @@ class Observer:
         SimulationError
             If the model runs away; the state is left as it was.
         """
-        if not np.isfinite([dt_s, speed_rpm, load_n, ambient_c]).all() or dt_s < 0.0:
-            raise ValueError(
-                f"predict: dt_s is {dt_s}, speed_rpm {speed_rpm}, load_n {load_n}, ambient_c "
-                f"{ambient_c}; expected finite numbers and dt_s >= 0"
-            )
-        if dt_s == 0.0:
-            return
-        speed, load = abs(float(speed_rpm)), max(float(load_n), 0.0)
-        held = self._model.holding(inputs)
-        given = tuple(held.compiled.inputs.tolist())
-        compiled, nodes = held.compiled, self._nodes
-        if self._point != (speed, load) or self._inputs != given:
-            capacity, coefficient, _, _ = self._bound
-            self._modes = kernels.decompose(compiled, capacity, coefficient, speed, load)
-            rate, modes, _, _ = self._modes
-            # The diagonal of C^1/2 V lam V' C^1/2: what ties each node to all others.
-            self._tie_w_k = capacity**2 * (modes**2 @ rate)
-            self._point, self._inputs = (speed, load), given
-        heat_w = max(self._heat_generated_w(compiled, speed, load), self._heat_w)
-        disturbance_w = self._disturbance_w(heat_w)
-        self._ambient_c = float(ambient_c)
-        fading = 1.0 / DISTURBANCE_TIME_S
-        mean_fading = -np.expm1(-fading * dt_s) / (fading * dt_s)
-        heat = disturbance_w @ self._state[nodes:] * mean_fading
-        path = np.empty((2, nodes))
-        failed = kernels.simulate_kernel(
-            compiled,
-            self._values,
-            np.array([0.0, dt_s]),
-            np.array([speed, speed]),
-            np.array([load, load]),
-            np.array([ambient_c, ambient_c], dtype=np.float64),
-            np.stack((compiled.inputs, compiled.inputs)),
-            self._state[:nodes].copy(),
-            self._revolutions,
-            heat,
-            0.0,
-            path,
-        )
-        if failed >= 0:
+        if self._one.predict(dt_s, speed_rpm, load_n, ambient_c, inputs)[0]:
             raise SimulationError(
-                f"the observer's model {self._model.name!r} ran away at {speed:g} rpm and "
-                f"{load:g} N"
+                f"the observer's model {self.model.name!r} ran away at {abs(speed_rpm):g} rpm and "
+                f"{max(load_n, 0.0):g} N"
             )
-        # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
-        density = np.minimum(
-            HEAT_NOISE_W_SQRT_S**2, 2.0 * NOISE_LIMIT_K**2 * self._tie_w_k * self._bound[0]
-        )
-        rate, modes, inverse, _ = self._modes
-        transition, noise = transition_and_noise(
-            dt_s, rate, modes, inverse, disturbance_w, DISTURBANCE_TIME_S, density
-        )
-        self._covariance = transition @ self._covariance @ transition.T + noise
-        self._state[:nodes] = path[1]
-        self._state[nodes:] *= np.exp(-fading * dt_s)
-        self._heat_w = heat_w * float(np.exp(-dt_s / DISTURBANCE_FADE_S))
-        self._revolutions += speed * dt_s / 60.0
-        for name in self._elapsed_s:
-            self._elapsed_s[name] += dt_s
 
     def update(self, measured: Mapping[str, float]) -> dict[str, Innovation]:
         """Take in readings of any sensors; those not named are simply not there.
@@ -335,27 +214,15 @@ class Observer:
         ValueError
             If a name is unknown or a reading not finite; nothing is taken in then.
         """
-        names = list(measured)
-        if not names:
+        if not measured:
             return {}
-        readings = np.array([measured[name] for name in names], dtype=np.float64)
-        for name, reading in zip(names, readings.tolist(), strict=True):
+        for name, reading in measured.items():
             if not np.isfinite(reading):
                 raise ValueError(f"reading of {name} is {reading}, expected a finite number")
-        rows = np.zeros((len(names), self._state.size))
-        rows[:, : self._nodes] = self._model.sensor_matrix(names)
-        variance = np.array([self._sensor_variance(name) for name in names])
-        self._elapsed_s.update(dict.fromkeys(names, 0.0))
-        difference = readings - rows @ self._state
-        expected = rows @ self._covariance @ rows.T + np.diag(variance)
-        gain = np.linalg.solve(expected, rows @ self._covariance).T
-        self._state = self._state + gain @ difference
-        # Joseph form: stays symmetric and positive whatever the rounding of the gain.
-        kept = np.eye(self._state.size) - gain @ rows
-        self._covariance = kept @ self._covariance @ kept.T + (gain * variance) @ gain.T
-        std = np.sqrt(np.diag(expected))
+        difference, std = self._one.update(list(measured), [list(measured.values())])
         return {
-            name: Innovation(float(difference[k]), float(std[k])) for k, name in enumerate(names)
+            name: Innovation(*found)
+            for name, *found in zip(measured, difference[0].tolist(), std[0].tolist(), strict=True)
         }
 
     def with_parameters(self, model: ThermalModel, values: ArrayLike) -> "Observer":
@@ -368,23 +235,13 @@ class Observer:
         ValueError
             If the model has other nodes, or *values* has the wrong shape.
         """
-        if model.node_names != self._model.node_names:
-            raise ValueError(
-                f"model {model.name!r} has other nodes than model {self._model.name!r}"
-            )
-        swapped = Observer(model, values, self.temperatures_c, self.covariance, self._revolutions)
-        swapped._elapsed_s = dict(self._elapsed_s)
-        swapped._heat_w = self._heat_w
+        swapped = object.__new__(Observer)
+        swapped._one = self._one.with_parameters(model, np.asarray(values, np.float64)[None])
         return swapped
 
     def to_dict(self) -> dict[str, object]:
         """Return the whole state as plain JSON types; the model and its values are not in it."""
-        return {
-            "state": self._state.tolist(),
-            "covariance": self._covariance.tolist(),
-            "revolutions": self._revolutions,
-            "heat_w": self._heat_w,
-        }
+        return self._one.to_dict(0)
 
     @classmethod
     def from_dict(cls, model: ThermalModel, values: ArrayLike, data: Mapping[str, object]) -> Self:
@@ -396,52 +253,9 @@ class Observer:
             If the data do not belong to this kind of model.
         """
         nodes = len(model.node_names)
-        size = 2 * nodes
-        state = np.asarray(data.get("state"), dtype=np.float64)
-        covariance = np.asarray(data.get("covariance"), dtype=np.float64)
-        if state.shape != (size,) or covariance.shape != (size, size):
-            raise ValueError(
-                f"observer state has shapes {state.shape} and {covariance.shape}, expected "
-                f"({size},) and ({size}, {size})"
-            )
-        revolutions, heat_w = (_number(data, name) for name in ("revolutions", "heat_w"))
-        observer = cls(model, values, state[:nodes], covariance[:nodes, :nodes], revolutions)
-        if not (np.isfinite(state).all() and np.isfinite(covariance).all()):
-            raise ValueError("observer state is not finite")
-        observer._state = state
-        observer._covariance = covariance
-        observer._heat_w = heat_w
+        observer = cls(model, values, np.zeros(nodes), np.eye(nodes))
+        observer._one.restore(0, data)
         return observer
-
-    def _heat_generated_w(self, compiled: CompiledNetwork, speed: float, load: float) -> float:
-        """Heat of friction and losses at the present state."""
-        _, coefficient, friction, _ = self._bound
-        temperatures = self._state[: self._nodes]
-        losses = kernels.loss_heats_w(compiled, coefficient, temperatures, speed)
-        point = kernels.friction_at_point(compiled.friction_kind, friction, speed, load)
-        return float(losses.sum()) + float(
-            kernels.friction_heat_w(
-                compiled.friction_kind,
-                friction,
-                point,
-                self._state[compiled.temperature_node],
-                self._revolutions,
-            )
-        )
-
-    def _disturbance_w(self, heat_w: float) -> NDArray[np.float64]:
-        """Heats in W that independent disturbances of one bring to the nodes, (nodes, nodes)."""
-        scale = DISTURBANCE_AT_REST_W + heat_w
-        limit_k = DISTURBANCE_LIMIT_K + DISTURBANCE_LIMIT_K_W * heat_w
-        limit = limit_k * self._tie_w_k / self._structure_size
-        result: NDArray[np.float64] = self._structure * np.minimum(scale, limit)[:, None]
-        return result
-
-    def _sensor_variance(self, name: str) -> float:
-        """Variance of a reading; a quickly repeated one repeats most of the slow error."""
-        elapsed = self._elapsed_s.get(name, SENSOR_DRIFT_TIME_S)
-        repeats = max(SENSOR_DRIFT_TIME_S / max(elapsed, 1e-3), 1.0)
-        return SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0 + SENSOR_DRIFT_K**2 * repeats
 
 
 def not_colder_than(
@@ -474,10 +288,3 @@ def not_colder_than(
         block = spread[np.ix_(rows, rows)] + FLOOR_ERROR_K**2 * np.eye(len(rows))
         result = mean - spread[:, rows] @ np.linalg.solve(block, mean[rows] - floor_c)
     return np.maximum(result, floor_c) if bound else result
-
-
-def _number(data: Mapping[str, object], name: str) -> float:
-    value = data.get(name)
-    if not isinstance(value, int | float):
-        raise ValueError(f"observer state: {name} is {value!r}, expected a number")
-    return float(value)

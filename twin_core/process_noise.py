@@ -1,4 +1,4 @@
-"""What an observer's model may be wrong about, and how that spreads over a step."""
+"""What an observer's model may be wrong about."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,72 +159,3 @@ def between_joints(model: ThermalModel) -> tuple[NDArray[np.int64], NDArray[np.i
     pairs = np.concatenate((ends, ends[:, ::-1]))
     pairs = pairs[np.isin(pairs[:, 0], bodies)]
     return pairs[:, 0].copy(), pairs[:, 1].copy()
-
-
-def transition_and_noise(
-    dt_s: float,
-    rate: NDArray[np.float64],
-    modes: NDArray[np.float64],
-    inverse: NDArray[np.float64],
-    disturbance_w: NDArray[np.float64],
-    disturbance_time_s: float,
-    noise_density: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Transition matrix and process noise of temperatures and heat disturbances.
-
-    The state is [T, d], both (nodes,). In the modal coordinates y of the operating point
-    dy/dt = -lam y + D d + B w and dd/dt = -a d + sqrt(2 a) v with white w and v, so that every d
-    has variance one in the long run; every integral is a sum of exponentials. The feedback of
-    temperature on the friction heat is left out.
-
-    Parameters
-    ----------
-    dt_s
-        Length of the step, > 0.
-    rate, modes, inverse
-        lam in 1/s (nodes,), T = modes @ y, y = inverse @ T.
-    disturbance_w
-        Column j is the heat in W that disturbance j brings to the nodes when it is one,
-        shape (nodes, nodes).
-    disturbance_time_s
-        1 / a.
-    noise_density
-        Density of the white heat at each node in W2 s, shape (nodes,).
-
-    Returns
-    -------
-    transition, noise : ndarray
-        Shape (2 nodes, 2 nodes) each.
-    """
-    nodes = rate.size
-    a = 1.0 / disturbance_time_s
-    # A mode exactly as fast as the disturbance would divide by zero; a part in 1e4 is moot.
-    rate = np.where(np.abs(rate - a) < 1e-4 * a, a * 1.0002, rate)
-    response = modes.T @ disturbance_w / (rate - a)[:, None]
-    decay, fade = np.exp(-rate * dt_s), float(np.exp(-a * dt_s))
-    transition = np.zeros((2 * nodes, 2 * nodes))
-    transition[:nodes, :nodes] = (modes * decay) @ inverse
-    transition[:nodes, nodes:] = modes @ (response * (fade - decay)[:, None])
-    transition[nodes:, nodes:] = fade * np.eye(nodes)
-
-    pair = _integral(rate[:, None] + rate[None, :], dt_s)
-    mixed = _integral(a + rate, dt_s)
-    own = float(_integral(np.array(2.0 * a), dt_s))
-    driven = 2.0 * a * (response @ response.T) * (own - mixed[:, None] - mixed[None, :] + pair)
-    white = (modes.T * noise_density) @ modes * pair
-    cross = modes @ (2.0 * a * response * (own - mixed)[:, None])
-    noise = np.zeros((2 * nodes, 2 * nodes))
-    noise[:nodes, :nodes] = modes @ (driven + white) @ modes.T
-    noise[:nodes, nodes:] = cross
-    noise[nodes:, :nodes] = cross.T
-    noise[nodes:, nodes:] = 2.0 * a * own * np.eye(nodes)
-    return transition, (noise + noise.T) / 2.0
-
-
-def _integral(total: NDArray[np.float64], dt_s: float) -> NDArray[np.float64]:
-    """Integral of exp(-total s) over the step."""
-    exponent = total * dt_s
-    small = exponent < 1e-12
-    safe = np.where(small, 1.0, exponent)
-    result: NDArray[np.float64] = dt_s * np.where(small, 1.0, -np.expm1(-safe) / safe)
-    return result

@@ -27,9 +27,9 @@ from twin_core.forecasting.members import (
 )
 from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
+from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
 from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
 from twin_core.profiles import OperatingPoint

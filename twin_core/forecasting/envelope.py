@@ -27,9 +27,9 @@ from twin_core.forecasting.ensemble import (
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.members import beyond_load, draw_members
 from twin_core.identification.posterior import Posterior
+from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.simulation import holding
 
 FloatArray = NDArray[np.float64]

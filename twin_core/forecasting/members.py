@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from twin_core.forecasting.draws import normal_draws, parameter_draws
 from twin_core.forecasting.paths import net_heat_range
 from twin_core.identification.posterior import Posterior
+from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.operating_points import STANDING_RPM
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch

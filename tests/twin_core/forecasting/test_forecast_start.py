@@ -11,8 +11,9 @@ from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.identification.posterior import prior_posterior
 from twin_core.initial_state import initial_state
+from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.models import build_model
-from twin_core.observer import DISTURBANCE_TIME_S, Observer
+from twin_core.observer import Observer
 from twin_core.simulation import OperatingProfile, simulate_batch
 
 HOLD_S = np.arange(0.0, 601.0, 60.0)

@@ -7,9 +7,9 @@ from twin_core.bearings import bearing
 from twin_core.forecasting import forecast
 from twin_core.forecasting.members import goes_on_as, member_paths
 from twin_core.identification.posterior import prior_posterior
+from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel, build_model
-from twin_core.observer import DISTURBANCE_TIME_S
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate_batch, steady_state
 

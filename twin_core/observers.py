@@ -1,0 +1,368 @@
+"""Observers of many machines of one network form, advanced by one call."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin_core.kalman import (
+    Estimates,
+    Machines,
+    Modes,
+    disturbance_heats_w,
+    predict_range,
+    update_range,
+)
+from twin_core.machine_state import MachineState, course_known
+from twin_core.models import ThermalModel
+from twin_core.process_noise import disturbance_structure
+from twin_core.profiles import OperatingPoint
+from twin_core.simulation import kernels
+from twin_core.simulation.compiling import kernel_array
+
+FloatArray = NDArray[np.float64]
+
+SENSOR_NOISE_K = 0.05
+SENSOR_RESOLUTION_K = 0.1
+SENSOR_DRIFT_K = 0.1
+SENSOR_DRIFT_TIME_S = 60.0
+"""White noise, quantisation step, and a part of the error that lasts for about a minute."""
+
+
+class Observers:
+    """Kalman filters of machines of one network form: every array has one row per machine.
+
+    One call advances all of them, as many calls of `Observer` would.
+
+    Parameters
+    ----------
+    model
+        The model; its values are those of no machine.
+    values
+        Parameters of the machines, shape (n, p), physical units.
+    temperatures_c
+        Means, shape (n, nodes).
+    covariance
+        In K2, shape (n, nodes, nodes).
+    revolutions
+        Revolutions since greasing, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong or a value not finite.
+    SimulationError
+        If the model has no steady state at a usual operating point.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        values: ArrayLike,
+        temperatures_c: ArrayLike,
+        covariance: ArrayLike,
+        revolutions: ArrayLike,
+    ) -> None:
+        nodes = len(model.node_names)
+        own = kernel_array(np.array(values, np.float64))
+        machines = len(own)
+        mean = kernel_array(np.array(temperatures_c, np.float64))
+        spread = np.array(covariance, np.float64)
+        turned = kernel_array(np.array(revolutions, np.float64))
+        for name, array, shape in (
+            ("values", own, (machines, model.parameters.size)),
+            ("temperatures_c", mean, (machines, nodes)),
+            ("covariance", spread, (machines, nodes, nodes)),
+            ("revolutions", turned, (machines,)),
+        ):
+            if array.shape != shape:
+                raise ValueError(
+                    f"{name} has shape {array.shape[1:]}, expected {shape[1:]} for each of "
+                    f"{machines} machines (got {len(array)})"
+                )
+            if not np.isfinite(array).all():
+                raise ValueError(f"{name} is not finite: {array.tolist()}")
+        self._model = model
+        self._elapsed_s: dict[str, FloatArray] = {}
+        self._ambient_c = np.zeros(machines)
+        bound = [kernels.bind_network(model.compiled, row) for row in own]
+        capacity, coefficient, friction = (
+            np.array([parts[k] for parts in bound]) for k in range(3)
+        )
+        structure = np.array([disturbance_structure(model, row) for row in own])
+        self._machines = Machines(
+            own,
+            capacity,
+            coefficient,
+            friction,
+            structure,
+            np.sqrt((structure**2).sum(axis=2)),
+        )
+        self._modes = Modes(
+            np.full((machines, 2), np.nan),
+            np.full((machines, len(model.input_names)), np.nan),
+            np.zeros((machines, nodes)),
+            np.zeros((machines, nodes, nodes)),
+            np.zeros((machines, nodes, nodes)),
+            np.zeros((machines, nodes)),
+        )
+        self._estimates = Estimates(
+            mean,
+            np.zeros((machines, nodes)),
+            kernel_array((spread + spread.transpose(0, 2, 1)) / 2.0),
+            np.zeros((machines, nodes, nodes)),
+            np.tile(np.eye(nodes), (machines, 1, 1)),
+            turned,
+            np.zeros(machines),
+        )
+
+    @property
+    def model(self) -> ThermalModel:
+        """The model in use."""
+        return self._model
+
+    @property
+    def values(self) -> FloatArray:
+        """The parameters in use, shape (n, p)."""
+        return self._machines.values.copy()
+
+    @property
+    def size(self) -> int:
+        """Number of machines, n."""
+        return len(self._machines.values)
+
+    @property
+    def temperatures_c(self) -> FloatArray:
+        """Means of the node temperatures, shape (n, nodes)."""
+        return self._estimates.temperatures_c.copy()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariances of the node temperatures in K2, shape (n, nodes, nodes)."""
+        return self._estimates.tt.copy()
+
+    @property
+    def revolutions(self) -> FloatArray:
+        """Revolutions since greasing, shape (n,)."""
+        return self._estimates.revolutions.copy()
+
+    def operating_point(self, machine: int) -> OperatingPoint | None:
+        """Operating point of a machine's last step; None before the first."""
+        speed_rpm, load_n = self._modes.point[machine].tolist()
+        if np.isnan(speed_rpm):
+            return None
+        inputs = tuple(self._modes.given[machine].tolist())
+        return OperatingPoint(speed_rpm, load_n, float(self._ambient_c[machine]), inputs)
+
+    def heat_disturbance_w(self, machine: int) -> FloatArray:
+        """Heat in W that a machine's model lacks per node, (nodes,); see `Observer`."""
+        known, estimates = self._machines, self._estimates
+        if np.isnan(self._modes.point[machine, 0]):
+            return np.zeros(len(self._model.node_names))
+        brought_w = disturbance_heats_w(
+            known.structure[machine],
+            known.structure_size[machine],
+            self._modes.tie_w_k[machine],
+            float(estimates.heat_w[machine]),
+        )
+        return np.asarray(brought_w @ estimates.disturbances[machine])
+
+    def predict(
+        self,
+        dt_s: ArrayLike,
+        speed_rpm: ArrayLike,
+        load_n: ArrayLike,
+        ambient_c: ArrayLike,
+        inputs: ArrayLike = (),
+    ) -> NDArray[np.bool_]:
+        """Advance every machine by its *dt_s* at its operating point; zero does nothing.
+
+        Each is (n,) or one number for all; the network's inputs, if it has any, are (n, k) or (k,).
+
+        Returns
+        -------
+        ndarray
+            (n,) machines whose model runs away; they are left as they were.
+
+        Raises
+        ------
+        ValueError
+            If a *dt_s* is negative, an argument is not finite or an input is missing.
+        """
+        columns = {"dt_s": dt_s, "speed_rpm": speed_rpm, "load_n": load_n, "ambient_c": ambient_c}
+        given = {}
+        for name, values in columns.items():
+            array = np.array(np.broadcast_to(np.asarray(values, np.float64), (self.size,)))
+            wrong = ~np.isfinite(array)
+            if name == "dt_s":
+                wrong |= array < 0.0
+            if wrong.any():
+                machine = int(np.flatnonzero(wrong)[0])
+                raise ValueError(
+                    f"predict: {name} of machine {machine} is {array[machine]}, expected finite "
+                    "numbers and dt_s >= 0"
+                )
+            given[name] = array
+        count = len(self._model.input_names)
+        drives = np.asarray(inputs, np.float64)
+        if drives.shape[-1] != count or not np.isfinite(drives).all():
+            for row in np.atleast_2d(drives):
+                self._model.holding(row)
+        drives = np.array(np.broadcast_to(drives, (self.size, count)))
+        failed = np.zeros(self.size, np.bool_)
+        predict_range(
+            self._model.compiled,
+            self._machines,
+            self._modes,
+            self._estimates,
+            *given.values(),
+            drives,
+            failed,
+            0,
+            self.size,
+        )
+        moved = (given["dt_s"] > 0.0) & ~failed
+        self._ambient_c = np.where(moved, given["ambient_c"], self._ambient_c)
+        for elapsed_s in self._elapsed_s.values():
+            elapsed_s[moved] += given["dt_s"][moved]
+        return failed
+
+    def update(self, names: Sequence[str], readings: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Take in readings of any sensors.
+
+        Parameters
+        ----------
+        names
+            Sensors or nodes.
+        readings
+            (n, names) temperatures in degC, NaN where there is none; good readings only.
+
+        Returns
+        -------
+        difference_k, std_k : ndarray
+            (n, names) reading minus expectation, and the expected standard deviation of that,
+            against the state before this call; NaN where there is no reading.
+
+        Raises
+        ------
+        ValueError
+            If a name is unknown or a shape wrong; nothing is taken in then.
+        """
+        table = kernel_array(readings)
+        if table.shape != (self.size, len(names)):
+            raise ValueError(
+                f"readings have shape {table.shape}, expected {(self.size, len(names))}"
+            )
+        rows = kernel_array(self._model.sensor_matrix(names))
+        variance = np.empty(table.shape)
+        for column, name in enumerate(names):
+            variance[:, column] = _sensor_variance(self._elapsed_s.get(name))
+        difference, expected = np.empty(table.shape), np.empty(table.shape)
+        update_range(rows, table, variance, self._estimates, difference, expected, 0, self.size)
+        for column, name in enumerate(names):
+            elapsed_s = self._elapsed_s.setdefault(name, np.full(self.size, SENSOR_DRIFT_TIME_S))
+            elapsed_s[np.isfinite(table[:, column])] = 0.0
+        return difference, np.sqrt(expected)
+
+    def state(
+        self,
+        machine: int,
+        ambient_c: float | None = None,
+        inputs: Sequence[float] | None = None,
+        *,
+        followed_s: float = np.inf,
+    ) -> MachineState:
+        """Return the state of a machine; see `Observer.state`."""
+        point, estimates = self.operating_point(machine), self._estimates
+        if point is None and (ambient_c is None or (inputs is None and self._model.input_names)):
+            raise ValueError("the observer has made no step yet: give ambient_c and all inputs")
+        last = point or OperatingPoint(0.0, 0.0, 0.0)
+        return MachineState(
+            temperatures_c=estimates.temperatures_c[machine].copy(),
+            covariance=estimates.tt[machine].copy(),
+            revolutions=float(estimates.revolutions[machine]),
+            ambient_c=last.ambient_c if ambient_c is None else float(ambient_c),
+            inputs=last.inputs if inputs is None else tuple(inputs),
+            heat_disturbance_w=self.heat_disturbance_w(machine),
+            operating_point=point,
+            course_known=course_known(followed_s),
+        )
+
+    def renew_grease(self, machine: int) -> None:
+        """Count the revolutions of a machine from zero again: the grease is fresh."""
+        self._estimates.revolutions[machine] = 0.0
+
+    def to_dict(self, machine: int) -> dict[str, object]:
+        """Return the whole state of a machine as plain JSON types; the model is not in it."""
+        estimates = self._estimates
+        tt, td, dd = (block[machine] for block in (estimates.tt, estimates.td, estimates.dd))
+        means = estimates.temperatures_c[machine], estimates.disturbances[machine]
+        return {
+            "state": np.concatenate(means).tolist(),
+            "covariance": np.block([[tt, td], [td.T, dd]]).tolist(),
+            "revolutions": float(estimates.revolutions[machine]),
+            "heat_w": float(estimates.heat_w[machine]),
+        }
+
+    def restore(self, machine: int, data: Mapping[str, object]) -> None:
+        """Restore what `to_dict` gave.
+
+        Raises
+        ------
+        ValueError
+            If the data do not belong to this kind of model.
+        """
+        nodes = len(self._model.node_names)
+        size = 2 * nodes
+        state = np.asarray(data.get("state"), dtype=np.float64)
+        covariance = np.asarray(data.get("covariance"), dtype=np.float64)
+        if state.shape != (size,) or covariance.shape != (size, size):
+            raise ValueError(
+                f"observer state has shapes {state.shape} and {covariance.shape}, expected "
+                f"({size},) and ({size}, {size})"
+            )
+        if not (np.isfinite(state).all() and np.isfinite(covariance).all()):
+            raise ValueError("observer state is not finite")
+        revolutions, heat_w = (_number(data, name) for name in ("revolutions", "heat_w"))
+        estimates = self._estimates
+        estimates.temperatures_c[machine] = state[:nodes]
+        estimates.disturbances[machine] = state[nodes:]
+        estimates.tt[machine] = covariance[:nodes, :nodes]
+        estimates.td[machine] = covariance[:nodes, nodes:]
+        estimates.dd[machine] = covariance[nodes:, nodes:]
+        estimates.revolutions[machine], estimates.heat_w[machine] = revolutions, heat_w
+
+    def with_parameters(self, model: ThermalModel, values: ArrayLike) -> "Observers":
+        """Continue with another model or other parameters (n, p) and the same temperatures.
+
+        The heat disturbances start anew: what they had learned was the old model's error.
+
+        Raises
+        ------
+        ValueError
+            If the model has other nodes, or *values* has the wrong shape.
+        """
+        if model.node_names != self._model.node_names:
+            raise ValueError(
+                f"model {model.name!r} has other nodes than model {self._model.name!r}"
+            )
+        swapped = Observers(model, values, self.temperatures_c, self.covariance, self.revolutions)
+        swapped._elapsed_s = {name: known.copy() for name, known in self._elapsed_s.items()}
+        swapped._estimates.heat_w[:] = self._estimates.heat_w
+        return swapped
+
+
+def _sensor_variance(elapsed_s: FloatArray | None) -> FloatArray | float:
+    """Variance of a reading; a quickly repeated one repeats most of the slow error."""
+    once = SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0
+    if elapsed_s is None:
+        return once + SENSOR_DRIFT_K**2
+    repeats = np.maximum(SENSOR_DRIFT_TIME_S / np.maximum(elapsed_s, 1e-3), 1.0)
+    return np.asarray(once + SENSOR_DRIFT_K**2 * repeats)
+
+
+def _number(data: Mapping[str, object], name: str) -> float:
+    value = data.get(name)
+    if not isinstance(value, int | float):
+        raise ValueError(f"observer state: {name} is {value!r}, expected a number")
+    return float(value)
