@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -105,7 +106,9 @@ class Dispatcher:
             # One broken command must not end the cell, nor the others.
             name, _ = dump_error(error)
             if name == "CellFaultError":
-                _log.exception("command_failed", command=asked.name)
+                # As text: a structured traceback shows local variables.
+                text = "".join(traceback.format_exception(error))
+                _log.error("command_failed", command=asked.name, traceback=text)
             return _failed(asked.number, error)
 
 

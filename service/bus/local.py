@@ -9,7 +9,6 @@ import contextlib
 import threading
 import time
 import uuid
-from collections import defaultdict
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -55,7 +54,7 @@ class LocalCellBus:
     def __init__(self, data_dir: Path) -> None:
         self.epoch = uuid.uuid4().hex[:12]
         self._state = State()
-        self._numbers: defaultdict[str, int] = defaultdict(int)
+        self._reports = 0
         self._context = zmq.asyncio.Context()
         folder = bus_folder(data_dir)
         # Plain: a PUB socket never waits, and needs no event loop for it.
@@ -86,14 +85,18 @@ class LocalCellBus:
 
     def report(self, state: State) -> None:
         """See `service.bus.interface.CellBus.report`."""
-        self._state = state
-        self._numbers[STATE_TOPIC] += 1
-        self.publish(STATE_TOPIC, self._numbers[STATE_TOPIC], encode(state))
+        before, self._state = self._state, state
+        if (before.waits_for, before.ready) != (state.waits_for, state.ready):
+            self._report()
+
+    def _report(self) -> None:
+        self._reports += 1
+        self.publish(STATE_TOPIC, self._reports, encode(self._state))
 
     async def serve(self, handlers: Mapping[type[Command[Any]], Handler]) -> None:
         """See `service.bus.interface.CellBus.serve`."""
         dispatcher = Dispatcher(handlers)
-        reporting = asyncio.create_task(self._report())
+        reporting = asyncio.create_task(self._keep_reporting())
         left, seen_s = _ROW, time.monotonic()
         try:
             while True:
@@ -109,9 +112,9 @@ class LocalCellBus:
             await dispatcher.close()
             await asyncio.gather(reporting, return_exceptions=True)
 
-    async def _report(self) -> None:
+    async def _keep_reporting(self) -> None:
         while True:
-            self.report(self._state)
+            self._report()
             await asyncio.sleep(STATE_EVERY_S)
 
     def _send(self, caller: bytes, body: bytes) -> None:

@@ -81,10 +81,13 @@ class State(msgspec.Struct, frozen=True, array_like=True):
         What its start waits for; empty once all works.
     ready
         Whether it takes commands.
+    stream
+        Number of the latest live message.
     """
 
     waits_for: str = ""
     ready: bool = False
+    stream: int = 0
 
 
 _encoder = msgspec.msgpack.Encoder()

@@ -9,18 +9,16 @@ import asyncio
 import threading
 import uuid
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import islice
+from typing import Any
 
 from pydantic_core import to_json
 
 from adapters.protocol import Clock
 from service.clock import rfc3339, wall_us
-
-MessageType = Literal[
-    "measurement", "state", "verdict", "forecast", "alarm", "job", "health", "heartbeat"
-]
+from service.domain.interfaces import MessageType
 
 # What goes first when a subscriber is slow; a message of the last tier never goes.
 _TIER: Mapping[MessageType, int] = {
@@ -38,6 +36,7 @@ _TIERS = 3
 HISTORY_MESSAGES = 4096
 HISTORY_BYTES = 4 * 1024 * 1024
 SUBSCRIPTION_MESSAGES = 256
+HEARTBEAT_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +175,8 @@ class Bus:
         Names this start of the service; numbers of different epochs do not compare.
     history_messages, history_bytes : int
         How many messages, and how many bytes of them, are kept for resuming.
+    on_message : callable
+        Gets every message in the order of its number; must not wait.
     """
 
     def __init__(
@@ -185,6 +186,7 @@ class Bus:
         *,
         history_messages: int = HISTORY_MESSAGES,
         history_bytes: int = HISTORY_BYTES,
+        on_message: Callable[[Message], None] = lambda message: None,
     ) -> None:
         self.epoch = epoch or uuid.uuid4().hex[:12]
         self._clock = clock
@@ -196,6 +198,7 @@ class Bus:
         self._history_limits = (history_messages, history_bytes)
         self._subscriptions: set[Subscription] = set()
         self._closed: str | None = None
+        self._on_message = on_message
 
     @property
     def seq(self) -> int:
@@ -237,16 +240,63 @@ class Bus:
             self._seq += 1
             text = self.envelope(type, self._seq, asset, body, time_us)
             message = Message(type, self._seq, asset, text)
-            if type != "heartbeat":
-                self._remember(message)
-            for subscription in list(self._subscriptions):
-                if not subscription.wants(message):
-                    continue
-                if subscription._put(message):
-                    subscription._wake()
-                else:
-                    subscription.close("too slow: alarms and jobs alone overflowed the queue")
+            self._hand_out(message)
         return message
+
+    def mirror(self, message: Message) -> None:
+        """Hand out a message that another bus has numbered; an older one is left out."""
+        with self._lock:
+            if message.seq > self._seq:
+                self._seq = message.seq
+                self._hand_out(message)
+
+    def announce(self, type: MessageType, asset: str | None, data: Mapping[str, Any]) -> None:
+        """Hand out a message beside the numbered ones: it has the number of the latest one."""
+        body = to_json(data, inf_nan_mode="null").decode()
+        with self._lock:
+            text = self.envelope(type, self._seq, asset, body)
+            self._send(Message(type, self._seq, asset, text))
+
+    def skip_to(self, seq: int, forgotten_seq: int) -> None:
+        """Go on after a number: what came before it is not to be had, or was never kept."""
+        with self._lock:
+            self._seq = max(self._seq, seq)
+            self._forgotten_seq = max(self._forgotten_seq, forgotten_seq)
+
+    def restart(self, epoch: str, reason: str) -> None:
+        """Begin another epoch with nothing; every subscription ends."""
+        with self._lock:
+            self.epoch = epoch
+            self._seq = self._forgotten_seq = self._history_bytes = 0
+            self._history.clear()
+        self.end_subscriptions(reason)
+
+    def end_subscriptions(self, reason: str) -> None:
+        """End the subscriptions that there are; new ones are welcome."""
+        with self._lock:
+            for subscription in list(self._subscriptions):
+                subscription.close(reason)
+
+    def after(self, seq: int, most: int) -> tuple[list[Message], int]:
+        """The kept messages after a number, at most so many, and what is forgotten."""
+        with self._lock:
+            kept = (message for message in self._history if message.seq > seq)
+            return list(islice(kept, most)), self._forgotten_seq
+
+    def _hand_out(self, message: Message) -> None:
+        if message.type != "heartbeat":
+            self._remember(message)
+        self._on_message(message)
+        self._send(message)
+
+    def _send(self, message: Message) -> None:
+        for subscription in list(self._subscriptions):
+            if not subscription.wants(message):
+                continue
+            if subscription._put(message):
+                subscription._wake()
+            else:
+                subscription.close("too slow: alarms and jobs alone overflowed the queue")
 
     def envelope(
         self,
@@ -314,8 +364,7 @@ class Bus:
         """End every subscription, now and later."""
         with self._lock:
             self._closed = reason
-            for subscription in list(self._subscriptions):
-                subscription.close(reason)
+            self.end_subscriptions(reason)
 
     def _remember(self, message: Message) -> None:
         self._history.append(message)
@@ -329,3 +378,10 @@ class Bus:
     def _forget(self, subscription: Subscription) -> None:
         with self._lock:
             self._subscriptions.discard(subscription)
+
+
+async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
+    """Send a heartbeat to every subscriber, every so many wall seconds, until cancelled."""
+    while True:
+        await asyncio.sleep(every_s)
+        bus.publish("heartbeat", None, {})

@@ -1,11 +1,10 @@
-"""The service of an open store: live twins, jobs, alarms and what the web side shows."""
+"""The cell with an open store: live twins, jobs and alarms, and the bus to all others."""
 
 import asyncio
 import contextlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import Any
 
@@ -15,8 +14,12 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.alarms import AlarmBook, AlarmCondition
-from service.bus.stream import Bus
+from service.bus.following import packed
+from service.bus.interface import STREAM_TOPIC, CellBus
+from service.bus.messages import State
+from service.bus.stream import Bus, Message, heartbeats
 from service.cell.acquisition import Acquisition
+from service.cell.answers import Answers, Parts
 from service.cell.retention import Upkeep
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
@@ -26,28 +29,23 @@ from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
-from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
-from service.live.what_if_worker import WhatIfWorker
 from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
 from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
-from service.tasks import Work, background
-from service.web.api import create_app
-from service.web.api.context import ServiceContext
-from service.web.side import WebSide
+from service.tasks import background
 
 #: Samples of a channel are counted up to this number where it is only a hint.
 _COUNTED_MAX = 100_000
 HEALTH_EVERY_WALL_S = 1.0
 STORE_RETRY_WALL_S = 2.0
-WARM_UP_AFTER_S = 5.0
+STATE_EVERY_S = 0.25
 
 _log = structlog.get_logger(__name__)
 
 
-class Service:
-    """A running service: store, live twins, jobs, alarms and the web application.
+class Cell:
+    """What follows the machines: store, live twins, jobs and alarms.
 
     It is made in a thread, since it reads from the store.
 
@@ -65,6 +63,8 @@ class Service:
         Process time.
     acquisition : Acquisition
         What brings the samples.
+    bus : CellBus
+        Where others follow and ask.
 
     Raises
     ------
@@ -80,6 +80,7 @@ class Service:
         outbox: Outbox,
         clock: ProcessClock,
         acquisition: Acquisition,
+        bus: CellBus,
     ) -> None:
         self.settings = settings
         self.store = store
@@ -87,7 +88,8 @@ class Service:
         self.acquisition = acquisition
         self.registry = CollectorRegistry()
         self.registry.register(acquisition.registry)
-        self.bus = Bus(clock)
+        self._others = bus
+        self.bus = Bus(clock, bus.epoch, on_message=self._hand_on)
         self.outbox = outbox
         Gauge(
             "bearing_twin_outbox_changes",
@@ -113,7 +115,6 @@ class Service:
             self.registry,
         )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
-        self._what_ifs = WhatIfWorker(make_executor)
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
         self._kept_states = {asset: store.states.load(asset) for asset in self.assets}
@@ -139,13 +140,12 @@ class Service:
             job_seconds.observe,
         )
         self.upkeep = Upkeep(store, clock, Retention(**settings.retention.model_dump()))
-        self.app = create_app(
-            ServiceContext(
-                settings=settings,
+        self.answers = Answers(
+            Parts(
                 clock=clock,
                 store=store,
                 outbox=self.outbox,
-                bus=self.bus,
+                stream=self.bus,
                 ingest=acquisition.ingest,
                 alarms=self.alarms,
                 assets=self.assets,
@@ -177,7 +177,6 @@ class Service:
             bus=self.bus,
             alarms=self.alarms,
             executor=self._executor,
-            what_if_executor=self._what_ifs,
             store_samples=self._store_derived,
             save_state=save_state,
             windows=self.histories[asset.id].windows_json,
@@ -207,6 +206,9 @@ class Service:
 
     def _store_derived(self, samples: Any) -> None:
         self.acquisition.ingest.submit(samples)
+
+    def _hand_on(self, message: Message) -> None:
+        self._others.publish(STREAM_TOPIC, message.seq, packed(message))
 
     def _alarm_changed(self, alarm: Alarm) -> None:
         if alarm.asset in self.assets:
@@ -297,23 +299,13 @@ class Service:
             )
 
     # ------------------------------------------------------------------ life
-    async def run(
-        self,
-        web: WebSide,
-        stop: asyncio.Event,
-        beside: Sequence[Work] = (),
-        ready: Callable[[], None] = lambda: None,
-    ) -> None:
+    async def run(self, stop: asyncio.Event, ready: Callable[[], None] = lambda: None) -> None:
         """Work until ``stop`` is set, then stop cleanly; acquisition ends after that.
 
         Parameters
         ----------
-        web : WebSide
-            Shows the web application from now on.
         stop : asyncio.Event
-            Set it to end the service.
-        next to : sequence of Work
-            What else is to be done next to it.
+            Set it to end the cell.
         ready : callable
             Called when all of it runs.
         """
@@ -324,28 +316,26 @@ class Service:
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
                     ("jobs", self._take_up_jobs()),
-                    ("what-if worker", self._warm_up()),
                     ("health", self._tell_health()),
+                    ("heartbeat", heartbeats(self.bus)),
                     ("upkeep", self.upkeep.run()),
                     ("check of the store", self.upkeep.check()),
-                    *((name, work()) for name, work in beside),
+                    ("bus", self._others.serve(self.answers.handlers())),
+                    ("state", self._report()),
                 ):
                     await stack.enter_async_context(background(task, name, stop))
-                await stack.enter_async_context(self.app.router.lifespan_context(self.app))
-                stack.push_async_callback(self._leave, web)
-                web.show(self.app)
                 ready()
                 await stop.wait()
+                self._others.report(State("the start after a stop"))
+                self.bus.close("the service stops")
         finally:
-            for executor in (self._executor, self._what_ifs):
-                executor.shutdown(wait=False, cancel_futures=True)
+            self._executor.shutdown(wait=False, cancel_futures=True)
 
-    async def _warm_up(self) -> None:
-        """Have the worker of what-ifs ready before the first question, but not while we start."""
-        await asyncio.sleep(WARM_UP_AFTER_S)
-        with contextlib.suppress(BrokenProcessPool):
-            await asyncio.wrap_future(self._what_ifs.submit(compile_kernels))
-        await asyncio.Event().wait()
+    async def _report(self) -> None:
+        """Say how far the live messages are, so that nobody misses the last one."""
+        while True:
+            self._others.report(State(ready=True, stream=self.bus.seq))
+            await asyncio.sleep(STATE_EVERY_S)
 
     async def _twins(self) -> None:
         # Side by side: their last saving takes its time when the store does not answer.
@@ -367,7 +357,3 @@ class Service:
             else:
                 break
         await identify_by_itself(self.jobs, self.histories, self.clock)
-
-    async def _leave(self, web: WebSide) -> None:
-        self.bus.close("the service stops")
-        await web.stop()

@@ -1,13 +1,58 @@
 """What a live twin and a manager of jobs are, for those who use one."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from service.domain.requests import IdentificationRequest, ProfileStep
 
+MessageType = Literal[
+    "measurement", "state", "verdict", "forecast", "alarm", "job", "health", "heartbeat"
+]
+DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "facts", "machine"]
+
+
+class Publisher(Protocol):
+    """Takes live messages for whoever follows the service."""
+
+    def publish(
+        self,
+        type: MessageType,
+        asset: str | None,
+        data: Mapping[str, Any],
+        time_us: int | None = None,
+    ) -> object:
+        """Give a message its number and hand it to all who want it; never waits.
+
+        Parameters
+        ----------
+        type : str
+            What the data are.
+        asset : str or None
+            Asset that it is about; None for the service as a whole.
+        data : mapping
+            Plain JSON types; NaN and infinities become null.
+        time_us : int, optional
+            Process time of the data in microseconds; default now.
+        """
+
 
 class AssetTwin(Protocol):
-    """The live runtime of one asset. All but the asynchronous methods answer from memory."""
+    """One asset as callers see it. The synchronous methods answer from memory."""
+
+    async def refresh(self, *kinds: DocumentKind) -> None:
+        """Bring what these methods answer up to date; what cannot be had stays as it was.
+
+        Raises
+        ------
+        CellUnavailableError
+            If nothing was ever known.
+        """
+
+    def text(self, kind: DocumentKind) -> tuple[bytes, bytes]:
+        """A document as JSON text, with a digest of it."""
+
+    def age_s(self, kind: DocumentKind) -> float:
+        """Wall seconds since a document was known to be right."""
 
     @property
     def id(self) -> str:

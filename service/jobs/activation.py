@@ -8,7 +8,8 @@ import anyio.to_thread
 
 from adapters.protocol import Clock
 from service.domain.errors import ActivationRefusedError
-from service.jobs.models import active_model, model_json, why_not_of_this_asset
+from service.jobs.documents import model_json
+from service.jobs.models import active_model, why_not_of_this_asset
 from service.live.asset import AssetRuntime
 from service.store import AuditEntry, Store
 

@@ -1,4 +1,4 @@
-"""Jobs as the REST interface shows them."""
+"""Jobs and model versions as the REST interface shows them."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,7 +7,7 @@ from cachetools import FIFOCache
 
 from service.clock import rfc3339
 from service.jobs.workspace import Progress
-from service.store.records import Job
+from service.store.records import Job, ModelVersion
 
 # Before this part of the way no one can say how long the rest takes.
 _LEAST_FRACTION = 0.02
@@ -94,3 +94,37 @@ def job_json(
     if convergence:
         shown["convergence"] = reported.progress.convergence if reported is not None else []
     return shown
+
+
+def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, Any]:
+    """A model version as the REST interface shows it.
+
+    Parameters
+    ----------
+    version
+        From the store.
+    combinations
+        Whether to spell out which combinations of parameters are informed, besides how many.
+    """
+    shown = {
+        name: version.document[name]
+        for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
+    }
+    # Versions of older releases carry none of these.
+    shown["identifiability"] = version.document.get("identifiability")
+    shown["paper_view"] = version.document.get("paper_view")
+    shown["drift"] = version.document.get("drift")
+    shown["method"] = version.document.get("method")
+    shown["seed"] = version.document.get("seed")
+    if not combinations and shown["identifiability"] is not None:
+        shown["identifiability"] = {
+            name: value
+            for name, value in shown["identifiability"].items()
+            if name != "combinations"
+        }
+    return {
+        "version": version.version,
+        "status": version.status,
+        "reason": version.reason,
+        "created_at": rfc3339(version.created_at_us),
+    } | shown

@@ -34,7 +34,7 @@ def make_executor() -> Executor:
     return ProcessPoolExecutor(
         max_workers=1,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_prepare_worker,
+        initializer=prepare_worker,
     )
 
 
@@ -95,7 +95,7 @@ async def watched(
         future.cancel()
 
 
-def _prepare_worker() -> None:
+def prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
     with contextlib.suppress(OSError):
         os.nice(10)

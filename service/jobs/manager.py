@@ -18,9 +18,9 @@ import anyio.to_thread
 import structlog
 
 from adapters.protocol import Clock
-from service.bus.stream import Bus
 from service.clock import rfc3339, wall_us
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
+from service.domain.interfaces import Publisher
 from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
@@ -80,7 +80,7 @@ class IdentificationJobs:
         store: Store,
         outbox: Outbox,
         clock: Clock,
-        bus: Bus,
+        bus: Publisher,
         assets: Mapping[str, AssetRuntime],
         histories: Mapping[str, AssetHistory],
         make_executor: Callable[[], Executor],

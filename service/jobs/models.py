@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from service.clock import rfc3339
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
 from service.site.machines.machine import Machine
@@ -99,37 +98,3 @@ def why_not_of_this_asset(asset: AssetSection, version: ModelVersion) -> str | N
     except (KeyError, TypeError, ValueError) as error:
         return f"{error}" if isinstance(error, ValueError) else f"not readable ({error!r})"
     return None
-
-
-def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, Any]:
-    """A model version as the REST interface shows it.
-
-    Parameters
-    ----------
-    version
-        From the store.
-    combinations
-        Whether to spell out which combinations of parameters are informed, besides how many.
-    """
-    shown = {
-        name: version.document[name]
-        for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
-    }
-    # Versions of older releases carry none of these.
-    shown["identifiability"] = version.document.get("identifiability")
-    shown["paper_view"] = version.document.get("paper_view")
-    shown["drift"] = version.document.get("drift")
-    shown["method"] = version.document.get("method")
-    shown["seed"] = version.document.get("seed")
-    if not combinations and shown["identifiability"] is not None:
-        shown["identifiability"] = {
-            name: value
-            for name, value in shown["identifiability"].items()
-            if name != "combinations"
-        }
-    return {
-        "version": version.version,
-        "status": version.status,
-        "reason": version.reason,
-        "created_at": rfc3339(version.created_at_us),
-    } | shown

@@ -12,11 +12,11 @@ import structlog
 from adapters.protocol import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
-from service.bus.stream import Bus
 from service.clock import rfc3339
 from service.documents.alarms import alarm_summary
 from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, unit_of
 from service.domain.errors import NotReadyError
+from service.domain.interfaces import Publisher
 from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.envelope import with_measured
@@ -66,8 +66,8 @@ class AssetRuntime:
         The model version to run on.
     clock, bus, alarms
         Process time, live messages, alarm book.
-    executor, what_if_executor : concurrent.futures.Executor
-        Where live forecasts, and those of callers, are computed; by default in one place.
+    executor : concurrent.futures.Executor
+        Where forecasts are computed.
     store_samples : callable
         Takes the twin's own estimates for the store.
     save_state : callable
@@ -85,14 +85,13 @@ class AssetRuntime:
         active: ActiveModel,
         *,
         clock: Clock,
-        bus: Bus,
+        bus: Publisher,
         alarms: AlarmBook,
         executor: Executor,
         store_samples: Store,
         save_state: SaveState,
         windows: Callable[[], Awaitable[Sequence[Mapping[str, Any]]]],
         doubt: Callable[[str], str] = lambda channel: "",
-        what_if_executor: Executor | None = None,
     ) -> None:
         self.settings = settings
         self.facts = channels
@@ -119,9 +118,7 @@ class AssetRuntime:
         self._store_samples = store_samples
         self._save_state = save_state
         self._windows = windows
-        self._forecasting = Forecasting(
-            settings, self.estimate, self.readings, clock, executor, what_if_executor or executor
-        )
+        self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
         self._judgement = Judgement(
             settings, self.readings, self.estimate, self._forecasting, alarms, clock
@@ -132,7 +129,7 @@ class AssetRuntime:
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
-        self._planning = Planning(settings, self.estimate, channels)
+        self._planning = Planning(settings, self.estimate.state, channels)
         self._watching = Guard("watch", settings.id)
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
@@ -281,6 +278,32 @@ class AssetRuntime:
         latest = self._forecasting.latest
         return None if latest is None else latest | {"missing": self._judgement.blind}
 
+    def description(self) -> dict[str, Any]:
+        """What others must know of the asset before they ask anything."""
+        return {
+            "running": self.running,
+            "channels": dict(self.channels),
+            "temperature_names": list(self.temperature_names),
+        }
+
+    def machine(self) -> dict[str, Any]:
+        """The present state as plain JSON types: what answers to callers are computed from."""
+        now_us = self._clock.now_us()
+        state = self.estimate.state()
+        estimate = None if state is None else state.to_dict()
+        ahead = self._forecasting.steps_ahead(now_us)
+        return {
+            "version": self.active.version,
+            "estimate": estimate,
+            "planned": [(step.speed_rpm, step.load_n) for step in ahead],
+            "missing": self._judgement.blind,
+            "measured_c": {
+                name: self.readings.good_value(name, now_us)
+                for name in self.active.model.sensor_names
+                if name in self.facts
+            },
+        }
+
     def forecast_age_s(self) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
         return self._forecasting.age_s(self._clock.now_us())
@@ -297,14 +320,9 @@ class AssetRuntime:
 
     async def envelope(self) -> Mapping[str, Any]:
         """Return the safe operating envelope, recently or computed now."""
-        now_us = self._clock.now_us()
-        document = await self._planning.envelope(self._forecasting.steps_ahead(now_us))
-        measured_c = {
-            name: self.readings.good_value(name, now_us)
-            for name in document["sensors"]
-            if name in self.facts
-        }
-        return with_measured(document, measured_c)
+        machine = self.machine()
+        document = await self._planning.envelope(machine["planned"])
+        return with_measured(document, machine["measured_c"])
 
     async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
         """Rank low-risk steps by what they would teach about a point."""

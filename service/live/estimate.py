@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,25 @@ class EstimatedState:
     machine: MachineState
     point: OperatingPoint
     time_us: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """The state as plain numbers and lists, without the model."""
+        return {
+            "machine": self.machine.to_dict(),
+            "point": asdict(self.point),
+            "time_us": self.time_us,
+        }
+
+    @classmethod
+    def from_dict(cls, active: ActiveModel, document: Mapping[str, Any]) -> "EstimatedState":
+        """Restore what `to_dict` gave, of a twin that ran on this model."""
+        point = document["point"]
+        return cls(
+            active,
+            MachineState.from_dict(document["machine"]),
+            OperatingPoint(**point | {"inputs": tuple(point["inputs"])}),
+            document["time_us"],
+        )
 
 
 class LiveEstimate:

@@ -4,7 +4,6 @@ import asyncio
 import math
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, NamedTuple
 
 from adapters.protocol import Clock
@@ -52,10 +51,7 @@ class Forecasting:
     clock : Clock
         Process time.
     executor : concurrent.futures.Executor
-        Where live forecasts are computed.
-    what_if_executor : concurrent.futures.Executor
-        Where those of callers are computed, a process for example: no live forecast waits behind
-        them.
+        Where forecasts are computed.
 
     Attributes
     ----------
@@ -76,14 +72,12 @@ class Forecasting:
         readings: Readings,
         clock: Clock,
         executor: Executor,
-        what_if_executor: Executor,
     ) -> None:
         self._limits = settings.limits
         self._estimate = estimate
         self._readings = readings
         self._clock = clock
         self._executor = executor
-        self._what_if_executor = what_if_executor
         self._made_us: int | None = None
         self.plan: PlannedProfile | None = None
         self.latest: dict[str, Any] | None = None
@@ -143,28 +137,11 @@ class Forecasting:
         state = self._estimate.state()
         if state is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
-        steps = [
-            Step(
-                step.duration_s,
-                step.speed_rpm,
-                step.load_n,
-                state.point.ambient_c if step.ambient_c is None else step.ambient_c,
-            )
-            for step in profile
-        ]
-        ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
-        wanted = list(nodes) if nodes else None
         loop = asyncio.get_running_loop()
-        try:
-            body = await loop.run_in_executor(
-                self._what_if_executor, _what_if, state, ahead, self._limits, wanted
-            )
-        except BrokenProcessPool as error:
-            raise NotReadyError("the what-if worker ended unexpectedly") from error
-        return body | {
-            "model_version": state.active.version,
-            "profile": presentation.steps_json(steps),
-        }
+        wanted = list(nodes) if nodes else None
+        return await loop.run_in_executor(
+            self._executor, what_if_document, state, self._limits, list(profile), step_s, wanted
+        )
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""
@@ -202,14 +179,42 @@ def _make(
     return _Made(result, crossings, presentation.forecast_json(result, limits, crossings, nodes))
 
 
-def _what_if(
+def what_if_document(
     state: EstimatedState,
-    profile: OperatingProfile,
     limits: Mapping[str, Limits],
+    profile: Sequence[ProfileStep],
+    step_s: float | None,
     nodes: Sequence[str] | None,
 ) -> dict[str, Any]:
-    """Give only what the caller gets: it comes from another process."""
-    return _make(state, profile, limits, nodes).body
+    """Forecast a profile from a state, as the REST interface shows it.
+
+    Parameters
+    ----------
+    state : EstimatedState
+        Where the forecast starts from.
+    limits : mapping of str to Limits
+        By sensor.
+    profile : sequence of ProfileStep
+        What the machine is to do.
+    step_s : float, optional
+        Spacing of the answer.
+    nodes : sequence of str, optional
+        Sensors and nodes to be answered; by default all.
+    """
+    steps = [
+        Step(
+            step.duration_s,
+            step.speed_rpm,
+            step.load_n,
+            state.point.ambient_c if step.ambient_c is None else step.ambient_c,
+        )
+        for step in profile
+    ]
+    ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
+    return _make(state, ahead, limits, nodes).body | {
+        "model_version": state.active.version,
+        "profile": presentation.steps_json(steps),
+    }
 
 
 def _beyond_times(plan: PlannedProfile) -> list[tuple[float, ...]]:

@@ -1,14 +1,13 @@
 """What helps to plan the next test on a machine: envelope and advice, off the event loop."""
 
 import asyncio
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from service.domain.errors import NotIdentifiedError, NotReadyError
 from service.live.advice import give_advice
-from service.live.ahead import Step
 from service.live.envelope import EnvelopeKeeper
-from service.live.estimate import EstimatedState, LiveEstimate
+from service.live.estimate import EstimatedState
 from service.site.settings import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError
 from twin_core.forecasting.design import Level
@@ -21,30 +20,32 @@ class Planning:
     ----------
     settings : AssetSection
         Low-risk region and limits.
-    estimate : LiveEstimate
-        The running estimate.
+    present : callable
+        Gives the present state; None before there is one.
     measured : collection of str
         The asset's channels.
     """
 
     def __init__(
-        self, settings: AssetSection, estimate: LiveEstimate, measured: Collection[str]
+        self,
+        settings: AssetSection,
+        present: Callable[[], EstimatedState | None],
+        measured: Collection[str],
     ) -> None:
         self._settings = settings
-        self._estimate = estimate
+        self._present = present
         self._measured = tuple(measured)
         self._envelope = EnvelopeKeeper(settings)
         self._advising = asyncio.Lock()
 
-    async def envelope(self, ahead: Sequence[Step]) -> Mapping[str, Any]:
-        """Safe operating envelope; its grid holds the steps ahead.
+    async def envelope(self, planned: Sequence[tuple[float, float]]) -> Mapping[str, Any]:
+        """Safe operating envelope; its grid holds the planned speeds in rpm and loads in N.
 
         Raises
         ------
         NotReadyError
             While there is no estimate.
         """
-        planned = [(step.speed_rpm, step.load_n) for step in ahead]
         return await self._envelope.document(self._state(), planned)
 
     async def advice(self, target: Level) -> Mapping[str, Any]:
@@ -66,7 +67,7 @@ class Planning:
             raise NotIdentifiedError(str(error)) from error
 
     def _state(self) -> EstimatedState:
-        state = self._estimate.state()
+        state = self._present()
         if state is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         return state

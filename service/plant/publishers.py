@@ -22,6 +22,11 @@ PUBLISHERS: Sequence[PublisherEntry] = (
 )
 
 
+def any_enabled(settings: Settings) -> bool:
+    """Tell whether there is anything to do for the plant side."""
+    return bool(_enabled(settings))
+
+
 def check_extras(settings: Settings) -> None:
     """Make sure that what is enabled is installed, and that its files can be used.
 

@@ -103,15 +103,17 @@ class Outbox(Closable):
             thread.start()
 
     @classmethod
-    def open(cls, data_dir: Path, store: Store) -> Self:
-        """Open the outbox of a data directory and begin to send what is in it.
+    def open(cls, data_dir: Path, store: Store, file_name: str = FILE_NAME) -> Self:
+        """Open an outbox of a data directory and begin to send what is in it.
+
+        Each process has a file of its own.
 
         Raises
         ------
         StoreError
             If its file can be neither opened nor made; one line that names it.
         """
-        path = data_dir / FILE_NAME
+        path = data_dir / file_name
         return cls(DurableQueue(QueueFile.open(path, _LAYOUT)), store)
 
     @property

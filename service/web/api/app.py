@@ -1,6 +1,5 @@
 """Puts the web side together."""
 
-import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from importlib.metadata import version
@@ -43,7 +42,7 @@ from service.web.api.routes import (
     session,
     stream,
 )
-from service.web.api.snapshots import Snapshots, SnapshotShortcut
+from service.web.api.snapshots import SnapshotShortcut
 from service.web.api.trail import Trail
 from service.web.api.turns import Turns
 
@@ -71,22 +70,18 @@ def create_app(context: ServiceContext) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        beating = asyncio.create_task(stream.heartbeats(context.bus))
         try:
             yield
         finally:
-            beating.cancel()
             context.bus.close()
             turns.close()
             trail.settle()
-            await asyncio.gather(beating, return_exceptions=True)
 
     security = context.settings.security
     authenticator = Authenticator(
         context.store, security.failed_logins_per_minute, security.requests_per_minute
     )
     trail = AuditTrail(context.outbox)
-    snapshots = Snapshots()
     turns = Turns()
     app = FastAPI(
         title="Bearing Twin",
@@ -109,7 +104,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(Packing, excluded=(measurements.PARQUET,)),
             Middleware(LastResort),
             Middleware(AtTheDoor, door=make_door(authenticator, trail)),
-            Middleware(SnapshotShortcut, snapshots=snapshots, assets=context.assets),
+            Middleware(SnapshotShortcut, assets=context.assets),
             Middleware(JsonBodies),
             Middleware(BodyLimit),  # of what comes over the wire
             Middleware(Gunzip),
@@ -120,7 +115,6 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.context = context
     app.state.authenticator = authenticator
     app.state.trail = trail
-    app.state.snapshots = snapshots
     app.state.turns = turns
     install_handlers(app)
     for module in (

@@ -1,35 +1,53 @@
-"""What the web side needs from the rest of the service."""
+"""What the web side leans on."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
 
 from prometheus_client import CollectorRegistry
 
-from adapters.protocol import Clock, SourceHealth
+from adapters.protocol import Clock
 from service.bus.stream import Bus
 from service.domain.interfaces import AssetTwin, JobManager
 from service.site.settings import Settings
+from service.store import Outbox, Store
+from service.web.cell import CellAlarms, CellHealth, CellIngest
 
-if TYPE_CHECKING:
-    from service.alarms import AlarmBook
-    from service.ingest import Ingest
-    from service.store import Outbox, Store
+
+async def _nothing() -> None:
+    """Bring nothing up to date."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceContext:
-    """Everything the web side leans on, put together by the service."""
+    """Everything the web side leans on, put together at its start.
+
+    Attributes
+    ----------
+    settings, clock, store
+        Configuration, process time, store.
+    outbox
+        Where lines of the audit trail wait for the store.
+    bus
+        Live messages.
+    ingest, alarms, jobs, health
+        What the cell does and knows.
+    assets
+        By id.
+    refresh_summaries
+        Brings the summaries of all assets up to date.
+    registry
+        Metrics of the web side itself.
+    """
 
     settings: Settings
     clock: Clock
-    store: "Store"
-    outbox: "Outbox"
+    store: Store
+    outbox: Outbox
     bus: Bus
-    ingest: "Ingest"
-    alarms: "AlarmBook"
+    ingest: CellIngest
+    alarms: CellAlarms
     assets: Mapping[str, AssetTwin]
     jobs: JobManager
-    registry: CollectorRegistry
-    sources: Callable[[], Sequence[SourceHealth]]
-    problems: Callable[[], Mapping[str, str | None]] = dict
+    health: CellHealth
+    refresh_summaries: Callable[[], Awaitable[None]] = _nothing
+    registry: CollectorRegistry = field(default_factory=CollectorRegistry)

@@ -16,9 +16,11 @@ from starlette.routing import compile_path
 
 from service.domain.errors import (
     ActivationRefusedError,
+    CellUnavailableError,
     JobConflictError,
     KeyUsedBeforeError,
     NotIdentifiedError,
+    NotKeptError,
     NotReadyError,
     RequestRefusedError,
 )
@@ -191,7 +193,17 @@ def install_handlers(app: FastAPI) -> None:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
         return _answer(request, Problem(503, str(error), headers=headers))
 
+    async def on_cell_away(request: Request, error: CellUnavailableError) -> Response:
+        headers = {"Retry-After": str(RETRY_AFTER_S)}
+        detail = f"the cell does not answer: {error}"
+        return _answer(request, Problem(503, detail, headers=headers))
+
+    async def on_not_kept(request: Request, error: NotKeptError) -> Response:
+        return _answer(request, Problem(503, str(error)))
+
     handlers: dict[type[Exception], Any] = {
+        CellUnavailableError: on_cell_away,
+        NotKeptError: on_not_kept,
         BusyError: on_busy,
         HTTPException: on_http_exception,
         RequestValidationError: on_validation_error,

@@ -56,7 +56,7 @@ async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
     driver = AbsentMinded()
     source: Any = SimpleNamespace(create=lambda clock: driver)
     monkeypatch.setattr(
-        "service.app.start.wire", lambda settings: replace(wire(settings), sources=[source])
+        "service.cell.start.wire", lambda settings: replace(wire(settings), sources=[source])
     )
     stop, ready = asyncio.Event(), asyncio.Event()
     running = asyncio.create_task(serve(settings, announce=lambda _: ready.set(), stop=stop))

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import random
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +15,9 @@ from prometheus_client import CollectorRegistry
 from structlog.testing import capture_logs
 
 from adapters.samples import Quality, Sample
+from service.bus.memory import MemoryBus
+from service.bus.replica import Replicas
+from service.cell.answers import Answers, Parts
 from service.domain.interfaces import JobManager
 from service.ingest import Ingest, Spool
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_over
@@ -26,6 +29,7 @@ from service.site.machines.networks import read_network
 from service.site.settings import AssetSection, Limits, Settings
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
 
 WARM = {
     "speed_rpm": 1500.0,
@@ -272,26 +276,46 @@ def make_safe(
 @pytest.fixture
 async def open_web(
     tmp_path: Path,
-) -> AsyncIterator[Callable[[Any], httpx2.AsyncClient]]:
+) -> AsyncIterator[Callable[[Any], Awaitable[httpx2.AsyncClient]]]:
     """The web side over a live asset, for a viewer."""
     clients: list[httpx2.AsyncClient] = []
+    serving: list[asyncio.Task[None]] = []
 
-    def open_for(live: Any) -> httpx2.AsyncClient:
+    async def open_for(live: Any) -> httpx2.AsyncClient:
         registry = CollectorRegistry()
         (tmp_path / "web").mkdir()
         spool = Spool.open(tmp_path / "web", 16)
-        context = ServiceContext(
-            settings=Settings(),
+        ingest = Ingest(live.store, spool, live.clock, lambda batch: None, registry=registry)
+        outbox = live.alarms._outbox
+        joint = MemoryBus()
+        parts = Parts(
             clock=live.clock,
             store=live.store,
-            outbox=live.alarms._outbox,
-            bus=live.bus,
-            ingest=Ingest(live.store, spool, live.clock, lambda batch: None, registry=registry),
+            outbox=outbox,
+            stream=live.bus,
+            ingest=ingest,
             alarms=live.alarms,
             assets={"bench-1": live.runtime},
             jobs=cast(JobManager, None),
             registry=registry,
             sources=lambda: [],
+        )
+        serving.append(asyncio.create_task(joint.serve(Answers(parts).handlers())))
+        await asyncio.sleep(0)
+        replicas = Replicas(joint, fresh_s=0.0)
+        await replicas.load()
+        shared = Shared(joint, fresh_s=0.0)
+        context = ServiceContext(
+            settings=Settings(),
+            clock=live.clock,
+            store=live.store,
+            outbox=outbox,
+            bus=live.bus,
+            ingest=CellIngest(joint),
+            alarms=CellAlarms(joint, shared),
+            assets=replicas.assets,
+            jobs=CellJobs(joint, shared),
+            health=CellHealth(shared),
         )
         client = httpx2.AsyncClient(
             transport=httpx2.ASGITransport(create_app(context)),
@@ -304,14 +328,17 @@ async def open_web(
     yield open_for
     for client in clients:
         await client.aclose()
+    for task in serving:
+        task.cancel()
+    await asyncio.gather(*serving, return_exceptions=True)
 
 
 async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
     make_safe: Callable[[], Any],
-    open_web: Callable[[Any], httpx2.AsyncClient],
+    open_web: Callable[[Any], Awaitable[httpx2.AsyncClient]],
 ) -> None:
     live = make_safe()
-    web = open_web(live)
+    web = await open_web(live)
     rng = random.Random(14)
     live.start()
 

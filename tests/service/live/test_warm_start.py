@@ -160,7 +160,7 @@ async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start
     estimate = LiveEstimate(motor)
     readings = Readings("bench-1", {}, clock.now_us())
     section = motor_section(tmp_path)
-    forecasting = Forecasting(section, estimate, readings, clock, executor, executor)
+    forecasting = Forecasting(section, estimate, readings, clock, executor)
     now = BEFORE_S - 10
     while now <= BEFORE_S + 10:
         estimate.step(START_US + now * 1_000_000, means(speed, load, truth, now))
@@ -195,7 +195,7 @@ async def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
     for second in range(BEFORE_S - 10, now + 1, STEP_S):
         estimate.step(START_US + second * 1_000_000, means(speed, load, truth, second))
     settings = motor_section(tmp_path)
-    document = await Planning(settings, estimate, list(settings.channels)).envelope([])
+    document = await Planning(settings, estimate.state, list(settings.channels)).envelope([])
     maps = document["sensors"]["t_winding_c"]["limits"]
     time_s = np.arange(0.0, 4.0 * HOUR_S)
     reached = 0

@@ -101,7 +101,7 @@ async def get_journal(
         asset, alarm, start, end, None if line_class is None else line_class == "event"
     )
     # What an operator has just done is in the answer.
-    await to_thread.run_sync(context.outbox.flush, _FLUSH_S)
+    await context.alarms.flush(_FLUSH_S)
     turns, caller = turns_of(request), caller_of(request)
     if format == "csv" and limit is None:
         await while_there(request, turns.long_reads.enter(caller))
@@ -126,7 +126,7 @@ async def get_journal(
     summary="Alarm performance: the load of alarms on operators",
     **secured(VIEWER, 503),
 )
-def get_statistics(
+async def get_statistics(
     context: Context,
     asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
 ) -> Response:
@@ -134,10 +134,11 @@ def get_statistics(
 
     An alarm counts every time that it becomes unacknowledged by itself; process time.
     """
-    context.outbox.flush(_FLUSH_S)
+    await context.alarms.flush(_FLUSH_S)
     now_us = context.clock.now_us()
-    counts = context.store.alarms.annunciations(now_us, asset)
-    return json_response(statistics_document(counts, context.alarms.active(asset), now_us))
+    counts = await to_thread.run_sync(context.store.alarms.annunciations, now_us, asset)
+    alarms = await context.alarms.active(asset)
+    return json_response(statistics_document(counts, alarms, now_us))
 
 
 _FILE = {"Content-Disposition": 'attachment; filename="alarm-journal.csv"'}

@@ -1,9 +1,6 @@
 """Assets: what they are, how they are now, and what the twin says of them."""
 
-from typing import Annotated
-
-from fastapi import APIRouter, Depends
-from starlette.requests import Request
+from fastapi import APIRouter
 from starlette.responses import Response
 
 from service.domain.requests import GreaseRenewedRequest
@@ -19,15 +16,9 @@ from service.web.api.bodies import (
 )
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
-from service.web.api.snapshots import Snapshots
+from service.web.api.snapshots import snapshot_response
 
 router = APIRouter(prefix="/assets", tags=["assets"])
-
-
-async def get_snapshots(request: Request) -> Snapshots:
-    """Give the snapshots as they go out."""
-    snapshots: Snapshots = request.app.state.snapshots
-    return snapshots
 
 
 @router.get(
@@ -38,6 +29,7 @@ async def get_snapshots(request: Request) -> Snapshots:
 )
 async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Response:
     """Give configuration, health and active model of every asset."""
+    await context.refresh_summaries()
     items = [asset.summary() for asset in context.assets.values()]
     return conditional_response({"items": items, "next": None}, if_none_match)
 
@@ -50,6 +42,7 @@ async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Re
 )
 async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
     """Give configuration, health and active model."""
+    await asset.refresh("summary")
     return conditional_response(asset.summary(), if_none_match)
 
 
@@ -59,13 +52,9 @@ async def get_asset(asset: Asset, if_none_match: IfNoneMatch = None) -> Response
     summary="All present values as flat tags",
     **secured(VIEWER, 404, responses=CONDITIONAL),
 )
-async def get_snapshot(
-    asset: Asset,
-    snapshots: Annotated[Snapshots, Depends(get_snapshots)],
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+async def get_snapshot(asset: Asset, if_none_match: IfNoneMatch = None) -> Response:
     """Measured values, estimates, forecast maxima, times to limit and alarm counts, from memory."""
-    return snapshots.response(asset, if_none_match)
+    return await snapshot_response(asset, if_none_match)
 
 
 @router.get(
@@ -76,6 +65,7 @@ async def get_snapshot(
 )
 async def get_state(asset: Asset) -> Response:
     """Mean and standard deviation of every node, null before the first data."""
+    await asset.refresh("state")
     return json_response(asset.state())
 
 
@@ -87,6 +77,7 @@ async def get_state(asset: Asset) -> Response:
 )
 async def get_verdict(asset: Asset) -> Response:
     """Give one word each, with reasons; without an input it is `unknown`, and named."""
+    await asset.refresh("verdict")
     return json_response(asset.verdict())
 
 

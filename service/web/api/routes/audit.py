@@ -20,6 +20,8 @@ from service.web.api.cursors import (
 )
 from service.web.api.deps import Context, Trail, json_response
 
+_FLUSH_S = 1.0
+
 router = APIRouter(prefix="/audit", tags=["access"])
 
 
@@ -34,6 +36,7 @@ async def get_audit(
     """Every change that someone asked for, newest first; the trail only grows."""
     before = None if cursor is None else decode_cursor(cursor, Before).before
     await trail.flush()
+    await context.alarms.flush(_FLUSH_S)  # and what the cell does by itself
     page = await to_thread.run_sync(context.store.audit.page, limit, before)
     following = None
     if page.next_cursor is not None:

@@ -29,6 +29,7 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
 )
 async def get_forecast(asset: Asset) -> Response:
     """Follow the controller's plan where it tells one, else hold the present point."""
+    await asset.refresh("forecast")
     forecast = asset.forecast()
     if forecast is None:
         raise NotReadyError("there is no forecast yet: the twin waits for its first data")

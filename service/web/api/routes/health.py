@@ -1,9 +1,5 @@
 """Is it alive, is it ready, and the metrics."""
 
-import asyncio
-from collections.abc import Iterator
-from typing import Literal, NamedTuple
-
 import structlog
 from anyio import to_thread
 from fastapi import APIRouter
@@ -11,31 +7,16 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from starlette.requests import Request
 from starlette.responses import Response
 
-from adapters.samples import is_good
-from service.domain.interfaces import AssetTwin
 from service.domain.roles import VIEWER
 from service.security.loopback import is_loopback
-from service.store import StoreUnavailableError
 from service.web.api.access import authenticate, problems, public, unauthorized
 from service.web.api.bodies import Alive, Ready
-from service.web.api.context import ServiceContext
 from service.web.api.deps import Context, Keys, json_response
 from service.web.api.problems import RETRY_AFTER_S, Problem
 
 router = APIRouter(tags=["health"])
 
-_DERIVED_SOURCE = "twin"
-#: Wall seconds in which the store must answer: whoever probes does not wait for long.
-_STORE_ANSWERS_S = 1.5
 _log = structlog.get_logger(__name__)
-
-
-class Check(NamedTuple):
-    """One thing that the service needs; the detail may name hosts and files."""
-
-    name: str
-    status: Literal["ok", "degraded", "failed"]
-    detail: str
 
 
 @router.get("/livez", response_model=Alive, summary="Liveness: the process answers", **public())
@@ -55,12 +36,7 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
 
     A broken sensor or source degrades the service, it does not fail it.
     """
-    checks = [
-        await _store(context),
-        *_problems(context),
-        *_twins(context),
-        *_sources(context),
-    ]
+    checks = await context.health.checks()
     statuses = {check.status for check in checks}
     ready = "failed" not in statuses
     overall = ("degraded" if "degraded" in statuses else "ready") if ready else "not ready"
@@ -107,58 +83,8 @@ async def metrics(context: Context, request: Request, keys: Keys) -> Response:
             raise unauthorized(request)
         if principal.role not in VIEWER:
             raise Problem(403, f"a key of role {principal.role} may not read the metrics")
-    text = await to_thread.run_sync(generate_latest, context.registry)
-    return Response(text, media_type=CONTENT_TYPE_LATEST)
-
-
-async def _store(context: ServiceContext) -> Check:
-    ingest = context.ingest
-    problem = ingest.problem
-    if problem is None:  # else it was asked a moment ago
-        try:
-            async with asyncio.timeout(_STORE_ANSWERS_S):
-                await to_thread.run_sync(context.store.jobs.unfinished, abandon_on_cancel=True)
-        except TimeoutError:
-            problem = f"no answer within {_STORE_ANSWERS_S:g} s"
-        except StoreUnavailableError as error:
-            problem = str(error)
-    if problem is None:
-        return Check("store", "ok", "reads and writes")
-    if ingest.spool_problem is not None:
-        return Check("store", "failed", f"{problem}; spool: {ingest.spool_problem}")
-    return Check("store", "degraded", f"{problem}; {ingest.spooled} samples wait on the spool")
-
-
-def _problems(context: ServiceContext) -> Iterator[Check]:
-    for name, problem in context.problems().items():
-        yield Check(name, "degraded" if problem else "ok", problem or "as it should be")
-
-
-def _twins(context: ServiceContext) -> Iterator[Check]:
-    for asset in context.assets.values():
-        name = f"twin:{asset.id}"
-        if not asset.running:
-            yield Check(name, "failed", "the live twin is not running")
-            continue
-        bad = _channels_without_good_data(asset)
-        if bad:
-            yield Check(name, "degraded", f"no good data: {', '.join(bad)}")
-        else:
-            yield Check(name, "ok", "follows the machine")
-
-
-def _sources(context: ServiceContext) -> Iterator[Check]:
-    for health in context.sources():
-        yield Check(f"source:{health.name}", "ok" if health.up else "degraded", health.detail)
-
-
-def _channels_without_good_data(asset: AssetTwin) -> list[str]:
-    tags = asset.snapshot()["tags"]
-    return sorted(
-        channel
-        for channel, source in asset.channels.items()
-        if source != _DERIVED_SOURCE and channel in tags and not is_good(tags[channel]["quality"])
-    )
+    own = await to_thread.run_sync(generate_latest, context.registry)
+    return Response(await context.health.metrics() + own, media_type=CONTENT_TYPE_LATEST)
 
 
 async def _may_see_details(request: Request, keys: Keys) -> bool:

@@ -11,10 +11,11 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from adapters.tables import TableFileError
+from service.domain.errors import PushRefusedError
 from service.domain.interfaces import AssetTwin
 from service.domain.roles import PUSH, VIEWER
 from service.domain.times import Instant
-from service.store import Store, StoreUnavailableError
+from service.store import Store
 from service.transfer.exporting import ParquetPages
 from service.transfer.pages import (
     Place,
@@ -181,7 +182,7 @@ async def post_measurements(
     now_us, rate = context.clock.now_us(), context.clock.rate
 
     async def judged() -> Verdict:
-        kept_from_us = context.store.samples.kept_from_us
+        kept_from_us = context.ingest.kept_from_us
         given = (body.samples, asset.id, channels, now_us, rate, kept_from_us)
         verdict: Verdict = await in_thread(request, len(body.samples), judge, *given)
         return verdict
@@ -200,16 +201,16 @@ async def post_measurements(
                 for name, index in sorted(verdict.wired.items())
             ],
         )
-    context.ingest.refuse_too_old(verdict.too_old)
+    await give_turn_back(request)
     try:
-        stored = await context.ingest.take_in(verdict.samples, PUSH_PATIENCE_S)
-        await give_turn_back(request)
-        counts = await stored
-    except StoreUnavailableError as error:
+        counts = await context.ingest.accept(
+            asset.id, verdict.samples, verdict.too_old, now_us, PUSH_PATIENCE_S
+        )
+    except PushRefusedError as error:
         raise Problem(
             503,
             f"none of the samples was stored: {error}; expected the same push again later",
-            headers={"Retry-After": str(context.ingest.retry_after_s)},
+            headers={"Retry-After": str(error.retry_after_s)},
         ) from error
     if counts.stored + counts.duplicates < len(verdict.samples):
         # The time from which samples are kept moved on meanwhile.

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from service.clock import rfc3339
 from service.domain.requests import RequestBody
 from service.domain.roles import ENGINEER
-from service.jobs.models import model_json
+from service.jobs.documents import model_json
 from service.web.api.access import Caller, secured
 from service.web.api.bodies import ActivationList, ModelDocument, ModelList
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of

@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
-from typing import Annotated
+from collections.abc import AsyncIterator, Mapping
+from typing import Annotated, Any
 
 import structlog
 from fastapi import APIRouter, Query
@@ -12,7 +12,8 @@ from pydantic_core import to_json
 from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.bus.stream import Bus, Subscription, SubscriptionClosedError
+from service.bus.stream import Subscription, SubscriptionClosedError
+from service.domain.errors import CellUnavailableError
 from service.domain.roles import VIEWER
 from service.security import AuditTrail, Authenticator, Principal
 from service.web.api.access import (
@@ -27,7 +28,6 @@ from service.web.api.deps import Context, Keys, Trail
 from service.web.api.problems import RETRY_AFTER_S, Problem, parameter_problem, problem_response
 from service.web.shares import BusyError, Shares
 
-HEARTBEAT_S = 15.0
 SEND_PATIENCE_S = 20.0
 WATCH_EVERY_S = 0.9
 _MESSAGES_AT_ONCE = 10
@@ -135,13 +135,6 @@ async def _stay(
         reason=reason,
         dropped=subscription.dropped,
     )
-
-
-async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
-    """Send a heartbeat to every subscriber, every 15 wall seconds, without end."""
-    while True:
-        await asyncio.sleep(every_s)
-        bus.publish("heartbeat", None, {"subscribers": bus.subscribers})
 
 
 async def _admit(
@@ -256,7 +249,11 @@ async def _send(
     try:
         # A service without assets still says hello.
         for asset_id in wanted or (None,):
-            tags = {"tags": {}} if asset_id is None else context.assets[asset_id].snapshot()
+            tags: Mapping[str, Any] = {"tags": {}}
+            if asset_id is not None:
+                asset = context.assets[asset_id]
+                await asset.refresh("snapshot")
+                tags = asset.snapshot()
             body = to_json(tags, inf_nan_mode="null").decode()
             hello = bus.envelope(
                 "hello",
@@ -274,6 +271,8 @@ async def _send(
         while True:
             message = await subscription.get()
             await sender.send(message.text)
+    except CellUnavailableError as error:
+        return _TRY_AGAIN, str(error)
     except SubscriptionClosedError as error:
         overflow = "overflow" in str(error)
         return (_TRY_AGAIN if overflow else _GOING_AWAY), str(error)

@@ -1,4 +1,4 @@
-"""An application on a real store, bus, alarm book and ingest.
+"""An application on a real store, bus, alarm book and ingest, and the cell's answers to it.
 
 The twin and the job manager are the boundary of the web side: small in-memory ones stand there.
 """
@@ -18,7 +18,10 @@ from prometheus_client import CollectorRegistry
 from adapters.protocol import SourceHealth
 from adapters.samples import Batch, Sample
 from service.alarms import AlarmBook, AlarmCondition
+from service.bus.memory import MemoryBus
+from service.bus.replica import Replicas
 from service.bus.stream import Bus
+from service.cell.answers import Answers, Parts
 from service.clock import ProcessClock, rfc3339
 from service.documents.alarms import alarm_document
 from service.domain.channels import NODES, RING_SENSORS
@@ -35,6 +38,7 @@ from service.site.settings import Settings
 from service.store import ActiveJobError, Job, ModelVersion, Outbox, Store
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
 
 ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
 REMOTE = ("203.0.113.9", 50_000)
@@ -62,6 +66,16 @@ class MemoryTwin:
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
         }
         self.asked: list[tuple[float, str]] = []
+
+    def description(self) -> Mapping[str, Any]:
+        return {
+            "running": self.running,
+            "channels": dict(self.channels),
+            "temperature_names": self.temperature_names,
+        }
+
+    def machine(self) -> Mapping[str, Any]:
+        return {"version": 1, "estimate": {} if self.ready else None, "missing": []}
 
     def summary(self) -> Mapping[str, Any]:
         return {
@@ -99,11 +113,9 @@ class MemoryTwin:
     def forecast(self) -> Mapping[str, Any] | None:
         return self.live_forecast
 
-    async def what_if(
+    def what_if(
         self, profile: Sequence[ProfileStep], step_s: float | None, nodes: Collection[str] | None
     ) -> Mapping[str, Any]:
-        if not self.ready:
-            raise NotReadyError("the twin waits for its first data")
         total_s = sum(step.duration_s for step in profile)
         step_s = step_s or 60.0
         time_s = [step_s * row for row in range(int(total_s // step_s) + 1)]
@@ -118,28 +130,46 @@ class MemoryTwin:
             "time_to_limit": {"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
         }
 
-    async def envelope(self) -> Mapping[str, Any]:
-        if not self.ready:
-            raise NotReadyError("the twin waits for its first data")
-        return {"made_at": rfc3339(self.time_us), "labels": [], "median_s": float("inf")}
-
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
-        if not self.identified:
-            raise NotIdentifiedError("no identified model yet")
-        target = {"speed_rpm": speed_rpm, "load_n": load_n, "duration_s": duration_s}
-        return {"target": target, "steps": []}
-
     async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
         if not self.ready:
             raise NotReadyError("the twin waits for its first data")
         return {"time": rfc3339(self.time_us), "revolutions_before": 1000, "revolutions": 0}
 
-    async def windows(self) -> Sequence[Mapping[str, Any]]:
-        hour_us = 60 * MINUTE_US
+
+class MemoryQuestions:
+    """Answers that need no computing."""
+
+    def __init__(self, twins: Mapping[str, MemoryTwin]) -> None:
+        self.twins = twins
+
+    async def what_if(
+        self,
+        asset: str,
+        machine: Mapping[str, Any],
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> Mapping[str, Any]:
+        return self.twins[asset].what_if(profile, step_s, nodes)
+
+    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> Mapping[str, Any]:
+        made_at = rfc3339(self.twins[asset].time_us)
+        return {"made_at": made_at, "labels": [], "median_s": float("inf")}
+
+    async def advice(
+        self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
+    ) -> Mapping[str, Any]:
+        if not self.twins[asset].identified:
+            raise NotIdentifiedError("no identified model yet")
+        names = ("speed_rpm", "load_n", "duration_s")
+        return {"target": dict(zip(names, target, strict=True)), "steps": []}
+
+    async def windows(self, asset: str) -> Sequence[Mapping[str, Any]]:
+        time_us = self.twins[asset].time_us
         return [
             {
-                "start": rfc3339(self.time_us - hour_us),
-                "end": rfc3339(self.time_us),
+                "start": rfc3339(time_us - 60 * MINUTE_US),
+                "end": rfc3339(time_us),
                 "score": 1.5,
                 "operating_points": [{"speed_rpm": 1500.0, "load_n": 2650.0, "duration_s": 3600.0}],
             }
@@ -225,6 +255,8 @@ class World:
 
     app: FastAPI
     context: ServiceContext
+    answers: Answers
+    ingest: Ingest
     clock: ProcessClock
     store: Store
     bus: Bus
@@ -294,7 +326,8 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
     shutil.copy(empty_store, tmp_path)
     clock = ProcessClock()
     settings = Settings()
-    bus, registry = Bus(clock), CollectorRegistry()
+    joint, registry = MemoryBus(), CollectorRegistry()
+    bus = Bus(clock)
     taken: list[Sample] = []
 
     def take(batch: Batch) -> None:
@@ -315,22 +348,46 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
         bench = MemoryTwin("bench-1", wired, now_us)
         rig = MemoryTwin("rig-2", {"t_inner_ring_c": "push", "ambient_c": "push"}, now_us)
         sources = [SourceHealth("pt100", "modbus-tcp", up=True, detail="answers at 10.1.2.3:5020")]
+        twins = {"bench-1": bench, "rig-2": rig}
+        jobs = MemoryJobs(store, clock)
+        answers = Answers(
+            Parts(
+                clock=clock,
+                store=store,
+                outbox=outbox,
+                stream=bus,
+                ingest=ingest,
+                alarms=alarms,
+                assets=twins,
+                jobs=jobs,
+                registry=registry,
+                sources=lambda: sources,
+            )
+        )
+        serving = asyncio.create_task(joint.serve(answers.handlers()))
+        await asyncio.sleep(0)
+        # Every call asks the cell: a test sees at once what it has changed.
+        replicas = Replicas(joint, MemoryQuestions(twins), fresh_s=0.0)
+        await replicas.load()
+        shared = Shared(joint, fresh_s=0.0)
         context = ServiceContext(
             settings=settings,
             clock=clock,
             store=store,
             outbox=outbox,
             bus=bus,
-            ingest=ingest,
-            alarms=alarms,
-            assets={"bench-1": bench, "rig-2": rig},
-            jobs=MemoryJobs(store, clock),
-            registry=registry,
-            sources=lambda: sources,
+            ingest=CellIngest(joint),
+            alarms=CellAlarms(joint, shared),
+            assets=replicas.assets,
+            jobs=CellJobs(joint, shared),
+            health=CellHealth(shared),
+            refresh_summaries=lambda: replicas.refresh("summary"),
         )
         world = World(
             app=create_app(context),
             context=context,
+            answers=answers,
+            ingest=ingest,
             clock=clock,
             store=store,
             bus=bus,
@@ -349,4 +406,5 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             for client in world.clients.values():
                 await client.aclose()
             ingesting.cancel()
-            await asyncio.gather(ingesting, return_exceptions=True)
+            serving.cancel()
+            await asyncio.gather(ingesting, serving, return_exceptions=True)

@@ -92,7 +92,7 @@ async def test_what_if_before_the_first_data_is_to_be_tried_again(world: Any) ->
     response = await world.client("operator").post("/api/v1/assets/bench-1/forecasts", json=body)
     assert response.status_code == 503
     assert int(response.headers["retry-after"]) > 0
-    assert "first data" in response.json()["detail"]
+    assert "first good" in response.json()["detail"]
 
 
 async def test_the_short_way_to_a_snapshot_refuses_and_answers_as_the_route_does(

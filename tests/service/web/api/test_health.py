@@ -71,7 +71,7 @@ async def test_store_that_does_not_answer_degrades_while_the_spool_takes_samples
     with contextlib.closing(sqlite3.connect(world.data_dir / "spool.db")) as intruder:
         intruder.isolation_level = None
         intruder.execute("BEGIN EXCLUSIVE")
-        world.context.ingest.submit([sample])
+        world.ingest.submit([sample])
         for _ in range(300):
             status, document = await ready(world)
             if status == 503:

@@ -20,7 +20,7 @@ async def test_envelope_before_the_first_data_is_to_be_tried_again(world: Any) -
     answer = await world.client("viewer").get(ENVELOPE)
     assert answer.status_code == 503
     assert int(answer.headers["retry-after"]) > 0
-    assert "first data" in answer.json()["detail"]
+    assert "first good" in answer.json()["detail"]
 
 
 async def test_advice_is_asked_for_the_point_of_the_query(world: Any) -> None:

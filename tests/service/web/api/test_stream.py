@@ -14,6 +14,7 @@ import uvicorn
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from service.bus.stream import heartbeats
 from service.security import revoke_key
 from service.security.limits import RateLimit
 from service.web.api.routes import stream
@@ -298,7 +299,7 @@ async def test_deaf_client_is_given_up_after_a_while(
 
 
 async def test_heartbeat_reaches_everybody(world: Any, server: Any) -> None:
-    beating = asyncio.create_task(stream.heartbeats(world.bus, every_s=0.05))
+    beating = asyncio.create_task(heartbeats(world.bus, every_s=0.05))
     try:
         async with server.open("?assets=rig-2", world.keys["viewer"]) as websocket:
             _, first, second = await receive(websocket, 3)

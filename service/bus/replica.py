@@ -1,0 +1,345 @@
+"""The assets as other processes see them: copies of the cell's documents, with their age."""
+
+import asyncio
+import contextlib
+import hashlib
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+from pydantic_core import from_json, to_json
+
+from adapters.samples import Quality, is_good
+from service.bus.commands import AssetNames, Document, GetDocuments, RenewGrease, Wanted
+from service.bus.interface import ReaderBus
+from service.domain.errors import CellUnavailableError, NotReadyError
+from service.domain.interfaces import DocumentKind
+from service.domain.requests import ProfileStep
+
+#: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
+FRESH_S: Final = 0.1
+#: For so long it is given at once, and the next one is asked for meanwhile.
+SOON_S: Final = 0.3
+#: Wall seconds that who asks waits for the cell; then the copy that is there must do.
+PATIENCE_S: Final = 1.0
+#: A copy that is older says nothing for certain any more.
+UNCERTAIN_AFTER_S: Final = 5.0
+#: Tags with these names are a verdict: 0 is unknown.
+_VERDICT_TAG = "verdict."
+_UNKNOWN_CODE = 0
+
+
+class Questions(Protocol):
+    """What is computed for a caller: not in the cell, and not in this process."""
+
+    async def what_if(
+        self,
+        asset: str,
+        machine: Mapping[str, Any],
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> Mapping[str, Any]:
+        """Forecast a profile from the state of a machine."""
+
+    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Give the safe operating envelope."""
+
+    async def advice(
+        self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
+    ) -> Mapping[str, Any]:
+        """Rank low-risk steps by what they teach about a point."""
+
+    async def windows(self, asset: str) -> Sequence[Mapping[str, Any]]:
+        """Find the low-risk windows in the store."""
+
+
+@dataclass(slots=True)
+class _Copy:
+    """A document, when it was known to be right, and what is under way about it."""
+
+    tag: bytes = b""
+    text: bytes = b""
+    right_s: float = -1e9
+    data: Any = None
+    asking: "asyncio.Task[None] | None" = None
+
+    @property
+    def age_s(self) -> float:
+        return time.monotonic() - self.right_s
+
+
+def digest(text: bytes) -> bytes:
+    """Tag of a document: changes with it."""
+    return hashlib.blake2b(text, digest_size=12).digest()
+
+
+class AssetReplica:
+    """One asset of the cell; see `service.domain.interfaces.AssetTwin`.
+
+    Parameters
+    ----------
+    id : str
+        The asset.
+    reader : ReaderBus
+        Where its documents come from.
+    questions : Questions, optional
+        Computes what callers ask; only the web side has it.
+    fresh_s : float
+        Wall seconds for which a copy is given without asking.
+    """
+
+    def __init__(
+        self,
+        id: str,
+        reader: ReaderBus,
+        questions: Questions | None = None,
+        fresh_s: float = FRESH_S,
+    ) -> None:
+        self.id = id
+        self._reader = reader
+        self._questions = questions
+        self._fresh_s = fresh_s
+        self._copies: dict[DocumentKind, _Copy] = {}
+        self._doubtful: tuple[Any, Mapping[str, Any]] = (None, {})
+
+    # ------------------------------------------------------------------ copies
+    async def refresh(self, *kinds: DocumentKind) -> None:
+        """Bring copies up to date; where the cell does not answer the old ones stay.
+
+        Callers at the same time wait for one answer together.
+
+        Raises
+        ------
+        CellUnavailableError
+            If there is no copy at all.
+        """
+        due = []
+        for kind in kinds:
+            copy = self._copies.setdefault(kind, _Copy())
+            if copy.age_s <= self._fresh_s:
+                continue
+            if copy.asking is None:
+                copy.asking = asyncio.create_task(self._ask(kind, copy))
+                # Also where nobody waits for it.
+                copy.asking.add_done_callback(lambda done: done.cancelled() or done.exception())
+            if copy.age_s > max(SOON_S, self._fresh_s) or not self._fresh_s:
+                due.append(copy.asking)
+        for asking in due:
+            await asyncio.shield(asking)
+        for kind in kinds:
+            if not self._copies[kind].text:
+                raise CellUnavailableError("the cell has not answered yet")
+
+    async def _ask(self, kind: DocumentKind, copy: _Copy) -> None:
+        asked_s = time.monotonic()
+        try:
+            wanted = Wanted(self.id, kind, copy.tag)
+            (document,) = await self._reader.ask(GetDocuments([wanted]), PATIENCE_S)
+            self.take(kind, document, asked_s)
+        except CellUnavailableError:
+            pass  # the copy that is there gets older, and says so
+        finally:
+            copy.asking = None
+
+    def known_tag(self, kind: DocumentKind) -> bytes:
+        """Tag of the copy that is there; empty where there is none."""
+        return self._copies.setdefault(kind, _Copy()).tag
+
+    def take(self, kind: DocumentKind, document: Document, asked_s: float) -> None:
+        """Take what the cell answered to a question of this monotonic time."""
+        copy = self._copies.setdefault(kind, _Copy())
+        if document.text is not None:
+            copy.tag, copy.text, copy.data = document.tag, document.text, None
+        copy.right_s = asked_s
+
+    def text(self, kind: DocumentKind) -> tuple[bytes, bytes]:
+        """A document as JSON text, with its tag; what is old says so itself."""
+        copy = self._copies.get(kind)
+        if copy is None or not copy.text:
+            raise CellUnavailableError("the cell has not answered yet")
+        data = None if copy.age_s <= UNCERTAIN_AFTER_S else self._data(kind)
+        if data is None or data is copy.data:  # nothing in it gets wrong with its age
+            return copy.text, copy.tag
+        text = to_json(data, inf_nan_mode="null")
+        return text, digest(text)
+
+    def age_s(self, kind: DocumentKind) -> float:
+        """Wall seconds since a copy was known to be right."""
+        return self._copies.setdefault(kind, _Copy()).age_s
+
+    def _data(self, kind: DocumentKind) -> Any:
+        copy = self._copies.get(kind)
+        if copy is None or not copy.text:
+            raise CellUnavailableError("the cell has not answered yet")
+        if copy.data is None:
+            copy.data = from_json(copy.text)
+        if copy.age_s <= UNCERTAIN_AFTER_S:
+            return copy.data
+        return self._in_doubt(kind, copy)
+
+    def _in_doubt(self, kind: DocumentKind, copy: _Copy) -> Any:
+        """A document without what its age has made uncertain: nothing old is called safe."""
+        data = copy.data
+        why = f"no data of the twin for {copy.age_s:.0f} s"
+        if kind == "snapshot":
+            if self._doubtful[0] is not data:
+                tags = {name: _uncertain(name, tag) for name, tag in data["tags"].items()}
+                self._doubtful = data, {"tags": tags}
+            return self._doubtful[1]
+        if kind == "verdict":
+            unknown = {"word": "unknown", "reasons": [why], "limit": None, "probability": None}
+            unknown |= {"seconds_to_limit": None, "alarm_probability": None}
+            words = {name: data[name] | unknown for name in ("now", "next_step")}
+            missing = sorted({*data["missing"], "twin"})
+            return data | words | {"time_to_limit": None, "missing": missing}
+        if kind in ("state", "forecast") and data is not None:
+            return data | {"missing": sorted({*data.get("missing", ()), "twin"})}
+        if kind == "summary":
+            health = data["health"] | {"status": "degraded", "twin_running": False}
+            return data | {"health": health}
+        return data
+
+    # ------------------------------------------------------------------ what routes ask
+    @property
+    def running(self) -> bool:
+        """See `AssetTwin`."""
+        return bool(self._data("facts")["running"]) and self.age_s("facts") <= UNCERTAIN_AFTER_S
+
+    @property
+    def channels(self) -> Mapping[str, str]:
+        """See `AssetTwin`."""
+        channels: Mapping[str, str] = self._data("facts")["channels"]
+        return channels
+
+    @property
+    def temperature_names(self) -> Sequence[str]:
+        """See `AssetTwin`."""
+        names: Sequence[str] = self._data("facts")["temperature_names"]
+        return names
+
+    def summary(self) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        summary: Mapping[str, Any] = self._data("summary")
+        return summary
+
+    def snapshot(self) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        snapshot: Mapping[str, Any] = self._data("snapshot")
+        return snapshot
+
+    def state(self) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        state: Mapping[str, Any] = self._data("state")
+        return state
+
+    def verdict(self) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        verdict: Mapping[str, Any] = self._data("verdict")
+        return verdict
+
+    def forecast(self) -> Mapping[str, Any] | None:
+        """See `AssetTwin`."""
+        forecast: Mapping[str, Any] | None = self._data("forecast")
+        return forecast
+
+    async def what_if(
+        self,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        machine = await self._machine()
+        return await self._asked().what_if(self.id, machine, profile, step_s, nodes)
+
+    async def envelope(self) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        return await self._asked().envelope(self.id, await self._machine())
+
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        target = speed_rpm, load_n, duration_s
+        return await self._asked().advice(self.id, await self._machine(), target)
+
+    async def windows(self) -> Sequence[Mapping[str, Any]]:
+        """See `AssetTwin`."""
+        return await self._asked().windows(self.id)
+
+    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+        """See `AssetTwin`."""
+        text = await self._reader.ask(RenewGrease(self.id, who, comment), 10.0)
+        answer: Mapping[str, Any] = from_json(text)
+        return answer
+
+    async def _machine(self) -> Mapping[str, Any]:
+        """The state that answers begin from: of now, or none."""
+        await self.refresh("machine")
+        if self.age_s("machine") > UNCERTAIN_AFTER_S:
+            raise CellUnavailableError("the cell does not answer")
+        machine: Mapping[str, Any] = self._data("machine")
+        if machine["estimate"] is None:
+            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+        return machine
+
+    def _asked(self) -> Questions:
+        if self._questions is None:
+            raise RuntimeError("this process computes nothing")
+        return self._questions
+
+
+def _uncertain(name: str, tag: Mapping[str, Any]) -> Mapping[str, Any]:
+    if name.startswith(_VERDICT_TAG):
+        return {**tag, "value": _UNKNOWN_CODE}
+    return {**tag, "quality": int(Quality.LAST_USABLE)} if is_good(tag["quality"]) else tag
+
+
+@dataclass(slots=True)
+class Replicas:
+    """All assets of the cell.
+
+    Attributes
+    ----------
+    assets : mapping of str to AssetReplica
+        By id, in the order of the configuration.
+    """
+
+    reader: ReaderBus
+    questions: Questions | None = None
+    fresh_s: float = FRESH_S
+    assets: dict[str, AssetReplica] = field(default_factory=dict)
+
+    async def load(self) -> None:
+        """Learn which assets there are; to be done again when the cell has started again.
+
+        Raises
+        ------
+        CellUnavailableError
+            If the cell does not answer.
+        """
+        for name in await self.reader.ask(AssetNames(), PATIENCE_S):
+            if name not in self.assets:
+                self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
+        await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
+
+    async def refresh(self, *kinds: DocumentKind) -> None:
+        """Bring the documents of all assets up to date with one question."""
+        asked_s = time.monotonic()
+        due = [
+            (asset, kind)
+            for asset in self.assets.values()
+            for kind in kinds
+            if asset.age_s(kind) > self.fresh_s
+        ]
+        if not due:
+            return
+        wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in due]
+        documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
+        for (asset, kind), document in zip(due, documents, strict=True):
+            asset.take(kind, document, asked_s)
+
+    async def refresh_known(self, *kinds: DocumentKind) -> None:
+        """As `refresh`; where the cell does not answer what is known must do."""
+        with contextlib.suppress(CellUnavailableError):
+            await self.refresh(*kinds)

@@ -1,0 +1,219 @@
+"""Starts the cell: devices are read first, and the rest joins as soon as its store is there."""
+
+import asyncio
+import contextlib
+import gc
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from anyio import to_thread
+
+from service.bus.local import LocalCellBus
+from service.bus.messages import State
+from service.cell.acquisition import Acquisition
+from service.cell.cell import Cell
+from service.clock import ProcessClock
+from service.ingest import Spool
+from service.kernels import compile_kernels
+from service.site.settings import Settings
+from service.site.wiring import wire
+from service.store import (
+    DatabaseInUseError,
+    DatabaseLock,
+    DataDirectoryLock,
+    Outbox,
+    Store,
+    lock_data_directory,
+    lock_database,
+)
+from service.store.errors import opening_error
+from service.tasks import INGEST, background
+from service.waiting import StoppedError, Waiting
+
+#: Wall seconds that another service is given to leave the data directory. A service that is
+#: stopped needs ten at most.
+LEAVE_S = 30.0
+#: And the database: a server notices within half a minute that another machine is gone.
+LEAVE_DATABASE_S = 60.0
+#: Wall seconds after which devices are read though the store is not open yet.
+ACQUIRE_AFTER_S = 1.0
+#: Wall seconds for the last changes of alarms; what the store does not take then stays on the disk.
+OUTBOX_S = 1.0
+_ALIVE_EVERY_S = 1.0
+
+
+async def run_cell(
+    settings: Settings,
+    *,
+    stop: asyncio.Event,
+    ready: Callable[[], None],
+    status: Callable[[str], None] = lambda text: None,
+    alive: Callable[[], None] = lambda: None,
+) -> None:
+    """Run the cell of a configuration until ``stop`` is set: sources, store, twins, alarms, jobs.
+
+    It needs none of the other processes. What is not there yet is waited for: another service
+    that still holds the data directory or the database, a database server that is not up yet, a
+    locked store, room on the disk. Devices are read meanwhile.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    stop : asyncio.Event
+        Set it to end the cell cleanly.
+    ready : callable
+        Called when devices are read and what they say is kept.
+    status : callable
+        Takes one line about what the cell does, whenever that changes.
+    alive : callable
+        Called once a second as long as the event loop, the sources and the writer go on.
+
+    Raises
+    ------
+    SettingsError, StoreError
+        If the configuration or the data directory cannot be used.
+    TemporaryError
+        If another service did not leave in time.
+    """
+    with contextlib.suppress(StoppedError):
+        await _Start(settings, stop, ready, status, alive).run()
+
+
+class _Start:
+    """One run of a cell, from its first wait to its end."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        stop: asyncio.Event,
+        ready: Callable[[], None],
+        status: Callable[[str], None],
+        alive: Callable[[], None],
+    ) -> None:
+        self._settings = settings
+        self._stop = stop
+        self._ready = ready
+        self._status = status
+        self._alive = alive
+        self._wiring = wire(settings)
+        self._waiting = Waiting(stop, self._waits_for)
+        self._bus: LocalCellBus | None = None
+        # What is open until the last sample has been written.
+        self._open = contextlib.ExitStack()
+
+    def _waits_for(self, what: str, why: str) -> None:
+        self._status(f"waits for {what}: {why}" if what else "starts")
+        if self._bus is not None:
+            self._bus.report(State(what))
+
+    async def run(self) -> None:
+        data_dir = self._settings.data_dir
+        until = self._waiting.until
+        lost = ""
+        with self._open:
+            lock = await until(
+                "the data directory", partial(lock_data_directory, data_dir), LEAVE_S
+            )
+            self._open.enter_context(lock)
+            spool, clock = await until("room on the disk", self._open_spool)
+            self._open.callback(spool.close)
+            bus = self._bus = LocalCellBus(data_dir)
+            self._open.callback(bus.close)
+            acquisition = Acquisition(self._wiring, clock, spool)
+            async with contextlib.AsyncExitStack() as running:
+                # Who asks meanwhile is answered that there is nothing yet.
+                answering = asyncio.create_task(bus.serve({}))
+                running.push_async_callback(_cancel, answering)
+                opening = asyncio.create_task(self._open_store())
+                running.push_async_callback(_cancel, opening)
+                # What a person must mend is mostly found at once, before any device is asked.
+                await asyncio.wait({opening}, timeout=ACQUIRE_AFTER_S)
+                if opening.done():
+                    opening.result()
+                await running.enter_async_context(
+                    background(acquisition.ingest.run(acquisition.drivers), INGEST, self._stop)
+                )
+                await running.enter_async_context(
+                    background(self._watch(acquisition), "supervision", self._stop)
+                )
+                # Devices are read and what they say is kept, whatever is waited for.
+                self._ready()
+                store, database_lock = await opening
+                await self._work(store, acquisition, clock, bus, answering)
+                lost = database_lock.lost
+        if lost:
+            raise DatabaseInUseError(lost)
+
+    async def _watch(self, acquisition: Acquisition) -> None:
+        while True:
+            await asyncio.sleep(_ALIVE_EVERY_S)
+            if acquisition.ingest.has_gone_on():
+                self._alive()
+
+    def _open_spool(self) -> tuple[Spool, ProcessClock]:
+        settings = self._settings
+        spool = Spool.open(settings.data_dir, settings.service.spool_mib)
+        try:
+            return spool, ProcessClock.resume(settings.clock.rate, settings.data_dir)
+        except OSError as error:
+            spool.close()
+            raise opening_error(f"data directory {settings.data_dir}: {error}", error) from error
+
+    async def _open_store(self) -> tuple[Store, DatabaseLock | DataDirectoryLock]:
+        """Open all that the cell needs beside its devices."""
+        settings, until = self._settings, self._waiting.until
+        service, data_dir = settings.service, settings.data_dir
+        url = service.database_url
+        store = await until("the store", partial(Store.open, url, data_dir))
+        self._open.callback(store.close)
+        loop = asyncio.get_running_loop()
+        lost = partial(loop.call_soon_threadsafe, self._stop.set)
+        lock = await until(
+            "another service to leave the database",
+            partial(lock_database, url, data_dir, lost),
+            LEAVE_DATABASE_S,
+        )
+        self._open.callback(lock.close)
+        return store, lock
+
+    async def _work(
+        self,
+        store: Store,
+        acquisition: Acquisition,
+        clock: ProcessClock,
+        bus: LocalCellBus,
+        answering: "asyncio.Task[None]",
+    ) -> None:
+        """Store what has been acquired so far, and run the rest of the cell."""
+        settings, until = self._settings, self._waiting.until
+        acquisition.ingest.attach(store, await until("the store", store.samples.open_ends))
+        await until("its compiled kernels", compile_kernels)
+        outbox = await until("room on the disk", partial(Outbox.open, settings.data_dir, store))
+        try:
+            make = partial(Cell, settings, self._wiring, store, outbox, clock, acquisition, bus)
+            cell = await until("the store", make)
+            be_prompt()
+            await _cancel(answering)
+            await cell.run(self._stop, lambda: self._status("runs"))
+        finally:
+            await to_thread.run_sync(outbox.close, OUTBOX_S)
+
+
+def be_prompt() -> None:
+    """Keep the interpreter from holding up the event loop, and so the polls of the field buses.
+
+    A collection of garbage that looks at all that the libraries brought along takes a tenth of a
+    second; what is there now stays, and need not be looked at. A thread that reads or judges
+    lets go of the interpreter after a millisecond instead of five.
+    """
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(0.001)
+
+
+async def _cancel(task: "asyncio.Task[Any]") -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)

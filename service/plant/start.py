@@ -1,0 +1,126 @@
+"""Starts the plant side: the tags for OPC UA clients and an MQTT broker."""
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from prometheus_client import CollectorRegistry
+
+from service.bus.following import Following
+from service.bus.interface import AWAY_AFTER_S
+from service.bus.local import LocalReaderBus
+from service.bus.presence import tell_presence
+from service.bus.replica import Replicas
+from service.bus.stream import Bus
+from service.clock import ProcessClock
+from service.domain.errors import CellUnavailableError
+from service.plant.protocol import Host
+from service.plant.publishers import check_extras, check_ports, make_publishers
+from service.security import AuditTrail, Authenticator
+from service.site.settings import Settings
+from service.store import Outbox, Store
+from service.tasks import background
+from service.waiting import StoppedError, Waiting
+
+OUTBOX_FILE: Final = "outbox-plant.db"
+#: Wall seconds that another service is given to leave the port.
+LEAVE_S: Final = 30.0
+#: Copies of the tags are at most so old: below the shortest period of a publisher.
+REFRESH_S: Final = 0.25
+_LOOK_EVERY_S: Final = 0.1
+_CLOSE_S: Final = 1.0
+
+
+async def run_plant(settings: Settings, *, stop: asyncio.Event, ready: Callable[[], None]) -> None:
+    """Run the plant side of a configuration until ``stop`` is set.
+
+    It waits for the cell, and goes on when the cell ends and comes back: the tags then say by
+    their quality that they are old.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    stop : asyncio.Event
+        Set it to end the plant side cleanly.
+    ready : callable
+        Called when everything that is enabled runs.
+
+    Raises
+    ------
+    SettingsError
+        If what is enabled cannot be used; names the key.
+    TemporaryError
+        If a port did not become free in time.
+    """
+    check_extras(settings)
+    with contextlib.suppress(StoppedError):
+        await _run(settings, stop, ready)
+
+
+async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None]) -> None:
+    waiting = Waiting(stop, lambda what, why: None)
+    await waiting.until("the port for OPC UA", partial(check_ports, settings), LEAVE_S)
+    async with contextlib.AsyncExitStack() as stack:
+        reader = LocalReaderBus(settings.data_dir)
+        stack.callback(reader.close)
+        await stack.enter_async_context(background(reader.run(), "bus", stop))
+        replicas = Replicas(reader)
+        while not await _is_known(reader, replicas):
+            await _pause(stop)
+        url, data_dir = settings.service.database_url, settings.data_dir
+        store = await waiting.until("the store", partial(Store.open, url, data_dir))
+        stack.callback(store.close)
+        outbox = await waiting.until(
+            "room on the disk", partial(Outbox.open, data_dir, store, OUTBOX_FILE)
+        )
+        stack.callback(outbox.close, _CLOSE_S)
+        bus = Bus(ProcessClock.resume(settings.clock.rate, data_dir))
+        security = settings.security
+        authenticator = Authenticator(
+            store, security.failed_logins_per_minute, security.requests_per_minute
+        )
+        trail = AuditTrail(outbox)
+        stack.callback(trail.settle)
+        registry = CollectorRegistry()
+        following = Following(reader, bus)
+        for name, work in (
+            ("live messages", following.run()),
+            ("tags", _refresh(replicas)),
+            ("presence", tell_presence(reader, "plant", registry)),
+        ):
+            await stack.enter_async_context(background(work, name, stop))
+        while not following.caught_up.is_set():
+            await _pause(stop)
+        host = Host(tuple(replicas.assets), authenticator, trail, data_dir)
+        for one in make_publishers(settings, replicas.assets, bus, host, registry):
+            await stack.enter_async_context(background(one.run(), one.name, stop))
+        ready()
+        await stop.wait()
+        bus.close("the service stops")
+
+
+async def _is_known(reader: LocalReaderBus, replicas: Replicas) -> bool:
+    if not reader.state.ready or reader.away_s > AWAY_AFTER_S:
+        return False
+    try:
+        await replicas.load()
+    except CellUnavailableError:
+        return False
+    return True
+
+
+async def _refresh(replicas: Replicas) -> None:
+    while True:
+        await replicas.refresh_known("snapshot")
+        await asyncio.sleep(REFRESH_S)
+
+
+async def _pause(stop: asyncio.Event) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_LOOK_EVERY_S):
+            await stop.wait()
+    if stop.is_set():
+        raise StoppedError

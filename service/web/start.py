@@ -1,0 +1,215 @@
+"""Starts the web side: it answers from the first moment on, also while the cell is not there."""
+
+import asyncio
+import contextlib
+import socket
+import ssl
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import structlog
+
+from service.bus.following import Following
+from service.bus.interface import AWAY_AFTER_S
+from service.bus.local import LocalReaderBus
+from service.bus.presence import tell_presence
+from service.bus.replica import Replicas
+from service.bus.stream import Bus
+from service.clock import ProcessClock, wall_us
+from service.domain.errors import CellUnavailableError
+from service.security.loopback import is_loopback
+from service.site.configuration import SettingsError
+from service.site.settings import Settings
+from service.store import Outbox, Store
+from service.tasks import background
+from service.waiting import StoppedError, Waiting
+from service.web.api import create_app
+from service.web.api.context import ServiceContext
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.questions import WorkerQuestions
+from service.web.side import WebSide
+
+#: Lines of the audit trail wait for the store in a file of this process.
+OUTBOX_FILE: Final = "outbox-web.db"
+_LOOK_EVERY_S: Final = 0.1
+_CLOSE_S: Final = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+async def run_web(
+    settings: Settings,
+    *,
+    listener: socket.socket,
+    tls: ssl.SSLContext | None,
+    stop: asyncio.Event,
+    ready: Callable[[], None],
+) -> None:
+    """Run the web side of a configuration until ``stop`` is set: REST, stream and pages.
+
+    It waits for the cell, and goes on when the cell ends and comes back.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    listener : socket.socket
+        Bound; of no use afterwards.
+    tls : ssl.SSLContext, optional
+        With it the web side talks HTTPS.
+    stop : asyncio.Event
+        Set it to end the web side cleanly.
+    ready : callable
+        Called when the whole application answers.
+
+    Raises
+    ------
+    SettingsError
+        If nobody could ever come in: other machines may reach the service and there is no key.
+    StoreError
+        If the store cannot be used.
+    """
+    with contextlib.suppress(StoppedError):
+        await _Start(settings, stop).run(listener, tls, ready)
+
+
+class _Start:
+    """One run of a web side."""
+
+    def __init__(self, settings: Settings, stop: asyncio.Event) -> None:
+        self._settings = settings
+        self._stop = stop
+        self._web = WebSide()
+        self._waiting = Waiting(stop, self._waits_for)
+
+    def _waits_for(self, what: str, why: str) -> None:
+        self._web.waits_for = what
+
+    async def run(
+        self, listener: socket.socket, tls: ssl.SSLContext | None, ready: Callable[[], None]
+    ) -> None:
+        settings, stop = self._settings, self._stop
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(background(self._web.run(listener, tls), "web", stop))
+            reader = LocalReaderBus(settings.data_dir)
+            stack.callback(reader.close)
+            await stack.enter_async_context(background(reader.run(), "bus", stop))
+            await self._until_cell(reader)
+            until = self._waiting.until
+            url, data_dir = settings.service.database_url, settings.data_dir
+            store = await until("the store", partial(Store.open, url, data_dir))
+            stack.callback(store.close)
+            if not is_loopback(settings.service.host):
+                await until("the store", partial(_check_key, store, settings.service.host))
+            outbox = await until(
+                "room on the disk", partial(Outbox.open, data_dir, store, OUTBOX_FILE)
+            )
+            stack.callback(outbox.close, _CLOSE_S)
+            questions = WorkerQuestions(settings, store)
+            await stack.enter_async_context(background(questions.run(), "questions", stop))
+            clock = ProcessClock.resume(settings.clock.rate, data_dir)
+            bus = Bus(clock)
+            following = Following(reader, bus)
+            await stack.enter_async_context(background(following.run(), "live messages", stop))
+            replicas = Replicas(reader, questions)
+            await self._until_known(replicas, following)
+            shared = Shared(reader)
+            kept_from_us = await until("the store", store.samples.raw_kept_from_us)
+            app = create_app(
+                ServiceContext(
+                    settings=settings,
+                    clock=clock,
+                    store=store,
+                    outbox=outbox,
+                    bus=bus,
+                    ingest=CellIngest(reader, kept_from_us),
+                    alarms=CellAlarms(reader, shared),
+                    assets=replicas.assets,
+                    jobs=CellJobs(reader, shared),
+                    health=CellHealth(shared),
+                    refresh_summaries=partial(replicas.refresh_known, "summary"),
+                )
+            )
+            for name, work in (
+                ("presence", tell_presence(reader, "web")),
+                ("absence", _tell_absence(reader, replicas, bus, clock.rate)),
+            ):
+                await stack.enter_async_context(background(work, name, stop))
+            await stack.enter_async_context(app.router.lifespan_context(app))
+            stack.push_async_callback(self._leave, bus)
+            self._web.show(app)
+            ready()
+            await stop.wait()
+
+    async def _leave(self, bus: Bus) -> None:
+        bus.close("the service stops")
+        await self._web.stop()
+
+    async def _until_cell(self, reader: LocalReaderBus) -> None:
+        """Wait for a cell that takes commands."""
+        while not (reader.state.ready and reader.away_s < AWAY_AFTER_S):
+            there = reader.away_s < AWAY_AFTER_S
+            self._web.waits_for = (reader.state.waits_for if there else "") or "the cell"
+            await self._pause()
+
+    async def _until_known(self, replicas: Replicas, following: Following) -> None:
+        """Wait until every asset and the latest live messages are known."""
+        while True:
+            try:
+                await replicas.load()
+                break
+            except CellUnavailableError:
+                self._web.waits_for = "the cell"
+                await self._pause()
+        while not following.caught_up.is_set():
+            await self._pause()
+
+    async def _pause(self) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LOOK_EVERY_S):
+                await self._stop.wait()
+        if self._stop.is_set():
+            raise StoppedError
+
+
+async def _tell_absence(
+    reader: LocalReaderBus, replicas: Replicas, bus: Bus, clock_rate: float
+) -> None:
+    """Tell those who follow when the cell is away: nothing that they see is live then."""
+    told = False
+    while True:
+        await asyncio.sleep(1.0)
+        away = reader.away_s > 2 * AWAY_AFTER_S
+        if not away:
+            told = False
+            continue
+        if not told:
+            _log.warning("cell_away", since_s=round(reader.away_s, 1))
+        told = True
+        health = {
+            "sources": [
+                {
+                    "name": "cell",
+                    "driver": "bus",
+                    "up": False,
+                    "detail": "the process that follows the machines does not answer",
+                    "age_s": reader.away_s,
+                }
+            ],
+            "degraded": True,
+            "clock_rate": clock_rate,
+        }
+        bus.announce("health", None, health)
+        for asset in replicas.assets.values():
+            with contextlib.suppress(CellUnavailableError):
+                bus.announce("verdict", asset.id, asset.verdict())
+
+
+def _check_key(store: Store, host: str) -> None:
+    now_us = wall_us()
+    if not any(key.is_valid(now_us) for key in store.access.list_keys()):
+        raise SettingsError(
+            f"service.host = {host!r}: reachable from other machines, so at least one API key "
+            "is needed; make one with 'bearing-twin keys create --role admin -c FILE'"
+        )
