@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import importlib
 import os
 import signal
 from collections import Counter
@@ -11,6 +12,15 @@ from programs import MISSING, commands_for
 from sharing import Sharing, longest_first
 from xdist.remote import Producer
 from xdist.scheduler import Scheduling
+
+# One thread of linear algebra in each worker: several workers share the cores, and threads that
+# spin while they wait took ten times the processor time. Programs that tests start have what a
+# user's have.
+with pytest.MonkeyPatch.context() as patch:
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        patch.setenv(name, "1")
+    for name in ("numpy", "scipy.linalg"):
+        importlib.import_module(name)
 
 # A slow machine is no finding: an example may take the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
