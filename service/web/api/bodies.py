@@ -4,8 +4,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
-from service.domain.roles import Role
-
 Time = Annotated[
     str,
     WithJsonSchema(
@@ -384,61 +382,6 @@ class ActivationList(Page):
 
 
 # ---------------------------------------------------------------------------- session, health
-class SessionDocument(_Answer):
-    """The current session."""
-
-    role: str = Field(examples=["operator"])
-    key_id: str
-    prefix: str = Field(examples=["bt_1a2b3c4d"])
-    label: str = Field(description="Label of the key.", examples=["control room"])
-    expires_at: Time | None
-    session: bool = Field(description="True for a browser session, false for a key.")
-
-
-class KeyDocument(_Answer):
-    """An API key; the key itself is never shown again."""
-
-    id: str = Field(examples=["9b1f0c2d3e4f5a6b7c8d9e0f1a2b3c4d"])
-    prefix: str = Field(examples=["bt_1a2b3c4d"])
-    role: Role
-    label: str = Field(examples=["control room"])
-    created_at: Time
-    expires_at: Time | None = Field(description="Null: it does not expire.")
-    revoked_at: Time | None = Field(description="Null: it is not revoked.")
-
-
-class NewKeyDocument(KeyDocument):
-    """A key that was just made."""
-
-    key: str = Field(description="The key, shown this once.", examples=["bt_1a2b3c4d_…"])
-
-
-class KeyList(Page):
-    """API keys, newest first."""
-
-    items: list[KeyDocument]
-
-
-class AuditLine(_Answer):
-    """One change that someone asked for."""
-
-    time: Time = Field(description="Wall time.")
-    who: str = Field(
-        description="Role, prefix and label of the key.",
-        examples=["operator bt_1a2b3c4d (control room)"],
-    )
-    address: str = Field(description="Where the call came from.", examples=["192.0.2.7"])
-    action: str = Field(examples=["alarm.acknowledge"])
-    target: str = Field(examples=["alarm 3f2b8c0e"])
-    detail: str = Field(description="What was requested.", examples=["comment: load is reduced"])
-
-
-class AuditList(Page):
-    """The audit trail, newest first."""
-
-    items: list[AuditLine]
-
-
 class Alive(_Answer):
     """The process answers."""
 

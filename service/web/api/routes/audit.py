@@ -5,10 +5,9 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.clock import rfc3339
+from service.documents.access import AuditLine, AuditList
 from service.domain.roles import ADMIN
 from service.web.api.access import secured
-from service.web.api.bodies import AuditList
 from service.web.api.cursors import (
     LIMIT,
     Before,
@@ -41,15 +40,6 @@ async def get_audit(
     following = None
     if page.next_cursor is not None:
         following = encode_cursor(Before(before=page.next_cursor))
-    items = [
-        {
-            "time": rfc3339(entry.time_us),
-            "who": entry.who,
-            "address": entry.address,
-            "action": entry.action,
-            "target": entry.target,
-            "detail": entry.detail,
-        }
-        for entry in page.items
-    ]
-    return json_response({"items": items, "next": following}, headers=next_link(request, following))
+    items = [AuditLine.of(entry) for entry in page.items]
+    answer = AuditList(items=items, next=following)
+    return json_response(answer, headers=next_link(request, following))

@@ -1,6 +1,6 @@
 """API keys: made, listed and revoked by an administrator."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from anyio import to_thread
 from fastapi import APIRouter, Path
@@ -8,14 +8,12 @@ from pydantic import ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.clock import rfc3339
+from service.documents.access import KeyDocument, KeyList, NewKeyDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import ADMIN, Role
 from service.security import UnknownKeyError, create_key, list_keys, revoke_key
 from service.security.keys import LABEL_LENGTH, LABEL_PATTERN
-from service.store import ApiKey
 from service.web.api.access import LOCATION, Caller, actor, secured
-from service.web.api.bodies import KeyDocument, KeyList, NewKeyDocument
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Context, Keys, json_response
 from service.web.api.problems import Problem, parameter_problem
@@ -48,7 +46,7 @@ def get_keys(
     """All keys that were ever made, newest first; never the keys themselves."""
     newest_first = list_keys(context.store)[::-1]
     page, following = page_of(newest_first, limit, cursor, lambda key: key.id)
-    body = {"items": [key_json(key) for key in page], "next": following}
+    body = KeyList(items=[KeyDocument.of(key) for key in page], next=following)
     return json_response(body, headers=next_link(request, following))
 
 
@@ -66,7 +64,7 @@ async def post_key(context: Context, request: Request, body: KeyRequest) -> Resp
         lambda: create_key(context.store, body.role, body.expires_in_days, body.label, actor=maker)
     )
     headers = {"Location": f"{request.url.path}/{new.record.id}"}
-    return json_response({"key": new.text} | key_json(new.record), 201, headers)
+    return json_response(NewKeyDocument.made(new.record, new.text), 201, headers)
 
 
 @router.delete(
@@ -94,17 +92,4 @@ async def delete_key(
     except UnknownKeyError as error:
         raise parameter_problem("key_id", f"there is no key {key_id!r}", 404) from error
     keys.forget(key.id)
-    return json_response(key_json(key))
-
-
-def key_json(key: ApiKey) -> dict[str, Any]:
-    """A key as the REST interface shows it."""
-    return {
-        "id": key.id,
-        "prefix": key.prefix,
-        "role": key.role,
-        "label": key.label,
-        "created_at": rfc3339(key.created_us),
-        "expires_at": None if key.expires_us is None else rfc3339(key.expires_us),
-        "revoked_at": None if key.revoked_us is None else rfc3339(key.revoked_us),
-    }
+    return json_response(KeyDocument.of(key))

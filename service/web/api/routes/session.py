@@ -5,10 +5,10 @@ from pydantic import ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.clock import rfc3339
+from service.documents.access import SessionDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import VIEWER
-from service.security import Authenticator, Principal
+from service.security import Authenticator
 from service.security.authenticator import LONGEST_SESSION_S
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
@@ -24,7 +24,6 @@ from service.web.api.access import (
     too_many,
     unauthorized,
 )
-from service.web.api.bodies import SessionDocument
 from service.web.api.deps import Keys, Trail, json_response
 from service.web.api.problems import RETRY_AFTER_S, Problem
 
@@ -63,7 +62,7 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
         headers = {"Retry-After": str(RETRY_AFTER_S)}
         raise Problem(503, "the store of the keys does not answer", headers=headers) from (error)
     await trail.note_repeated(actor(request, principal.who), "session.begin")
-    response = json_response(_document(principal))
+    response = json_response(SessionDocument.of(principal))
     response.set_cookie(
         cookie_name(request),
         cookie,
@@ -79,7 +78,7 @@ async def log_in(request: Request, body: LogIn, keys: Keys, trail: Trail) -> Res
 @router.get("", response_model=SessionDocument, summary="The current session", **secured(VIEWER))
 async def get_session(who: Caller) -> Response:
     """Role and expiry of the session, or of the key that came instead."""
-    return json_response(_document(who))
+    return json_response(SessionDocument.of(who))
 
 
 @router.delete("", status_code=204, summary="Log out", **secured(VIEWER, audit="session.end"))
@@ -102,15 +101,3 @@ def _take_turn(keys: Authenticator, caller: str) -> None:
     if wait_s:
         raise too_many("too many log-ins", wait_s)
     keys.logins.count(caller)
-
-
-def _document(principal: Principal) -> dict[str, object]:
-    expires_us = principal.expires_us
-    return {
-        "role": principal.role,
-        "key_id": principal.key_id,
-        "prefix": principal.prefix,
-        "label": principal.label,
-        "expires_at": None if expires_us is None else rfc3339(expires_us),
-        "session": principal.session,
-    }

@@ -2,8 +2,8 @@ from typing import Any
 
 import pytest
 
+from service.documents.access import KeyDocument, NewKeyDocument
 from service.security import create_key
-from service.web.api.bodies import KeyDocument, NewKeyDocument
 
 KEYS = "/api/v1/keys"
 

@@ -3,8 +3,8 @@ from typing import Any
 import httpx2
 import pytest
 
+from service.documents.access import SessionDocument
 from service.security import revoke_key
-from service.web.api.bodies import SessionDocument
 
 SESSION = "/api/v1/session"
 ACKNOWLEDGE = "/api/v1/alarms/none/acknowledge"
