@@ -188,3 +188,23 @@ def test_no_cell_of_the_journal_that_a_page_saves_is_a_formula(parts: Page) -> N
     )
     cells = [row["comment"] for row in csv.DictReader(io.StringIO(saved, newline=""))]
     assert cells == [f"'{text}" for text in texts[:-2]] + texts[-2:]
+
+
+def test_the_history_marks_the_alarm_and_a_node_leads_to_it(
+    screen: Screen, hot: dict[str, Any], problems: list[str]
+) -> None:
+    page = screen(f"operator/{BEARING}")
+    page.locator('.sect .ring[data-pin="4"]').click()
+    expect(page).to_have_url(re.compile(rf"#history/{BEARING}\?channel=t_inner_ring_c"))
+    expect(page.get_by_role("checkbox", name=re.compile("^Inner ring ?°"))).to_be_checked()
+    expect(page.get_by_role("checkbox", name=re.compile("^Outer ring ?°"))).not_to_be_checked()
+    mark = page.locator(".ribbon a", has_text=hot["message"]).last
+    expect(mark).to_have_attribute("title", re.compile("raised"))
+    plot = page.locator(".p-past .t .u-over").bounding_box()
+    place = mark.bounding_box()
+    assert plot is not None
+    assert place is not None
+    assert plot["x"] <= place["x"] + place["width"] / 2 <= plot["x"] + plot["width"]
+    mark.click()
+    expect(page).to_have_url(re.compile("#alarms"))
+    assert problems == []

@@ -4,7 +4,9 @@ import { channelName, estimated, fixed } from './format.js';
 import { heatLegend, heatOf } from './heat.js';
 
 export class NodeTiles {
-  constructor(box) {
+  /** open(name): called when a measured point is clicked. */
+  constructor(box, open = () => {}) {
+    this.open = open;
     this.grid = h('ul', { class: 'ntiles' });
     this.tiles = new Map();
     put(box, this.grid, heatLegend());
@@ -18,6 +20,7 @@ export class NodeTiles {
    */
   update({ nodes, spreads, unknown, measured, alerts, stale }) {
     const names = [...new Set([...Object.keys(measured), ...Object.keys(nodes)])];
+    this.measured = measured;
     this.grid.classList.toggle('stale', stale);
     for (const name of names) {
       if (!this.tiles.has(name)) this.tiles.set(name, this.createTile(name));
@@ -32,7 +35,8 @@ export class NodeTiles {
     const heat = h('i', {});
     const value = h('b', { 'data-figure': name }, '–');
     const twin = h('small', {});
-    const element = h('li', {}, heat, h('span', {}, channelName(name)), value, twin);
+    const element = h('li', { onclick: () => this.measured?.[name] && this.open(name) }, heat,
+      h('span', {}, channelName(name)), value, twin);
     this.grid.append(element);
     return { element, heat, value, twin };
   }

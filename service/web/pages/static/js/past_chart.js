@@ -27,9 +27,9 @@ export const lineName = (name) => (isTwin(name) ? `${channelName(name.slice(0, -
   : channelName(name));
 
 export class PastChart {
-  /** onZoom(fromMs, toMs): a part was drawn out with the mouse. */
-  constructor(box, { title, unit, syncKey, onZoom }) {
-    Object.assign(this, { box, title, unit, syncKey, onZoom });
+  /** onZoom(fromMs, toMs): a range was selected with the mouse; onDrawn(): the chart was drawn. */
+  constructor(box, { title, unit, syncKey, onZoom, onDrawn = () => {} }) {
+    Object.assign(this, { box, title, unit, syncKey, onZoom, onDrawn });
   }
 
   /**
@@ -93,6 +93,13 @@ export class PastChart {
     this.reading.attach(this.mounted.plot);
   }
 
+  /** Where the plot stands within its box: { left, width } in pixels; null before it is drawn. */
+  area() {
+    if (!this.mounted) return null;
+    const plot = this.mounted.plot.over.getBoundingClientRect();
+    return { left: plot.left - this.box.getBoundingClientRect().left, width: plot.width };
+  }
+
   select(plot) {
     const { left, width } = plot.select;
     if (width < LEAST_DRAG) return;
@@ -114,6 +121,7 @@ export class PastChart {
     this.paintNames(plot);
     this.reading.paintMark(plot);
     context.restore();
+    this.onDrawn();
     write(context, `${this.title}, ${this.unit}`, bbox.left + 8 * ratio, bbox.top + 3 * ratio,
       { size, base: 'top', colour: token('--ink-2'), halo: token('--panel') });
     const nothing = this.model.names.every((name) =>

@@ -71,7 +71,8 @@ const hatchPatterns = () => s('defs', {}, pattern('distrust', 'var(--bad)'),
   pattern('unknown', 'var(--line-2)', 'var(--panel-2)'));
 
 export class Section {
-  constructor(box) {
+  /** open(node): called when a node is clicked that a sensor measures. */
+  constructor(box, open = () => {}) {
     this.outlines = s('g', {});
     this.hatches = s('g', {});
     this.svg = s('svg', { class: 'sect', viewBox: '0 12 720 444', role: 'img' },
@@ -88,6 +89,11 @@ export class Section {
       pin(13, 297, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
       pin(14, 14, 48),
       s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view'));
+    this.svg.addEventListener('click', ({ target }) => {
+      const { node, pin, figure } = target.dataset;
+      const number = Number(node ?? pin ?? figure);
+      if (this.measured?.[number]) open(number);
+    });
     put(box, this.svg, heatLegend());
   }
 
@@ -101,6 +107,7 @@ export class Section {
       const known = !unknown.includes(node);
       this.updateNode(node, { value: nodes[node], spread: spreads[node], known }, measured[node]);
     }
+    this.measured = measured;
     this.svg.classList.toggle('stale', stale);
     put(this.hatches, Object.entries(OUTLINES).filter(([node]) => measured[node]?.usable === false)
       .map(([, d]) => s('path', { d, fill: 'url(#distrust)' })));

@@ -2,10 +2,12 @@
 import { assetPath, callPages, fetchFile } from '../api.js';
 import { OPERATION, UNITS } from '../channels.js';
 import { h, put, setText, unit } from '../dom.js';
+import { EventRibbon } from '../event_ribbon.js';
 import { fixed, timeZone, wholeSpan } from '../format.js';
 import { saveBlob } from '../files.js';
 import { byChannel, extremes } from '../past.js';
 import { lineName, lookOf, PastChart } from '../past_chart.js';
+import { assetHash } from '../route.js';
 import { channelNames, chartSensors } from '../sensors.js';
 
 const HOUR_MS = 3600e3;
@@ -28,13 +30,16 @@ export class HistoryView {
     this.page = page;
     const { asset } = page.store.state;
     this.names = selectable(asset);
-    this.chosen = new Set(defaults(asset));
+    const asked = new URLSearchParams(location.hash.split('?')[1]).getAll('channel')
+      .filter((name) => this.names.includes(name));
+    this.chosen = new Set(asked.length ? asked : defaults(asset));
     this.resolution = 'auto';
     this.past = []; // spans to go back to
     this.range = { hours: 8 }; // { hours } up to now, or { fromMs, toMs }
     this.createControls();
     this.status = h('span', { class: 's mut', role: 'status' });
     this.charts = this.createCharts();
+    this.ribbon = new EventRibbon(assetHash('alarms', page.assets.length > 1 ? asset.id : null));
     this.rows = this.names.map((name) => this.createRow(name));
     put(box, h('h1', { class: 'vh' }, 'History'),
       h('section', { class: 'panel p-hctl', 'aria-label': 'Selection' }, this.controls),
@@ -42,7 +47,7 @@ export class HistoryView {
         h('header', {}, h('h2', {}, `History of ${asset.id}`), this.status,
           h('span', { class: 'sp' }), h('span', { class: 's mut hint' },
             'drag to zoom')),
-        this.charts.map(({ box: one }) => one)),
+        this.charts.map(({ box: one }) => one), this.ribbon.element),
       h('section', { class: 'panel p-hval' }, h('header', {}, h('h2', {}, 'Channels')),
         h('table', {}, h('thead', {}, h('tr', {}, ['Channel', 'min', 'mean', 'max']
           .map((title, i) => h('th', { scope: 'col', class: i ? 'r' : null }, title)))),
@@ -118,6 +123,7 @@ export class HistoryView {
       const chart = new PastChart(box, {
         title, unit: ofUnit, syncKey: 'history',
         onZoom: (fromMs, toMs) => this.go({ fromMs, toMs }),
+        onDrawn: () => this.showEvents(),
       });
       return { box, chart, unit: ofUnit };
     });
@@ -203,6 +209,7 @@ export class HistoryView {
       const items = await callPages(assetPath(this.page.live.assetId, '/measurements'),
         { ...query, limit: PAGE }, (answer) => { resolution = answer.resolution; },
         asking.signal);
+      await this.ribbon.load(this.page.live.assetId, span, asking.signal);
       if (this.ended) return;
       this.queryShown = query;
       const bridgeMs = BRIDGE_WALL_MS * this.page.clock.rate;
@@ -229,6 +236,8 @@ export class HistoryView {
       const limits = limitsOf(this.page.store.get('asset'), names);
       if (names.length) chart.update({ names, lines, showTime, limits, ...this.shown });
     }
+    this.last = last?.chart;
+    this.showEvents();
     const what = resolution === 'raw' ? 'raw samples'
       : `mean, minimum and maximum per ${resolution.replace(/(\d)(\D)/, '$1 $2')}`;
     setText(this.status, rows ? `${rows} values: ${what}` : 'no data in this range');
@@ -239,6 +248,11 @@ export class HistoryView {
         setText(cell, fixed(shownFigures[i], unitOf(name) === '°C' ? 1 : 0)));
     }
     this.showControls(this.shown);
+  }
+
+  /** Marks under the last chart; again when it is drawn, for its place may have changed. */
+  showEvents() {
+    if (this.shown) this.ribbon.show(this.shown, this.last?.area() ?? null);
   }
 
   showControls(span) {

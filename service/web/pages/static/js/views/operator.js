@@ -55,7 +55,8 @@ export class OperatorView {
     this.speed = new LaneChart(this.boxes.speed, { label: 'Speed, rpm', syncKey: 'operator' });
     this.load = new LaneChart(this.boxes.load,
       { label: 'Load, N', syncKey: 'operator', showTime: true });
-    this.section = this.isBearing ? new Section(sectionBox) : new NodeTiles(sectionBox);
+    this.section = this.isBearing ? new Section(sectionBox, (node) => this.openNode(node))
+      : new NodeTiles(sectionBox, (name) => this.openHistory(name));
     this.alarms = new AlarmList(alarmBox, page.desk);
     const { store } = page;
     this.endings = [
@@ -250,6 +251,19 @@ export class OperatorView {
       measured: byName(temperatures, (name) => readChannel(state, this.page.clock, name)),
       alerts: Object.fromEntries(alerts.filter(([, alert]) => alert)),
     };
+  }
+
+  openNode(node) {
+    const { tags } = this.page.store.state;
+    const ring = Object.entries(NODE_OF_SENSOR).find(([, one]) => one === node)?.[0];
+    const names = [ring, `t_node_${node}_c`, node === 14 && 'ambient_c'].filter((name) => tags[name]);
+    if (names.length) this.openHistory(names[0]);
+  }
+
+  /** A measured temperature, and its estimate where one is stored, in the history's trend. */
+  openHistory(name) {
+    const query = new URLSearchParams([['channel', name], ['channel', `${name}.twin`]]);
+    location.hash = `${assetHash('history', this.page.live.assetId)}?${query}`;
   }
 
   /** A ring over its limit, or on its way there. */
