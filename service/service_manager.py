@@ -44,6 +44,11 @@ class ServiceManager:
         """Say that the service is about to end."""
         self._send("STOPPING=1")
 
+    def alive(self) -> None:
+        """Give a sign of life, where they are expected."""
+        if self._watchdog_s:
+            self._send("WATCHDOG=1")
+
     async def watch(self, is_alive: Callable[[], bool]) -> None:
         """Give signs of life, until cancelled, as long as the event loop and the work go on.
 
@@ -55,7 +60,7 @@ class ServiceManager:
         while True:
             await asyncio.sleep((self._watchdog_s or 60.0) / _SIGNS_PER_WATCHDOG)
             if self._watchdog_s and is_alive():
-                self._send("WATCHDOG=1")
+                self.alive()
 
     def _send(self, text: str) -> None:
         if not self._address:

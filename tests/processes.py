@@ -1,5 +1,6 @@
 """Real processes for tests: virtual bench and service, started as a user would start them."""
 
+import contextlib
 import json
 import os
 import random
@@ -93,12 +94,14 @@ class Command:
                 stderr=errors,
                 stdin=subprocess.DEVNULL,
                 text=True,
+                # A process group of its own, so that all its processes can be killed at once.
+                start_new_session=True,
             )
         assert self.process.stdout is not None
         try:
             self.first_line = self.process.stdout.readline().strip()
         except BaseException:  # the test's time is over
-            self.process.kill()
+            self.kill_all()
             raise
         assert self.first_line, f"{arguments[0]} did not start: {log.read_text()[-2000:]}"
 
@@ -108,9 +111,24 @@ class Command:
         return self._ended()
 
     def kill(self) -> int:
-        """Pull the plug."""
-        self.process.kill()
+        """Pull the plug: every process of the command ends at once."""
+        self.kill_all()
         return self._ended()
+
+    def side(self, name: str) -> int:
+        """The process of one side of a service: cell, web or plant."""
+        for status in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                command, _, rest = status.read_text().partition("(")[2].rpartition(")")
+                session = int(rest.split()[3])
+                if session == self.process.pid and command == f"twin-{name}":
+                    return int(status.parent.name)
+        raise AssertionError(f"the service has no process twin-{name}")
+
+    def kill_all(self) -> None:
+        """Kill the command and all that it started, which may live longer than it."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
 
     def _ended(self) -> int:
         status = self.process.wait(STOP_S)
@@ -120,8 +138,9 @@ class Command:
 
     def end(self) -> None:
         """Clear away, whatever has become of it."""
+        self.kill_all()
         if self.process.poll() is None:
-            self.kill()
+            self._ended()
         elif self.process.stdout is not None:
             self.process.stdout.close()
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import structlog
 import typer
 
+from service.app.sides import SideName
 from service.logs import configure_logging
 from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.site.settings import Settings
@@ -21,7 +22,17 @@ ConfigFile = Annotated[
 _log = structlog.get_logger(__name__)
 
 
-def serve(config: ConfigFile = None) -> None:
+def serve(
+    config: ConfigFile = None,
+    only: Annotated[
+        SideName | None,
+        typer.Option(
+            "--only",
+            help="Run one side alone: cell (acquisition, twins, alarms), web (REST, stream, pages) "
+            "or plant (OPC UA, MQTT). Without it all run, and each is started again if it dies.",
+        ),
+    ] = None,
+) -> int:
     """Run the service: acquisition, store, live twin, REST, WebSocket and dashboard.
 
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
@@ -31,15 +42,16 @@ def serve(config: ConfigFile = None) -> None:
 
     settings, warnings = load_site(config)
     configure_logging()
-    asyncio.run(_serve(settings, warnings))
+    status = asyncio.run(_serve(settings, warnings, only))
     leave_threads_behind()
+    return status
 
 
-async def _serve(settings: Settings, warnings: Sequence[str]) -> None:
+async def _serve(settings: Settings, warnings: Sequence[str], only: SideName | None) -> int:
+    from service.app.serve import serve, serve_side
+    from service.app.supervisor import SideEndedError
+
     stop = stop_on_signals()
-    # Imported here: the compiled twin takes a second to load, which no other command should pay.
-    from service.app import start
-
     # What has been loaded stays: a garbage collection need not look through it while samples,
     # of which every one is an object, come and go.
     gc.freeze()
@@ -50,5 +62,12 @@ async def _serve(settings: Settings, warnings: Sequence[str]) -> None:
         for warning in warnings:
             _log.warning("configuration", detail=warning)
 
-    await start.serve(settings, announce=announce, stop=stop)
+    try:
+        if only is None:
+            await serve(settings, announce=announce, stop=stop)
+        else:
+            await serve_side(only, settings, stop=stop)
+    except SideEndedError as error:
+        return error.status
     await leave_tasks_behind()
+    return 0

@@ -1,0 +1,20 @@
+"""What all sides of a service need: loaded once, and shared by their processes.
+
+Nothing here may start a thread or load the compiled twin, which is the cell's.
+"""
+
+import gc
+
+import fastapi
+import uvicorn
+import zmq
+
+import service.security
+import service.site.wiring
+import service.store
+
+__all__ = ["fastapi", "service", "uvicorn", "zmq"]
+
+# The processes share these objects as long as nobody writes to them; a collection would.
+gc.collect()
+gc.freeze()

@@ -1,0 +1,65 @@
+"""Runs the service of a configuration: all its sides under the supervisor, or one of them."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable
+
+from service.app.sides import SideName, listen, run_side
+from service.app.supervisor import supervise
+from service.plant.publishers import check_extras
+from service.service_manager import ServiceManager
+from service.site.settings import Settings
+from service.waiting import StoppedError
+
+
+async def serve(
+    settings: Settings, *, announce: Callable[[str], None], stop: asyncio.Event
+) -> None:
+    """Run all sides of a service until ``stop`` is set.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    announce : callable
+        Called with the address of the web side once all sides are ready.
+    stop : asyncio.Event
+        Set it to end the service cleanly.
+
+    Raises
+    ------
+    SettingsError
+        If the address of the web side cannot be used.
+    TemporaryError
+        If another program did not leave the port in time.
+    SideEndedError
+        If a side cannot work; it has said why.
+    """
+    check_extras(settings)
+    manager = ServiceManager()
+    address = ""
+
+    async def listening() -> socket.socket:
+        nonlocal address
+        listener = await listen(
+            settings, stop, lambda what, why: manager.status(f"waits for {what}: {why}")
+        )
+        scheme = "http" if settings.tls is None else "https"
+        host, port = settings.service.host, listener.getsockname()[1]
+        address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+        return listener
+
+    with contextlib.suppress(StoppedError):
+        await supervise(
+            settings,
+            listen=listening(),
+            manager=manager,
+            on_ready=lambda: announce(address),
+            stop=stop,
+        )
+
+
+async def serve_side(side: SideName, settings: Settings, *, stop: asyncio.Event) -> None:
+    """Run one side until ``stop`` is set; another program starts and watches the others."""
+    await run_side(side, settings, stop)

@@ -1,0 +1,172 @@
+"""The processes of a service, each of which does one side of its work.
+
+A side is started by the supervisor (`service.app.supervisor`), or by itself with
+``bearing-twin serve --only SIDE`` where systemd or a container takes the supervisor's place.
+"""
+
+import asyncio
+import ctypes
+import gc
+import os
+import signal
+import socket
+import ssl
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Literal
+
+import structlog
+
+from service.domain.errors import ServiceError, TemporaryError
+from service.logs import configure_logging
+from service.security.tls import tls_context
+from service.service_manager import ServiceManager
+from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
+from service.site.settings import Settings
+from service.tasks import background
+from service.waiting import Waiting
+from service.web.listening import bind
+
+SideName = Literal["cell", "web", "plant"]
+#: Something that a person must correct, and trouble that passes by itself (EX_TEMPFAIL).
+STATUS_REFUSED, STATUS_TEMPORARY = 2, os.EX_TEMPFAIL
+
+#: Wall seconds that another service is given to leave the port. One that is stopped needs ten.
+LEAVE_S = 30.0
+_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
+
+
+def sides_of(settings: Settings) -> tuple[SideName, ...]:
+    """Return the sides that a configuration needs; the plant side only with something enabled."""
+    plant: tuple[SideName, ...] = ()
+    if settings.opcua.enabled or settings.mqtt.enabled:
+        plant = ("plant",)
+    return ("cell", "web", *plant)
+
+
+async def run_side(
+    side: SideName, settings: Settings, stop: asyncio.Event, listener: socket.socket | None = None
+) -> None:
+    """Run one side until ``stop`` is set.
+
+    Parameters
+    ----------
+    side : str
+        Which.
+    settings : Settings
+        The configuration of the service.
+    stop : asyncio.Event
+        Set it to end the side cleanly.
+    listener : socket.socket, optional
+        Bound socket of the web side; without it the web side binds its own.
+
+    Raises
+    ------
+    ServiceError, SettingsError
+        If the side cannot start.
+    """
+    manager = ServiceManager()
+    # Each side loads its own libraries only: the compiled twin belongs to the cell.
+    if side == "cell":
+        from service.cell.start import run_cell
+
+        await run_cell(
+            settings, stop=stop, ready=manager.ready, status=manager.status, alive=manager.alive
+        )
+        return
+    async with background(manager.watch(lambda: True), "signs of life", stop):
+        if side == "web":
+            from service.web.start import run_web
+
+            listener = listener or await listen(settings, stop)
+            await run_web(
+                settings, listener=listener, tls=_tls(settings), stop=stop, ready=manager.ready
+            )
+        else:
+            from service.plant.start import run_plant
+
+            await run_plant(settings, stop=stop, ready=manager.ready)
+
+
+async def listen(
+    settings: Settings,
+    stop: asyncio.Event,
+    waits: Callable[[str, str], None] = lambda what, why: None,
+) -> socket.socket:
+    """Bind the address of the web side, when it is free.
+
+    Raises
+    ------
+    SettingsError
+        If the address cannot be used.
+    TemporaryError
+        If another program did not leave the port in time.
+    StoppedError
+        If the service is to stop.
+    """
+    service = settings.service
+    return await Waiting(stop, waits).until(
+        "its port", partial(bind, service.host, service.port), LEAVE_S
+    )
+
+
+def _tls(settings: Settings) -> ssl.SSLContext | None:
+    tls = settings.tls
+    if tls is None:
+        return None
+    return tls_context(settings.path(tls.certificate), settings.path(tls.key))
+
+
+def side_process(
+    side: SideName,
+    settings: Settings,
+    environment: Mapping[str, str],
+    listener: socket.socket | None,
+) -> None:
+    """Be the process of one side; called in it by the supervisor.
+
+    It ends with status 0 when it was asked to, 2 where a person must correct something, 75 for
+    trouble that passes, and 1 for a fault of ours.
+    """
+    _introduce(side)
+    os.environ.update(environment)
+    # The terminal sends Ctrl-C to all processes; the supervisor ends its sides in their order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    configure_logging()
+    structlog.contextvars.bind_contextvars(process=side)
+    try:
+        asyncio.run(_until_stopped(side, settings, listener))
+    except ServiceError as error:
+        temporary = isinstance(error, TemporaryError) and error.passes
+        _refuse(str(error), status=STATUS_TEMPORARY if temporary else STATUS_REFUSED)
+    except ValueError as error:
+        lines = getattr(error, "lines", None)
+        if lines is None:
+            raise
+        _refuse(*lines, status=STATUS_REFUSED)
+    leave_threads_behind()
+
+
+async def _until_stopped(
+    side: SideName, settings: Settings, listener: socket.socket | None
+) -> None:
+    stop = stop_on_signals((signal.SIGTERM,))
+    gc.freeze()
+    await run_side(side, settings, stop, listener)
+    await leave_tasks_behind()
+
+
+def _introduce(side: SideName) -> None:
+    """Give the process a name that `ps` shows, and have it end when its parent has died."""
+    prctl = ctypes.CDLL(None).prctl
+    prctl(_PR_SET_NAME, f"twin-{side}".encode(), 0, 0, 0)
+    # Also where the parent was killed: the side then ends as if it were asked to.
+    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def _refuse(*messages: str, status: int) -> None:
+    for message in messages:
+        sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
+    sys.stderr.flush()
+    sys.exit(status)

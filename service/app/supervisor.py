@@ -1,0 +1,352 @@
+"""Starts the sides of a service as processes, watches them, and stops them in their order.
+
+A side that dies, or that shows no sign of life any more, is started again alone; the others go on.
+The supervisor itself does no work and loads no library that could fail: it holds the socket that
+the web side listens on, so that callers of a web side that starts again wait instead of being
+refused.
+
+Each side reports to the supervisor as a service reports to systemd (`service.service_manager`):
+ready, its status, signs of life. The supervisor reports to the real service manager for all.
+"""
+
+import asyncio
+import contextlib
+import multiprocessing
+import os
+import socket
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from service.app.sides import STATUS_REFUSED, STATUS_TEMPORARY, SideName, side_process, sides_of
+from service.service_manager import ServiceManager
+from service.site.settings import Settings
+
+#: Wall seconds without a sign of life after which a side hangs and is killed.
+SILENT_S = 30.0
+#: A side that dies before it was ready is started again after so many wall seconds, at most.
+RETRY_MOST_S = 10.0
+#: Wall seconds that a side is given to end; callers first, then the cell: together less than the
+#: fifteen seconds that the unit and the image give.
+STOP_S: dict[SideName, float] = {"cell": 10.0, "web": 4.0, "plant": 4.0}
+_RETRY_FIRST_S = 0.2
+_LOOK_EVERY_S = 1.0
+#: A supervisor that was late itself, on a machine that was suspended, judges nobody.
+_LATE_S = 5.0
+#: What the processes of all sides share: loaded once, before the first of them begins.
+_PRELOADED = ("service.app.preloaded",)
+
+_log = structlog.get_logger(__name__)
+
+
+class SideEndedError(Exception):
+    """A side ended with a status that ends the service; its own line says why.
+
+    Attributes
+    ----------
+    status : int
+        Exit status of the service.
+    """
+
+    def __init__(self, side: SideName, status: int) -> None:
+        super().__init__(f"the {side} ended with status {status}")
+        self.status = status
+
+
+class Side:
+    """One side of the service: its process, and what it reports.
+
+    Parameters
+    ----------
+    name : str
+        Which side.
+    settings : Settings
+        The configuration, as it was when the service started.
+    context : multiprocessing.context.ForkServerContext
+        Makes its processes.
+    folder : Path
+        Of the socket that it reports to.
+    listener : asyncio.Future of socket.socket, optional
+        Gives the bound socket of the web side, when there is one.
+    work : callable
+        What its process does, with the arguments of `service.app.sides.side_process`.
+    silent_s : float
+        Wall seconds without a sign of life after which the side hangs.
+
+    Attributes
+    ----------
+    is_ready : asyncio.Event
+        Set while it is ready.
+    """
+
+    def __init__(
+        self,
+        name: SideName,
+        settings: Settings,
+        context: ForkServerContext,
+        folder: Path,
+        listener: "asyncio.Future[socket.socket] | None" = None,
+        work: Callable[..., None] = side_process,
+        silent_s: float = SILENT_S,
+    ) -> None:
+        self.name = name
+        self.silent_limit_s = silent_s
+        self._work = work
+        self.is_ready = asyncio.Event()
+        self._settings = settings
+        self._context = context
+        self._listener = listener
+        self._address = str(folder / name)
+        self._process: ForkServerProcess | None = None
+        self._stopping = asyncio.Event()
+        self._gone = asyncio.Event()
+        self._gone.set()
+        self._signed_s = time.monotonic()
+
+    @property
+    def pid(self) -> int | None:
+        """Of its present process."""
+        return None if self._process is None else self._process.pid
+
+    async def run(self, on_report: Callable[[SideName, str], None]) -> None:
+        """Keep the side running, until it is stopped.
+
+        Parameters
+        ----------
+        on_report : callable
+            Gets what the side reports.
+
+        Raises
+        ------
+        SideEndedError
+            If it ends with a status that a new start does not cure.
+        ServiceError
+            If the web side's address cannot be listened on.
+        """
+        listener = None if self._listener is None else await asyncio.shield(self._listener)
+        retry_s = 0.0
+        with self._reports(on_report):
+            while not self._stopping.is_set():
+                status = await self._run_once(listener)
+                if self._stopping.is_set():
+                    return
+                if status in (STATUS_REFUSED, STATUS_TEMPORARY):
+                    raise SideEndedError(self.name, status)
+                if self.is_ready.is_set():
+                    retry_s = 0.0
+                self.is_ready.clear()
+                _log.error("side_died", side=self.name, status=status, starts_again_in_s=retry_s)
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(retry_s):
+                        await self._stopping.wait()
+                retry_s = min(2.0 * retry_s or _RETRY_FIRST_S, RETRY_MOST_S)
+
+    async def stop(self) -> None:
+        """Ask the side to end, and end it when it does not in time."""
+        self._stopping.set()
+        self.terminate()
+        limit_s = STOP_S[self.name]
+        try:
+            async with asyncio.timeout(limit_s):
+                await self._gone.wait()
+        except TimeoutError:
+            _log.error("side_killed", side=self.name, reason=f"did not end within {limit_s:g} s")
+            self.kill()
+            await self._gone.wait()
+
+    def terminate(self) -> None:
+        """Ask the process to end."""
+        if self._process is not None and not self._gone.is_set():
+            self._process.terminate()
+
+    def kill(self) -> None:
+        """End the process at once."""
+        if self._process is not None and not self._gone.is_set():
+            self._process.kill()
+
+    def silent_for_s(self) -> float:
+        """Wall seconds since the last sign of life."""
+        return time.monotonic() - self._signed_s
+
+    async def _run_once(self, listener: socket.socket | None) -> int:
+        environment = {
+            "NOTIFY_SOCKET": self._address,
+            "WATCHDOG_USEC": str(round(self.silent_limit_s * 1e6)),
+        }
+        process = self._context.Process(
+            target=self._work,
+            args=(self.name, self._settings, environment, listener),
+            name=f"bearing-twin {self.name}",
+        )
+        self._signed_s = time.monotonic()
+        self._gone.clear()
+        try:
+            # In a thread: the first start waits until what the sides share is loaded.
+            await asyncio.to_thread(process.start)
+            self._process = process
+            if self._stopping.is_set():
+                self.terminate()
+            await _ended(process)
+            process.join()
+        finally:
+            self._gone.set()
+        return process.exitcode or 0
+
+    @contextlib.contextmanager
+    def _reports(self, on_report: Callable[[SideName, str], None]) -> Iterator[None]:
+        """Listen for what the side reports."""
+        loop = asyncio.get_running_loop()
+
+        def take() -> None:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    report = inbox.recv(4096).decode(errors="replace")
+                    self._signed_s = time.monotonic()
+                    if report == "READY=1":
+                        self.is_ready.set()
+                    on_report(self.name, report)
+
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as inbox:
+            inbox.bind(self._address)
+            loop.add_reader(inbox, take)
+            try:
+                yield
+            finally:
+                loop.remove_reader(inbox)
+
+
+async def supervise(
+    settings: Settings,
+    *,
+    listen: Coroutine[Any, Any, socket.socket],
+    manager: ServiceManager,
+    on_ready: Callable[[], None],
+    stop: asyncio.Event,
+) -> None:
+    """Run all sides of a service until ``stop`` is set, then end them: callers first, cell last.
+
+    Parameters
+    ----------
+    settings : Settings
+        The configuration.
+    listen : coroutine
+        Gives the bound socket for the web side; the others do not wait for it.
+    manager : ServiceManager
+        Hears of the service as a whole.
+    on_ready : callable
+        Called once, when every side is ready.
+    stop : asyncio.Event
+        Set it to end the service cleanly.
+
+    Raises
+    ------
+    SideEndedError
+        If a side ends with a status that a new start does not cure.
+    ServiceError
+        If the web side's address cannot be listened on.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(_PRELOADED))
+    # Many small matrices: threads would only wait for each other. Also for those to come.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    listening = asyncio.ensure_future(listen)
+    with tempfile.TemporaryDirectory(prefix="bearing-twin-") as folder:
+        sides = [
+            Side(name, settings, context, Path(folder), listening if name == "web" else None)
+            for name in sides_of(settings)
+        ]
+        try:
+            await run_sides(sides, manager=manager, on_ready=on_ready, stop=stop)
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+
+async def run_sides(
+    sides: Sequence[Side],
+    *,
+    manager: ServiceManager,
+    on_ready: Callable[[], None],
+    stop: asyncio.Event,
+) -> None:
+    """Run sides, the cell first, until ``stop`` is set; see `supervise`."""
+
+    def report(side: SideName, text: str) -> None:
+        if side != "cell":
+            return
+        # Devices are read and kept from when the cell is ready, whatever the others do.
+        if text == "READY=1":
+            manager.ready()
+        elif text.startswith("STATUS="):
+            manager.status(text.removeprefix("STATUS="))
+
+    async with _running(sides, report) as running:
+        stopping = asyncio.create_task(stop.wait())
+        beside = [
+            asyncio.create_task(_all_ready(sides, on_ready)),
+            asyncio.create_task(_watch(sides)),
+            # A side that hangs is dealt with here: the service manager need not do it.
+            asyncio.create_task(manager.watch(lambda: True)),
+        ]
+        try:
+            await asyncio.wait({stopping, *running}, return_when=asyncio.FIRST_COMPLETED)
+            for task in running:
+                if task.done():
+                    task.result()
+        finally:
+            for task in (*beside, stopping):
+                task.cancel()
+            await asyncio.gather(*beside, stopping, return_exceptions=True)
+            manager.stopping()
+
+
+@contextlib.asynccontextmanager
+async def _running(
+    sides: Sequence[Side], report: Callable[[SideName, str], None]
+) -> AsyncIterator[list["asyncio.Task[None]"]]:
+    """Run the sides beside the rest; at the end those that answer callers end before the cell."""
+    tasks = [asyncio.create_task(side.run(report), name=f"side {side.name}") for side in sides]
+    try:
+        yield tasks
+    finally:
+        cell, *others = sides
+        await asyncio.gather(*(side.stop() for side in others))
+        await cell.stop()
+        for task in tasks:  # one that waits for its port has no process yet
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _all_ready(sides: Sequence[Side], on_ready: Callable[[], None]) -> None:
+    for side in sides:
+        await side.is_ready.wait()
+    on_ready()
+
+
+async def _watch(sides: Sequence[Side]) -> None:
+    """Kill what shows no sign of life; it is then started again."""
+    looked_s = time.monotonic()
+    while True:
+        await asyncio.sleep(_LOOK_EVERY_S)
+        now_s = time.monotonic()
+        late, looked_s = now_s - looked_s > _LATE_S, now_s
+        for side in sides:
+            if not late and side.is_ready.is_set() and side.silent_for_s() > side.silent_limit_s:
+                _log.error("side_hangs", side=side.name, silent_s=round(side.silent_for_s()))
+                side.kill()
+
+
+async def _ended(process: ForkServerProcess) -> None:
+    """Wait for the end of a process."""
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    loop.add_reader(process.sentinel, ended.set)
+    try:
+        await ended.wait()
+    finally:
+        loop.remove_reader(process.sentinel)
