@@ -115,15 +115,24 @@ class Command:
         self.kill_all()
         return self._ended()
 
-    def side(self, name: str) -> int:
-        """The process of one side of a service: cell, web or plant."""
+    def processes(self) -> dict[int, str]:
+        """All processes of the command with their names."""
+        found = {}
         for status in Path("/proc").glob("[0-9]*/stat"):
             with contextlib.suppress(OSError):
-                command, _, rest = status.read_text().partition("(")[2].rpartition(")")
-                session = int(rest.split()[3])
-                if session == self.process.pid and command == f"twin-{name}":
-                    return int(status.parent.name)
-        raise AssertionError(f"the service has no process twin-{name}")
+                name, _, rest = status.read_text().partition("(")[2].rpartition(")")
+                if int(rest.split()[3]) == self.process.pid:
+                    found[int(status.parent.name)] = name
+        return found
+
+    def side(self, name: str) -> int:
+        """The process of one side of a service (cell, web, plant); waits while it starts again."""
+        return wait_until(
+            lambda: next((p for p, n in self.processes().items() if n == f"twin-{name}"), None),
+            START_S,
+            f"a process of the {name} side",
+            every_s=0.01,
+        )
 
     def kill_all(self) -> None:
         """Kill the command and all that it started, which may live longer than it."""

@@ -1,5 +1,6 @@
 """A service that polls a device ten times a second, and the device's own count of the polls."""
 
+import contextlib
 import http.client
 import json
 import os
@@ -234,6 +235,11 @@ class Stand(Station):
             connection.close()
 
     def _rss_mib(self) -> float:
+        """Memory of all processes of the service; what they share counts once."""
         assert self.service is not None
-        pages = Path(f"/proc/{self.service.process.pid}/statm").read_text().split()[1]
-        return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        total_kib = 0
+        for pid in self.service.processes():
+            with contextlib.suppress(OSError):
+                rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
+                total_kib += int(rollup.partition("\nPss:")[2].split()[0])
+        return total_kib / 1024
