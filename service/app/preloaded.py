@@ -5,15 +5,10 @@ Nothing here may start a thread or load the compiled twin, which is the cell's.
 
 import gc
 
-import fastapi
-import uvicorn
-import zmq
+import service.plant.start
+import service.web.start
 
-import service.security
-import service.site.wiring
-import service.store
-
-__all__ = ["fastapi", "service", "uvicorn", "zmq"]
+__all__ = ["service"]
 
 # The processes share these objects as long as nobody writes to them; a collection would.
 gc.collect()

@@ -39,7 +39,7 @@ _LOOK_EVERY_S = 1.0
 #: A supervisor that was late itself, on a machine that was suspended, judges nobody.
 _LATE_S = 5.0
 #: What the processes of all sides share: loaded once, before the first of them begins.
-_PRELOADED = ("service.app.preloaded",)
+_PRELOADED = "service.app.preloaded"
 
 _log = structlog.get_logger(__name__)
 
@@ -251,7 +251,8 @@ async def supervise(
         If the web side's address cannot be listened on.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(_PRELOADED))
+    extras = ["asyncua"] if settings.opcua.enabled else []
+    context.set_forkserver_preload([*extras, _PRELOADED])
     # Many small matrices: threads would only wait for each other. Also for those to come.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     listening = asyncio.ensure_future(listen)
@@ -294,7 +295,8 @@ async def run_sides(
             asyncio.create_task(manager.watch(lambda: True)),
         ]
         try:
-            await asyncio.wait({stopping, *running}, return_when=asyncio.FIRST_COMPLETED)
+            ends: set[asyncio.Task[Any]] = {stopping, *running}
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             for task in running:
                 if task.done():
                     task.result()
