@@ -287,8 +287,8 @@ async def run_sides(
             manager.status(text.removeprefix("STATUS="))
 
     async with _running(sides, report) as running:
-        stopping = asyncio.create_task(stop.wait())
-        beside = [
+        stopping: asyncio.Task[Any] = asyncio.create_task(stop.wait())
+        beside: list[asyncio.Task[Any]] = [
             asyncio.create_task(_all_ready(sides, on_ready)),
             asyncio.create_task(_watch(sides)),
             # A side that hangs is dealt with here: the service manager need not do it.
@@ -297,9 +297,9 @@ async def run_sides(
         try:
             ends: set[asyncio.Task[Any]] = {stopping, *running}
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            for task in running:
-                if task.done():
-                    task.result()
+            for side in running:
+                if side.done():
+                    side.result()
         finally:
             for task in (*beside, stopping):
                 task.cancel()
