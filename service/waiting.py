@@ -13,6 +13,11 @@ from anyio import to_thread
 from adapters.backoff import Backoff
 from service.domain.errors import TemporaryError
 
+#: Wall seconds that another service is given to leave the data directory or a port. One that is
+#: stopped needs fifteen at most.
+LEAVE_S = 30.0
+#: And the database: a server notices within half a minute that another machine is gone.
+LEAVE_DATABASE_S = 60.0
 #: Wall seconds between two tries: first, and at most.
 _FIRST_S = 0.1
 _LAST_S = 2.0

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 _PARENT = """
 import importlib, json, os, sys, traceback
 from service.cli import main
-for name in ("service.app.start", "service.app.checking", "service.store", "rich.table"):
+for name in ("service.app.serve", "service.app.checking", "service.store", "rich.table"):
     importlib.import_module(name)
 
 def run(order):

@@ -23,7 +23,7 @@ from service.store import Store
 
 START_S = 90.0
 STOP_S = 60.0
-HASTY_S = 5.0
+TESTS = str(Path(__file__).parent)
 
 Found = TypeVar("Found")
 
@@ -66,8 +66,9 @@ def hasty(*arguments: str) -> list[str]:
     What a user starts waits up to a minute, and then does the same.
     """
     text = (
-        "import service.app.start as start; from service.cli import main; "
-        f"start.LEAVE_S = start.LEAVE_DATABASE_S = {HASTY_S}; main()"
+        f"import os, sys; os.environ['PYTHONPATH'] = {TESTS!r}; sys.path.insert(0, {TESTS!r}); "
+        "import hasty; from service.app import supervisor; from service.cli import main; "
+        "supervisor.PRELOADED.insert(0, 'hasty'); main()"
     )
     return [sys.executable, "-c", text, *arguments]
 

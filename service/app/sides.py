@@ -25,15 +25,13 @@ from service.service_manager import ServiceManager
 from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.site.settings import Settings
 from service.tasks import background
-from service.waiting import Waiting
+from service.waiting import LEAVE_S, Waiting
 from service.web.listening import bind
 
 SideName = Literal["cell", "web", "plant"]
 #: Something that a person must correct, and trouble that passes by itself (EX_TEMPFAIL).
 STATUS_REFUSED, STATUS_TEMPORARY = 2, os.EX_TEMPFAIL
 
-#: Wall seconds that another service is given to leave the port. One that is stopped needs ten.
-LEAVE_S = 30.0
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 
 

@@ -39,7 +39,7 @@ _LOOK_EVERY_S = 1.0
 #: A supervisor that was late itself, on a machine that was suspended, judges nobody.
 _LATE_S = 5.0
 #: What the processes of all sides share: loaded once, before the first of them begins.
-_PRELOADED = "service.app.preloaded"
+PRELOADED = ["service.app.preloaded"]
 
 _log = structlog.get_logger(__name__)
 
@@ -252,7 +252,7 @@ async def supervise(
     """
     context = multiprocessing.get_context("forkserver")
     extras = ["asyncua"] if settings.opcua.enabled else []
-    context.set_forkserver_preload([*extras, _PRELOADED])
+    context.set_forkserver_preload([*extras, *PRELOADED])
     # Many small matrices: threads would only wait for each other. Also for those to come.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     listening = asyncio.ensure_future(listen)

@@ -30,13 +30,8 @@ from service.store import (
 )
 from service.store.errors import opening_error
 from service.tasks import INGEST, background
-from service.waiting import StoppedError, Waiting
+from service.waiting import LEAVE_DATABASE_S, LEAVE_S, StoppedError, Waiting
 
-#: Wall seconds that another service is given to leave the data directory. A service that is
-#: stopped needs ten at most.
-LEAVE_S = 30.0
-#: And the database: a server notices within half a minute that another machine is gone.
-LEAVE_DATABASE_S = 60.0
 #: Wall seconds after which devices are read though the store is not open yet.
 ACQUIRE_AFTER_S = 1.0
 #: Wall seconds for the last changes of alarms; what the store does not take then stays on the disk.

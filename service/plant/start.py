@@ -22,11 +22,9 @@ from service.security import AuditTrail, Authenticator
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.tasks import background
-from service.waiting import StoppedError, Waiting
+from service.waiting import LEAVE_S, StoppedError, Waiting
 
 OUTBOX_FILE: Final = "outbox-plant.db"
-#: Wall seconds that another service is given to leave the port.
-LEAVE_S: Final = 30.0
 #: Copies of the tags are at most so old: below the shortest period of a publisher.
 REFRESH_S: Final = 0.25
 _LOOK_EVERY_S: Final = 0.1

@@ -16,8 +16,9 @@ import psycopg
 import pytest
 from faults.hall import BASE, CAN, MODBUS, Hall, lock_store
 from faults.test_store_away import small_disk
+from hasty import HASTY_S
 from postgresql import running_postgresql
-from processes import HASTY_S, hasty, wait_until
+from processes import hasty, wait_until
 
 from service.ingest.spool import FILE_NAME as SPOOL_FILE
 from service.store import lock_data_directory

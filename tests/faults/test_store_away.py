@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from faults.conftest import Extent
 from faults.hall import STARTED_S, Count, Hall, Outcome, lock_store
+from inside import serve
 from postgresql import running_postgresql
 from processes import hasty, wait_until
 
-from service.app.start import serve
 from service.clock import ProcessClock
 from service.site.settings import load_settings
 from service.store.opening import FILE_NAME

@@ -16,10 +16,10 @@ from adapters.virtual_bench.modbus_server import (
     TRANSMITTER_UNIT,
 )
 from adapters.virtual_bench.sensors import PT100_CHANNELS
-from service.app.start import LEAVE_S
 from service.domain.channels import OPERATING_CHANNELS, RING_SENSORS
 from service.site.settings import Settings, load_settings
 from service.site.wiring import SourceWiring, wire
+from service.waiting import LEAVE_S
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 EXAMPLE = DEPLOY / "bearing-twin.example.toml"

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from inside import serve
 
-from service.app.start import serve
 from service.service_manager import ServiceManager
 from service.site.settings import ServiceSection, Settings
 

@@ -8,10 +8,10 @@ from types import SimpleNamespace, TracebackType
 from typing import Any, Self
 
 import pytest
+from inside import serve
 
 from adapters.protocol import SourceHealth
 from adapters.samples import Batch
-from service.app.start import serve
 from service.site.settings import ServiceSection, Settings
 from service.site.wiring import wire
 

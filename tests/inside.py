@@ -1,4 +1,4 @@
-"""Runs cell, web side and plant side together, and stops them cleanly."""
+"""A whole service in this process, for tests that reach into it; wires and bus are real."""
 
 import asyncio
 import contextlib
@@ -15,13 +15,9 @@ from service.service_manager import ServiceManager
 from service.site.settings import Settings
 from service.site.wiring import wire
 from service.tasks import background
-from service.waiting import StoppedError, Waiting
+from service.waiting import LEAVE_S, StoppedError, Waiting
 from service.web.listening import bind
 from service.web.start import run_web
-
-#: Wall seconds that another program is given to leave the port. A service that is stopped needs
-#: ten at most.
-LEAVE_S = 30.0
 
 
 async def serve(
