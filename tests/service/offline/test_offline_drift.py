@@ -10,7 +10,7 @@ import pytest
 
 from service.clock import rfc3339
 from service.lab.studies import turbines
-from service.lab.studies.field_data import CASES, LOW_KW, spans
+from service.lab.studies.field_data_runs import CASES, LOW_KW, spans
 
 from .block import CONFIGURATION, NETWORK, recorded
 
