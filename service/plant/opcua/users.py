@@ -9,7 +9,7 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
 
 from service.domain.roles import VIEWER
-from service.security import AuditTrail, Authenticator, guesses
+from service.security import AuditTrail, Authenticator, failed_logins
 from service.security.keys import key_prefix
 from service.store import StoreUnavailableError
 
@@ -65,7 +65,7 @@ class KeyUsers:
         if key_prefix(text) is None:  # no guess, and nothing to look up
             return None
         keys, guess = self._authenticator, not self._authenticator.knows(text)
-        if guess and guesses.wait_s(keys, guesses.REFUSED, address):
+        if guess and failed_logins.wait_s(keys, failed_logins.REFUSED, address):
             raise ServiceError(ua.StatusCodes.BadTooManyOperations)
         try:
             principal = await keys.by_key(text)
@@ -73,8 +73,8 @@ class KeyUsers:
             _log.warning("opcua_key_not_checked", reason=str(error))
             raise ServiceError(ua.StatusCodes.BadResourceUnavailable) from error
         if principal is None and guess:
-            guesses.count_wrong_key(keys, guesses.REFUSED, address)
-            await guesses.note_wrong_key(self._trail, guesses.REFUSED, address, text)
+            failed_logins.count_wrong_key(keys, failed_logins.REFUSED, address)
+            await failed_logins.note_wrong_key(self._trail, failed_logins.REFUSED, address, text)
         if principal is None or principal.role not in VIEWER:
             return None
         return KeyUser(role=UserRole.User, key=text)

@@ -17,7 +17,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
 from service.domain.roles import Roles
-from service.security import Actor, AuditTrail, Authenticator, Principal, guesses
+from service.security import Actor, AuditTrail, Authenticator, Principal, failed_logins
 from service.security.keys import key_prefix
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
@@ -227,7 +227,7 @@ async def authenticate(
             return None
         if authenticator.knows(key):  # also a wrong one: a client that goes on costs nothing
             return await authenticator.by_key(key)
-        return await new_key(connection, authenticator, key, trail, guesses.REFUSED)
+        return await new_key(connection, authenticator, key, trail, failed_logins.REFUSED)
     except StoreUnavailableError as error:
         raise Problem(
             503,
@@ -269,14 +269,14 @@ async def new_key(
         When the store does not answer.
     """
     address = address_of(connection)
-    wait_s = guesses.wait_s(authenticator, action, address)
+    wait_s = failed_logins.wait_s(authenticator, action, address)
     if wait_s:
         raise too_many("too many wrong keys from this address", wait_s)
     principal = await authenticator.by_key(key)
     if principal is None:
-        guesses.count_wrong_key(authenticator, action, address)
+        failed_logins.count_wrong_key(authenticator, action, address)
         if trail is not None:
-            await guesses.note_wrong_key(trail, action, address, key)
+            await failed_logins.note_wrong_key(trail, action, address, key)
     return principal
 
 
