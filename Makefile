@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_ARGS ?=
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test lint docs descriptions clean
 
 demo: $(VENV)/.installed-run
 	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
@@ -24,6 +24,10 @@ lint: $(VENV)/.installed-test
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "build/docs/index.html"
+
+# What /openapi.json and /asyncapi.json show; a test shows every difference.
+descriptions: $(VENV)/.installed-run
+	$(BIN)/python -m service.web.api.descriptions docs
 
 kernels: $(VENV)/.installed-test
 	$(BIN)/python -m service warm-up

@@ -8,7 +8,7 @@ import msgspec
 
 from adapters.samples import Sample
 from service.bus.messages import Command
-from service.domain.interfaces import DocumentKind
+from service.documents.interfaces import DocumentKind
 from service.store import Alarm
 
 AlarmAction = Literal[

@@ -8,6 +8,7 @@ import structlog
 
 from service.alarms import NotAllowedError, UnknownAlarmError
 from service.bus.messages import encode
+from service.documents.identification import JobDocument
 from service.domain.errors import (
     ActivationRefusedError,
     CellUnavailableError,
@@ -28,11 +29,15 @@ def _text(error: Exception) -> tuple[Any, ...]:
     return (str(error.args[0]) if error.args else str(error),)
 
 
+def _conflict(text: str, job: bytes) -> JobConflictError:
+    return JobConflictError(text, JobDocument.model_validate_json(job))
+
+
 #: Each kind of error with what it is made of again on the other side.
 _KINDS: Final[dict[type[Exception], Callable[[Any], tuple[Any, ...]]]] = {
     ActivationRefusedError: _text,
     CellUnavailableError: _text,
-    JobConflictError: lambda error: (dict(error.job),),
+    JobConflictError: lambda error: (str(error), error.job.to_bytes()),
     KeyError: lambda error: error.args[:1],
     KeyUsedBeforeError: _text,
     NotAllowedError: _text,
@@ -44,7 +49,9 @@ _KINDS: Final[dict[type[Exception], Callable[[Any], tuple[Any, ...]]]] = {
     StoreUnavailableError: _text,
     UnknownAlarmError: _text,
 }
-_BY_NAME: Final = {kind.__name__: kind for kind in _KINDS}
+_BY_NAME: Final[dict[str, Callable[..., Exception]]] = {kind.__name__: kind for kind in _KINDS} | {
+    JobConflictError.__name__: _conflict
+}
 
 
 class CellFaultError(RuntimeError):

@@ -13,8 +13,16 @@ from pydantic_core import from_json, to_json
 from adapters.samples import Quality, is_good
 from service.bus.commands import AssetNames, Document, GetDocuments, RenewGrease, Wanted
 from service.bus.interface import ReaderBus
+from service.documents.advice import AdviceDocument
+from service.documents.assets import AssetDocument, GreaseRenewed, State
+from service.documents.base import Document as Shown
+from service.documents.envelope import EnvelopeDocument
+from service.documents.forecasts import LiveForecast, WhatIf
+from service.documents.identification import WindowDocument
+from service.documents.interfaces import DocumentKind
+from service.documents.tags import Snapshot, Tag
+from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.errors import CellUnavailableError, NotReadyError
-from service.domain.interfaces import DocumentKind
 from service.domain.requests import ProfileStep
 
 #: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
@@ -40,18 +48,18 @@ class Questions(Protocol):
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         """Forecast a profile from the state of a machine."""
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> Mapping[str, Any]:
+    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
         """Give the safe operating envelope."""
 
     async def advice(
         self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
-    ) -> Mapping[str, Any]:
+    ) -> AdviceDocument:
         """Rank low-risk steps by what they teach about a point."""
 
-    async def windows(self, asset: str) -> Sequence[Mapping[str, Any]]:
+    async def windows(self, asset: str) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store."""
 
 
@@ -76,7 +84,7 @@ def digest(text: bytes) -> bytes:
 
 
 class AssetReplica:
-    """One asset of the cell; see `service.domain.interfaces.AssetTwin`.
+    """One asset of the cell; see `service.documents.interfaces.AssetTwin`.
 
     Parameters
     ----------
@@ -102,7 +110,7 @@ class AssetReplica:
         self._questions = questions
         self._fresh_s = fresh_s
         self._copies: dict[DocumentKind, _Copy] = {}
-        self._doubtful: tuple[Any, Mapping[str, Any]] = (None, {})
+        self._doubtful: tuple[Snapshot | None, Snapshot] = (None, {"tags": {}})
 
     # ------------------------------------------------------------------ copies
     async def refresh(self, *kinds: DocumentKind) -> None:
@@ -174,7 +182,7 @@ class AssetReplica:
         if copy is None or not copy.text:
             raise CellUnavailableError("the cell has not answered yet")
         if copy.data is None:
-            copy.data = from_json(copy.text)
+            copy.data = _read(kind, copy.text)
         if copy.age_s <= UNCERTAIN_AFTER_S:
             return copy.data
         return self._in_doubt(kind, copy)
@@ -189,16 +197,26 @@ class AssetReplica:
                 self._doubtful = data, {"tags": tags}
             return self._doubtful[1]
         if kind == "verdict":
-            unknown = {"word": "unknown", "reasons": [why], "limit": None, "probability": None}
-            unknown |= {"seconds_to_limit": None, "alarm_probability": None}
-            words = {name: data[name] | unknown for name in ("now", "next_step")}
-            missing = sorted({*data["missing"], "twin"})
-            return data | words | {"time_to_limit": None, "missing": missing}
+            unknown = VerdictOf(
+                word="unknown",
+                reasons=[why],
+                limit=None,
+                probability=None,
+                seconds_to_limit=None,
+                alarm_probability=None,
+            )
+            return VerdictDocument(
+                time=data.time,
+                now=unknown,
+                next_step=unknown,
+                time_to_limit=None,
+                missing=sorted({*data.missing, "twin"}),
+            )
         if kind in ("state", "forecast") and data is not None:
-            return data | {"missing": sorted({*data.get("missing", ()), "twin"})}
+            return data.model_copy(update={"missing": sorted({*data.missing, "twin"})})
         if kind == "summary":
-            health = data["health"] | {"status": "degraded", "twin_running": False}
-            return data | {"health": health}
+            doubtful = {"status": "degraded", "twin_running": False}
+            return data.model_copy(update={"health": data.health.model_copy(update=doubtful)})
         return data
 
     # ------------------------------------------------------------------ what routes ask
@@ -219,29 +237,29 @@ class AssetReplica:
         names: Sequence[str] = self._data("facts")["temperature_names"]
         return names
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> AssetDocument:
         """See `AssetTwin`."""
-        summary: Mapping[str, Any] = self._data("summary")
+        summary: AssetDocument = self._data("summary")
         return summary
 
-    def snapshot(self) -> Mapping[str, Any]:
+    def snapshot(self) -> Snapshot:
         """See `AssetTwin`."""
-        snapshot: Mapping[str, Any] = self._data("snapshot")
+        snapshot: Snapshot = self._data("snapshot")
         return snapshot
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """See `AssetTwin`."""
-        state: Mapping[str, Any] = self._data("state")
+        state: State = self._data("state")
         return state
 
-    def verdict(self) -> Mapping[str, Any]:
+    def verdict(self) -> VerdictDocument:
         """See `AssetTwin`."""
-        verdict: Mapping[str, Any] = self._data("verdict")
+        verdict: VerdictDocument = self._data("verdict")
         return verdict
 
-    def forecast(self) -> Mapping[str, Any] | None:
+    def forecast(self) -> LiveForecast | None:
         """See `AssetTwin`."""
-        forecast: Mapping[str, Any] | None = self._data("forecast")
+        forecast: LiveForecast | None = self._data("forecast")
         return forecast
 
     async def what_if(
@@ -249,29 +267,28 @@ class AssetReplica:
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         """See `AssetTwin`."""
         machine = await self._machine()
         return await self._asked().what_if(self.id, machine, profile, step_s, nodes)
 
-    async def envelope(self) -> Mapping[str, Any]:
+    async def envelope(self) -> EnvelopeDocument:
         """See `AssetTwin`."""
         return await self._asked().envelope(self.id, await self._machine())
 
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
         """See `AssetTwin`."""
         target = speed_rpm, load_n, duration_s
         return await self._asked().advice(self.id, await self._machine(), target)
 
-    async def windows(self) -> Sequence[Mapping[str, Any]]:
+    async def windows(self) -> Sequence[WindowDocument]:
         """See `AssetTwin`."""
         return await self._asked().windows(self.id)
 
-    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
         """See `AssetTwin`."""
         text = await self._reader.ask(RenewGrease(self.id, who, comment), 10.0)
-        answer: Mapping[str, Any] = from_json(text)
-        return answer
+        return GreaseRenewed.model_validate_json(text)
 
     async def _machine(self) -> Mapping[str, Any]:
         """The state that answers begin from: of now, or none."""
@@ -289,7 +306,23 @@ class AssetReplica:
         return self._questions
 
 
-def _uncertain(name: str, tag: Mapping[str, Any]) -> Mapping[str, Any]:
+_MODELS: Final[Mapping[DocumentKind, type[Shown]]] = {
+    "summary": AssetDocument,
+    "state": State,
+    "verdict": VerdictDocument,
+    "forecast": LiveForecast,
+}
+
+
+def _read(kind: DocumentKind, text: bytes) -> Any:
+    """A document of its text; tags and what has no model as plain JSON types."""
+    model = _MODELS.get(kind)
+    if model is None or text == b"null":
+        return from_json(text)
+    return model.model_validate_json(text)
+
+
+def _uncertain(name: str, tag: Tag) -> Tag:
     if name.startswith(_VERDICT_TAG):
         return {**tag, "value": _UNKNOWN_CODE}
     return {**tag, "quality": int(Quality.LAST_USABLE)} if is_good(tag["quality"]) else tag

@@ -18,7 +18,7 @@ from pydantic_core import to_json
 
 from adapters.protocol import Clock
 from service.clock import rfc3339, wall_us
-from service.domain.interfaces import MessageType
+from service.documents.messages import Heartbeat, MessageType
 
 # What goes first when a subscriber is slow; a message of the last tier never goes.
 _TIER: Mapping[MessageType, int] = {
@@ -250,7 +250,7 @@ class Bus:
                 self._seq = message.seq
                 self._hand_out(message)
 
-    def announce(self, type: MessageType, asset: str | None, data: Mapping[str, Any]) -> None:
+    def announce(self, type: MessageType, asset: str | None, data: object) -> None:
         """Hand out a message beside the numbered ones: it has the number of the latest one."""
         body = to_json(data, inf_nan_mode="null").decode()
         with self._lock:
@@ -384,4 +384,4 @@ async def heartbeats(bus: Bus, every_s: float = HEARTBEAT_S) -> None:
     """Send a heartbeat to every subscriber, every so many wall seconds, until cancelled."""
     while True:
         await asyncio.sleep(every_s)
-        bus.publish("heartbeat", None, {})
+        bus.publish("heartbeat", None, Heartbeat())

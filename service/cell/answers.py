@@ -22,8 +22,12 @@ from service.bus.messages import Command
 from service.bus.presence import resident_bytes
 from service.bus.replica import digest
 from service.bus.stream import Bus
+from service.documents.assets import AssetDocument, GreaseRenewed, State
+from service.documents.forecasts import LiveForecast
+from service.documents.interfaces import JobManager
+from service.documents.tags import Snapshot
+from service.documents.verdicts import VerdictDocument
 from service.domain.errors import NotKeptError, PushRefusedError
-from service.domain.interfaces import JobManager
 from service.domain.requests import IdentificationRequest
 from service.ingest import Ingest
 from service.store import Alarm, Outbox, Store, StoreUnavailableError
@@ -60,25 +64,25 @@ class Asset(Protocol):
     def description(self) -> Mapping[str, Any]:
         """What others must know of the asset before they ask anything."""
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> AssetDocument:
         """Configuration, health and active model."""
 
-    def snapshot(self) -> Mapping[str, Any]:
+    def snapshot(self) -> Snapshot:
         """All present values; the same object until one changes."""
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """The node temperatures."""
 
-    def verdict(self) -> Mapping[str, Any]:
+    def verdict(self) -> VerdictDocument:
         """Whether the machine is safe."""
 
-    def forecast(self) -> Mapping[str, Any] | None:
+    def forecast(self) -> LiveForecast | None:
         """The latest live forecast."""
 
     def machine(self) -> Mapping[str, Any]:
         """The present state, which answers to callers are computed from."""
 
-    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
         """Count the revolutions from zero again."""
 
 

@@ -23,6 +23,7 @@ from service.cell.answers import Answers, Parts
 from service.cell.retention import Upkeep
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
+from service.documents.messages import ServiceHealth, SourceDocument
 from service.ingest.metrics import watch_damage, watch_forecasts, watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
@@ -179,7 +180,7 @@ class Cell:
             executor=self._executor,
             store_samples=self._store_derived,
             save_state=save_state,
-            windows=self.histories[asset.id].windows_json,
+            windows=self.histories[asset.id].window_documents,
             doubt=partial(self._doubt, asset.id),
         )
 
@@ -282,20 +283,20 @@ class Cell:
             self._report_too_old()
             now_us = self.clock.now_us()
             sources = [
-                {
-                    "name": health.name,
-                    "driver": health.driver,
-                    "up": health.up,
-                    "detail": health.detail,
-                    "age_s": (now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
-                }
+                SourceDocument(
+                    name=health.name,
+                    driver=health.driver,
+                    up=health.up,
+                    detail=health.detail,
+                    age_s=(now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
+                )
                 for health in self.acquisition.health()
             ]
-            degraded = not all(source["up"] for source in sources)
+            degraded = not all(source.up for source in sources)
             self.bus.publish(
                 "health",
                 None,
-                {"sources": sources, "degraded": degraded, "clock_rate": self.clock.rate},
+                ServiceHealth(sources=sources, degraded=degraded, clock_rate=self.clock.rate),
             )
 
     # ------------------------------------------------------------------ life

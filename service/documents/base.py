@@ -64,6 +64,8 @@ class StoredDocument(Document):
 class Page(Document):
     """What every listing has: `next` is the cursor of the next page, null on the last."""
 
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
     next: str | None = Field(None, description="Cursor of the next page; null on the last one.")
 
 

@@ -1,8 +1,5 @@
 """Errors that several parts of the service raise and understand."""
 
-from collections.abc import Mapping
-from typing import Any
-
 
 class ServiceError(Exception):
     """A disk, a server or an address cannot be used; the text is one line for the user.
@@ -30,12 +27,14 @@ class JobConflictError(Exception):
 
     Parameters
     ----------
-    job : mapping
-        The running job as the API shows it.
+    text : str
+        Which job, and what it is doing.
+    job
+        Its document.
     """
 
-    def __init__(self, job: Mapping[str, Any]) -> None:
-        super().__init__(f"identification {job['id']} is {job['status']}")
+    def __init__(self, text: str, job: object) -> None:
+        super().__init__(text)
         self.job = job
 
 

@@ -2,13 +2,12 @@
 
 import asyncio
 from collections.abc import Mapping
-from typing import Any
 
 import anyio.to_thread
 
 from adapters.protocol import Clock
+from service.documents.models import ModelDocument, model_document
 from service.domain.errors import ActivationRefusedError
-from service.jobs.documents import model_json
 from service.jobs.models import active_model, why_not_of_this_asset
 from service.live.asset import AssetRuntime
 from service.store import AuditEntry, Store
@@ -40,8 +39,8 @@ class Activations:
         comment: str | None,
         force: bool,
         line: AuditEntry | None = None,
-    ) -> Mapping[str, Any]:
-        """Make a version the active one; see `service.domain.interfaces.JobManager`.
+    ) -> ModelDocument:
+        """Make a version the active one; see `service.documents.interfaces.JobManager`.
 
         The line of the audit trail, where there is one, is written in the same transaction.
         """
@@ -68,4 +67,4 @@ class Activations:
                 line,
             )
             asset.switch(active_model(asset.settings, activated), who, comment or "")
-        return model_json(activated)
+        return model_document(activated)

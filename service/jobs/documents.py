@@ -1,13 +1,12 @@
-"""Jobs and model versions as the REST interface shows them."""
+"""What workers last reported of their jobs, and jobs shown with it."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from cachetools import FIFOCache
 
-from service.clock import rfc3339
+from service.documents.identification import JobDocument, job_document
 from service.jobs.workspace import Progress
-from service.store.records import Job, ModelVersion
+from service.store.records import Job
 
 # Before this part of the way no one can say how long the rest takes.
 _LEAST_FRACTION = 0.02
@@ -54,10 +53,10 @@ class ProgressCache:
             self._reported[job_id] = replace(before, progress=progress, now_s=now_s)
 
 
-def job_json(
+def shown(
     job: Job, reported: ReportedProgress | None = None, convergence: bool = False
-) -> dict[str, Any]:
-    """A job in the shape of the REST contract.
+) -> JobDocument:
+    """Show a job with what its worker last reported.
 
     Parameters
     ----------
@@ -68,63 +67,12 @@ def job_json(
     convergence
         Whether to show how the best fitness fell.
     """
-    running = reported is not None and job.status == "running"
-    seconds_left = reported.seconds_left() if reported is not None and running else None
-    shown: dict[str, Any] = {
-        "id": job.id,
-        "status": job.status,
-        "progress": job.progress,
-        "best_fitness": job.best_fitness,
-        "evaluations": job.evaluations,
-        "created_at": rfc3339(job.created_at_us),
-        "started_at": rfc3339(job.started_at_us) if job.started_at_us is not None else None,
-        "ended_at": rfc3339(job.ended_at_us) if job.ended_at_us is not None else None,
-        "error": job.error,
-        "model_version": job.model_version,
-        "windows": job.request["windows"],
-        "method": job.request["method"],
-        "seed": job.request["seed"],
-        "budget": job.request.get("budget"),
-        "requested_by": job.request["who"],
-        "attempts": job.attempts,
-        "phase": reported.progress.phase if reported is not None and running else None,
-        "seconds_left": round(seconds_left, 1) if seconds_left is not None else None,
-        "active_fitness": reported.progress.active_fitness if reported is not None else None,
-    }
-    if convergence:
-        shown["convergence"] = reported.progress.convergence if reported is not None else []
-    return shown
-
-
-def model_json(version: ModelVersion, combinations: bool = True) -> dict[str, Any]:
-    """A model version as the REST interface shows it.
-
-    Parameters
-    ----------
-    version
-        From the store.
-    combinations
-        Whether to spell out which combinations of parameters are informed, besides how many.
-    """
-    shown = {
-        name: version.document[name]
-        for name in ("model", "parameters", "windows", "scores", "naive", "gates", "job")
-    }
-    # Versions of older releases carry none of these.
-    shown["identifiability"] = version.document.get("identifiability")
-    shown["paper_view"] = version.document.get("paper_view")
-    shown["drift"] = version.document.get("drift")
-    shown["method"] = version.document.get("method")
-    shown["seed"] = version.document.get("seed")
-    if not combinations and shown["identifiability"] is not None:
-        shown["identifiability"] = {
-            name: value
-            for name, value in shown["identifiability"].items()
-            if name != "combinations"
-        }
-    return {
-        "version": version.version,
-        "status": version.status,
-        "reason": version.reason,
-        "created_at": rfc3339(version.created_at_us),
-    } | shown
+    course = reported.progress.convergence if reported is not None else []
+    running = reported if job.status == "running" else None
+    return job_document(
+        job,
+        phase=None if running is None else running.progress.phase,
+        seconds_left=None if running is None else running.seconds_left(),
+        active_fitness=None if reported is None else reported.progress.active_fitness,
+        convergence=course if convergence else None,
+    )

@@ -1,7 +1,6 @@
 """Minute averages of one asset from the store, and the low-risk windows in them."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import anyio.to_thread
 import numpy as np
@@ -9,6 +8,8 @@ from numpy.typing import NDArray
 
 from adapters.protocol import Clock
 from service.clock import MINUTE_US, rfc3339
+from service.documents.identification import WindowDocument
+from service.documents.profiles import StepLevel
 from service.domain.channels import AMBIENT, OPERATING_CHANNELS
 from service.site.machines.machine import Machine
 from service.site.settings import AssetSection
@@ -69,9 +70,9 @@ class AssetHistory:
         minutes = await self._minutes()
         return self._find(minutes) if minutes is not None else []
 
-    async def windows_json(self) -> list[Mapping[str, Any]]:
-        """Low-risk windows as the REST interface shows them."""
-        return [window_json(window) for window in await self.windows()]
+    async def window_documents(self) -> list[WindowDocument]:
+        """Low-risk windows as documents."""
+        return [window_document(window) for window in await self.windows()]
 
     async def are_worth_identifying(self, found: list[Window], tried: list[Window]) -> bool:
         """Tell whether windows hold enough that is new and varied.
@@ -230,22 +231,21 @@ def _span_us(window: Window) -> tuple[int, int]:
     return round(window.start_s * 1e6), round(window.end_s * 1e6) + MINUTE_US
 
 
-def window_json(window: Window) -> dict[str, Any]:
-    """A window as the REST interface shows it."""
+def window_document(window: Window) -> WindowDocument:
+    """Show a window."""
     start_us, end_us = _span_us(window)
-    points = [
-        {
-            "speed_rpm": round(point.speed_rpm, 1),
-            "load_n": round(point.load_n, 1),
-            "duration_s": point.duration_s,
-        }
-        for point in window.operating_points
-    ]
-    return {
-        "start": rfc3339(start_us),
-        "end": rfc3339(end_us),
-        "speed_rpm_max": round(window.speed_rpm_max, 1),
-        "load_n_max": round(window.load_n_max, 1),
-        "operating_points": points,
-        "score": window.score,
-    }
+    return WindowDocument(
+        start=rfc3339(start_us),
+        end=rfc3339(end_us),
+        speed_rpm_max=round(window.speed_rpm_max, 1),
+        load_n_max=round(window.load_n_max, 1),
+        operating_points=[
+            StepLevel(
+                speed_rpm=round(point.speed_rpm, 1),
+                load_n=round(point.load_n, 1),
+                duration_s=point.duration_s,
+            )
+            for point in window.operating_points
+        ],
+        score=window.score,
+    )

@@ -19,12 +19,14 @@ import structlog
 
 from adapters.protocol import Clock
 from service.clock import rfc3339, wall_us
+from service.documents.identification import JobDocument
+from service.documents.interfaces import Publisher
+from service.documents.models import ModelDocument
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
-from service.domain.interfaces import Publisher
 from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
-from service.jobs.documents import ProgressCache, job_json
+from service.jobs.documents import ProgressCache, shown
 from service.jobs.drift import earlier_versions, tell, with_drift
 from service.jobs.executor import (
     STALLED_AFTER_WALL_S,
@@ -147,8 +149,8 @@ class IdentificationJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
-    ) -> tuple[Mapping[str, Any], bool]:
-        """Queue a job; see `service.domain.interfaces.JobManager`."""
+    ) -> tuple[JobDocument, bool]:
+        """Queue a job; see `service.documents.interfaces.JobManager`."""
         windows = await self._windows(asset_id, request)
         document = {
             "windows": [{"start": rfc3339(start), "end": rfc3339(end)} for start, end in windows],
@@ -167,7 +169,9 @@ class IdentificationJobs:
             running = await anyio.to_thread.run_sync(self._store.jobs.get, error.job_id)
             if running is None:
                 raise
-            raise JobConflictError(job_json(running)) from error
+            raise JobConflictError(
+                f"identification {running.id} is {running.status}", shown(running)
+            ) from error
         if not created and job.request.get("asked", document["asked"]) != document["asked"]:
             raise KeyUsedBeforeError(
                 f"belongs to identification {job.id}, which was requested with another body; "
@@ -180,7 +184,7 @@ class IdentificationJobs:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
             self._publish(job)
             self._begin(job)
-        return job_json(job), created
+        return shown(job), created
 
     async def _windows(
         self, asset_id: str, request: IdentificationRequest
@@ -209,12 +213,12 @@ class IdentificationJobs:
                 )
         return spans
 
-    async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Return one job; None when the asset has no such job."""
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
-        document = job_json(job, self._progress.get(job_id), convergence=True)
+        document = shown(job, self._progress.get(job_id), convergence=True)
         if job.model_version is None:
             return document
         # What came of the job has its whole course; what was told last ends somewhat before.
@@ -222,16 +226,16 @@ class IdentificationJobs:
             self._store.models.version, asset_id, job.model_version
         )
         kept = version.document if version is not None else {}
-        return document | {
-            name: kept[name] for name in ("convergence", "active_fitness") if name in kept
-        }
+        names = "convergence", "active_fitness"
+        found: dict[str, Any] = {name: kept[name] for name in names if name in kept}
+        return document.model_copy(update=found)
 
-    async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
+    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Jobs of an asset, newest first."""
         jobs = await anyio.to_thread.run_sync(self._store.jobs.of_asset, asset_id)
-        return [job_json(job, self._progress.get(job.id)) for job in jobs]
+        return [shown(job, self._progress.get(job.id)) for job in jobs]
 
-    async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Stop a job that has not ended; the answer shows its present state."""
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
@@ -244,11 +248,11 @@ class IdentificationJobs:
             return await self.job(asset_id, job_id)
         await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
         self._publish(cancelled)
-        return job_json(cancelled, self._progress.get(job_id))
+        return shown(cancelled, self._progress.get(job_id))
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
-    ) -> Mapping[str, Any]:
+    ) -> ModelDocument:
         """Make a version the active one and switch the live twin to it."""
         return await self._activations.activate(asset_id, version, who, comment, force)
 
@@ -468,7 +472,7 @@ class IdentificationJobs:
         )
 
     def _publish(self, job: Job) -> None:
-        self._bus.publish("job", job.asset, job_json(job, self._progress.get(job.id)))
+        self._bus.publish("job", job.asset, shown(job, self._progress.get(job.id)))
 
     def _replace_worker(self) -> None:
         self._shut_down_executor()

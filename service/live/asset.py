@@ -13,13 +13,32 @@ from adapters.protocol import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
 from service.clock import rfc3339
+from service.documents import assets as documents
+from service.documents.advice import AdviceDocument
 from service.documents.alarms import alarm_summary
+from service.documents.assets import (
+    AssetDocument,
+    ChannelDocument,
+    Controller,
+    GreaseRenewed,
+    HealthOfAsset,
+    IdentificationSettings,
+    State,
+    StateMessage,
+    VerdictSettings,
+)
+from service.documents.envelope import EnvelopeDocument
+from service.documents.forecasts import LiveForecast, WhatIf
+from service.documents.identification import WindowDocument
+from service.documents.interfaces import Publisher
+from service.documents.limits import LowRisk
+from service.documents.messages import NewSamples
+from service.documents.tags import Snapshot, Tag, tag
+from service.documents.verdicts import VerdictDocument
 from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, unit_of
 from service.domain.errors import NotReadyError
-from service.domain.interfaces import Publisher
 from service.domain.requests import ProfileStep
 from service.live import presentation
-from service.live.envelope import with_measured
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.guard import Guard
@@ -90,7 +109,7 @@ class AssetRuntime:
         executor: Executor,
         store_samples: Store,
         save_state: SaveState,
-        windows: Callable[[], Awaitable[Sequence[Mapping[str, Any]]]],
+        windows: Callable[[], Awaitable[Sequence[WindowDocument]]],
         doubt: Callable[[str], str] = lambda channel: "",
     ) -> None:
         self.settings = settings
@@ -134,7 +153,7 @@ class AssetRuntime:
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
-        self._snapshot: dict[str, Any] = {"tags": {}}
+        self._snapshot: Snapshot = {"tags": {}}
         self._snapshot_us = 0
         self._step_s = max(STEP_S, 0.1 * clock.rate)
 
@@ -162,67 +181,76 @@ class AssetRuntime:
         model = self.active.model
         return tuple(dict.fromkeys((*model.sensor_names, *model.node_names)))
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> AssetDocument:
         """Configuration, health and active model."""
         now_us = self._clock.now_us()
+        settings, active = self.settings, self.active
         qualities = {channel: self.readings.quality(channel, now_us) for channel in self.facts}
         bad = sorted(channel for channel, quality in qualities.items() if quality < 192)
-        identified_at_us = self.active.identified_at_us
-        return {
-            "id": self.id,
-            "name": self.settings.name or self.id,
-            "group": self.settings.group or None,
-            "bearing": self.settings.bearing and self.settings.bearing.name,
-            "network": self.settings.network_name,
-            "clock_rate": self._clock.rate,
-            "low_risk": self.settings.low_risk.model_dump(),
-            "limits": {name: pair.model_dump() for name, pair in self.settings.limits.items()},
-            "channels": [
-                {
-                    "name": name,
-                    "source": source,
-                    "unit": unit_of(name),
-                    "reason": (name in self.facts and self.readings.reason(name, now_us)) or None,
-                    "max_age_s": round(self.readings.age_limit_s(name), 1)
-                    if name in self.facts
-                    else None,
-                }
-                for name, source in self.channels.items()
+        identified_at_us = active.identified_at_us
+        return AssetDocument(
+            id=self.id,
+            name=settings.name or self.id,
+            group=settings.group or None,
+            bearing=settings.bearing.name if settings.bearing else None,
+            network=settings.network_name,
+            clock_rate=self._clock.rate,
+            low_risk=LowRisk(**settings.low_risk.model_dump()),
+            limits=presentation.limits_document(settings.limits),
+            channels=[
+                self._channel(name, source, now_us) for name, source in self.channels.items()
             ],
-            "alarms": alarm_summary(self._alarms.active(self.id)),
-            "ambient_assumed_c": self._judgement.assumed_ambient_c,
-            "verdict": self.settings.verdict.model_dump(),
-            "health": {
-                "status": "degraded" if bad else "good",
-                "twin_running": self.running and self.estimate.started,
-                "channels_without_good_data": bad,
-            },
-            "active_model": {
-                "version": self.active.version,
-                "model": self.active.model.name,
-                "trusted": self._trusted,
-                "identified": identified_at_us is not None,
-                "identified_at": rfc3339(identified_at_us) if identified_at_us else None,
-            },
-            "identification": self.settings.identification.model_dump(),
-            "controller": self._controller(now_us),
-        }
+            alarms=alarm_summary(self._alarms.active(self.id)),
+            ambient_assumed_c=self._judgement.assumed_ambient_c,
+            verdict=VerdictSettings(**settings.verdict.model_dump()),
+            health=HealthOfAsset(
+                status="degraded" if bad else "good",
+                twin_running=self.running and self.estimate.started,
+                channels_without_good_data=bad,
+            ),
+            active_model=documents.ActiveModel(
+                version=active.version,
+                model=active.model.name,
+                trusted=self._trusted,
+                identified=identified_at_us is not None,
+                identified_at=rfc3339(identified_at_us) if identified_at_us else None,
+            ),
+            identification=IdentificationSettings(**settings.identification.model_dump()),
+            controller=self._controller(now_us),
+        )
+
+    def _channel(self, name: str, source: str, now_us: int) -> ChannelDocument:
+        known = name in self.facts
+        return ChannelDocument(
+            name=name,
+            source=source,
+            unit=unit_of(name),
+            reason=(known and self.readings.reason(name, now_us)) or None,
+            max_age_s=round(self.readings.age_limit_s(name), 1) if known else None,
+        )
 
     @property
     def _trusted(self) -> bool:
         """A model whose estimate or forecast fails on this machine says nothing about it."""
         return not (self._estimating.failing or self._guarding_forecasts.failing)
 
-    def _controller(self, now_us: int) -> dict[str, Any] | None:
-        plan = self._forecasting.plan
-        names = [name for name in CONTROLLER_CHANNELS if name in self.facts]
-        if not names and plan is None:
-            return None
-        return {name: self.readings.usable_value(name, now_us) for name in names} | {
-            "plan": presentation.steps_json(self._forecasting.steps_ahead(now_us)) if plan else None
+    def _controller(self, now_us: int) -> Controller | None:
+        values = {
+            name: self.readings.usable_value(name, now_us)
+            for name in CONTROLLER_CHANNELS
+            if name in self.facts
         }
+        if not values and self._forecasting.plan is None:
+            return None
+        steps = self._forecasting.steps_ahead(now_us) if self._forecasting.plan else None
+        return Controller(
+            phase=values.get("phase"),
+            speed_setpoint_rpm=values.get("speed_setpoint_rpm"),
+            load_setpoint_n=values.get("load_setpoint_n"),
+            plan=None if steps is None else presentation.steps_document(steps),
+        )
 
-    def snapshot(self) -> Mapping[str, Any]:
+    def snapshot(self) -> Snapshot:
         """Flat tags for a SCADA system, from memory; the same object until a tag changes."""
         now_us = self._clock.now_us()
         age_s = abs(now_us - self._snapshot_us) / 1e6
@@ -238,11 +266,11 @@ class AssetRuntime:
         """Have the next snapshot made again."""
         self._snapshot_us = 0
 
-    def _tags(self, now_us: int) -> dict[str, dict[str, Any]]:
-        tags: dict[str, dict[str, Any]] = {}
+    def _tags(self, now_us: int) -> dict[str, Tag]:
+        tags: dict[str, Tag] = {}
         for channel in self.facts:
             sample = self.readings.latest.get(channel)
-            tags[channel] = presentation.tag(
+            tags[channel] = tag(
                 self.readings.usable_value(channel, now_us),
                 unit_of(channel),
                 self.readings.quality(channel, now_us),
@@ -251,32 +279,29 @@ class AssetRuntime:
         blind = bool(self._judgement.blind)
         tags |= presentation.estimate_tags(self.estimate, self._began, blind)
         tags |= presentation.forecast_tags(
-            self.settings.limits,
-            self._forecasting.latest,
-            self._forecasting.crossings,
-            self._began,
-            blind,
+            self.settings.limits, self._forecasting.summary, self._began, blind
         )
         tags |= self._judgement.tags(self.verdict())
         tags |= presentation.alarm_tags(self._alarms.active(self.id), self._alarms_changed)
-        tags["model.version"] = presentation.tag(
-            self.active.version, "", Quality.GOOD, self._switched
-        )
+        tags["model.version"] = tag(self.active.version, "", Quality.GOOD, self._switched)
         return tags
 
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Mean and standard deviation of the node temperatures."""
-        state = presentation.state_json(self.estimate, self._clock.now_us())
-        return state | {"missing": self._judgement.blind}
+        return presentation.state_document(
+            self.estimate, self._clock.now_us(), self._judgement.blind
+        )
 
-    def verdict(self) -> Mapping[str, Any]:
+    def verdict(self) -> VerdictDocument:
         """Tell whether the machine is safe now, and whether its next step is."""
         return self._judgement.document(self.running)
 
-    def forecast(self) -> Mapping[str, Any] | None:
+    def forecast(self) -> LiveForecast | None:
         """Return the latest live forecast; None before the first."""
         latest = self._forecasting.latest
-        return None if latest is None else latest | {"missing": self._judgement.blind}
+        if latest is None:
+            return None
+        return latest.model_copy(update={"missing": self._judgement.blind})
 
     def description(self) -> dict[str, Any]:
         """What others must know of the asset before they ask anything."""
@@ -313,22 +338,22 @@ class AssetRuntime:
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         """Forecast a profile from the present state."""
-        answer = await self._forecasting.what_if(profile, step_s, nodes)
-        return {**answer, "missing": self._judgement.blind}
+        return await self._forecasting.what_if(
+            profile, step_s, nodes, lambda: self._judgement.blind
+        )
 
-    async def envelope(self) -> Mapping[str, Any]:
+    async def envelope(self) -> EnvelopeDocument:
         """Return the safe operating envelope, recently or computed now."""
         machine = self.machine()
-        document = await self._planning.envelope(machine["planned"])
-        return with_measured(document, machine["measured_c"])
+        return await self._planning.envelope(machine["planned"], machine["measured_c"])
 
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
         """Rank low-risk steps by what they would teach about a point."""
         return await self._planning.advice(Level(speed_rpm, load_n, duration_s))
 
-    async def windows(self) -> Sequence[Mapping[str, Any]]:
+    async def windows(self) -> Sequence[WindowDocument]:
         """Low-risk windows in the store."""
         return await self._windows()
 
@@ -352,7 +377,7 @@ class AssetRuntime:
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
 
-    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
         """Take note that the grease was renewed, and keep it for the next start."""
         if not self.estimate.started:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
@@ -368,11 +393,11 @@ class AssetRuntime:
         )
         await self._save_state(self._kept())
         self._forecast_wanted.set()
-        return {
-            "time": rfc3339(now_us),
-            "revolutions_before": round(before),
-            "revolutions": round(self.estimate.revolutions),
-        }
+        return GreaseRenewed(
+            time=rfc3339(now_us),
+            revolutions_before=round(before),
+            revolutions=round(self.estimate.revolutions),
+        )
 
     def drift_reported(self, text: str) -> None:
         """Write into the journal that the machine has changed."""
@@ -433,8 +458,11 @@ class AssetRuntime:
             quality = Quality.LAST_USABLE if self._blind else Quality.GOOD
             if self.estimate.started and wall_s() - told_wall_s >= STATE_LEAST_WALL_S:
                 # With the sensors' estimates, so that a chart needs no polling.
-                samples = presentation.samples_json(self.estimate.samples(self.id, now_us, quality))
-                self._bus.publish("state", self.id, {**self.state(), "samples": samples})
+                samples = presentation.samples_document(
+                    self.estimate.samples(self.id, now_us, quality)
+                )
+                message = StateMessage(**dict(self.state()), samples=samples)
+                self._bus.publish("state", self.id, message)
                 told_wall_s = wall_s()
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
                 self._store_samples(self.estimate.samples(self.id, now_us, quality))
@@ -479,26 +507,25 @@ class AssetRuntime:
         if made is not None:
             self._changed()
             self._bus.publish("forecast", self.id, made)
-            self._watch.forecast(self._clock.now_us(), self._forecasting.crossings)
+            summary = self._forecasting.summary
+            self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
 
     async def _tell_measurements(self) -> None:
         while True:
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
             if self._unsent:
-                samples = presentation.samples_json(self._unsent.values())
+                samples = presentation.samples_document(self._unsent.values())
                 self._unsent = {}
-                self._bus.publish("measurement", self.id, {"samples": samples})
+                self._bus.publish("measurement", self.id, NewSamples(samples=samples))
 
     async def _tell_verdicts(self) -> None:
         """Send the verdict when it changes, and now and then so that its age can be seen."""
         wall_s = asyncio.get_running_loop().time
         told, told_wall_s = None, -math.inf
         while True:
-            verdict = dict(self.verdict())
-            words = [
-                (verdict[name]["word"], verdict[name]["limit"]) for name in ("now", "next_step")
-            ]
-            news = words, verdict["missing"]
+            verdict = self.verdict()
+            words = [(one.word, one.limit) for one in (verdict.now, verdict.next_step)]
+            news = words, verdict.missing
             if news != told or wall_s() - told_wall_s >= VERDICT_EVERY_WALL_S:
                 self._bus.publish("verdict", self.id, verdict)
                 told, told_wall_s = news, wall_s()

@@ -5,17 +5,24 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import rfc3339
+from service.documents.envelope import (
+    EnvelopeDocument,
+    EnvelopeMaps,
+    PresentPoint,
+    envelope_maps,
+)
+from service.documents.limits import Level, LowRisk
 from service.domain.channels import label
 from service.live.estimate import EstimatedState
 from service.site.settings import AssetSection
-from twin_core.forecasting.envelope import Envelope, LimitMap, envelope
+from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED
+from twin_core.profiles import OperatingPoint
 
 SPEEDS, LOADS = 20, 15
 # The grid reaches well beyond the low-risk region, where the high-risk points are.
@@ -27,10 +34,9 @@ _SAME_STATE_K = 1.0
 _SAME_AMBIENT_K = 0.5
 _SAME_REVOLUTIONS = 0.1
 _SAME_COURSE = 0.1
+_LEVELS: tuple[Level, ...] = ("alarm", "warning")
 LEAST_WALL_S = 10.0
 LONGEST_S = 1800.0
-QUANTILE_NAMES = ("q025", "q50", "q975")
-LEVELS = ("warning", "alarm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +44,7 @@ class _Kept:
     state: EstimatedState
     axes: tuple[NDArray[np.float64], NDArray[np.float64]]
     made_wall_s: float
-    document: Mapping[str, Any]
+    maps: EnvelopeMaps
 
 
 class EnvelopeKeeper:
@@ -57,10 +63,10 @@ class EnvelopeKeeper:
         self._kept: _Kept | None = None
         self._computing = asyncio.Lock()
 
-    async def document(
+    async def maps(
         self, state: EstimatedState, planned: Sequence[tuple[float, float]]
-    ) -> Mapping[str, Any]:
-        """Give the envelope as the REST interface shows it.
+    ) -> EnvelopeMaps:
+        """Give the maps, kept or computed now.
 
         Parameters
         ----------
@@ -75,11 +81,9 @@ class EnvelopeKeeper:
             kept = self._kept
             if kept is None or not self._holds(kept, state, axes):
                 begun_s = time.monotonic()
-                document = await asyncio.to_thread(self._compute, state, axes)
-                kept = self._kept = _Kept(state, axes, begun_s, document)
-        return dict(kept.document) | {
-            "present": {"speed_rpm": round(point.speed_rpm, 1), "load_n": round(point.load_n, 1)}
-        }
+                maps = await asyncio.to_thread(self._compute, state, axes)
+                kept = self._kept = _Kept(state, axes, begun_s, maps)
+        return kept.maps
 
     @staticmethod
     def _holds(
@@ -107,7 +111,7 @@ class EnvelopeKeeper:
 
     def _compute(
         self, state: EstimatedState, axes: tuple[NDArray[np.float64], NDArray[np.float64]]
-    ) -> Mapping[str, Any]:
+    ) -> EnvelopeMaps:
         active = state.active
         sensors = active.model.sensor_names
         limits = {
@@ -117,44 +121,53 @@ class EnvelopeKeeper:
         }
         found = envelope(active.model, active.posterior, state.machine, *axes, limits)
         labels = [] if active.posterior.identified else [NOT_IDENTIFIED]
-        return envelope_json(found) | {
-            "made_at": rfc3339(state.time_us),
-            "model_version": active.version,
-            "low_risk": self._settings.low_risk.model_dump(),
-            "labels": labels,
-        }
+        return envelope_maps(
+            found,
+            made_at=rfc3339(state.time_us),
+            model_version=active.version,
+            low_risk=LowRisk(**self._settings.low_risk.model_dump()),
+            labels=labels,
+        )
 
 
-def with_measured(
-    document: Mapping[str, Any], measured_c: Mapping[str, float | None]
-) -> dict[str, Any]:
-    """Put next to the map what is measured at the present point, and say where the map is too low.
+def with_present(
+    maps: EnvelopeMaps,
+    point: OperatingPoint,
+    measured_c: Mapping[str, float | None],
+) -> EnvelopeDocument:
+    """Add the present point with what is measured there, and say where the map is too low.
 
     Parameters
     ----------
-    document : mapping
-        The envelope as the REST interface shows it.
+    maps : EnvelopeMaps
+        What was computed.
+    point : OperatingPoint
+        Where the machine is now.
     measured_c : mapping of str to float or None
         Good and fresh readings by sensor.
     """
-    present = document["present"]
-    row = _nearest(document["load_n"], present["load_n"])
-    column = _nearest(document["speed_rpm"], present["speed_rpm"])
-    labels = list(document["labels"])
+    present = PresentPoint(
+        speed_rpm=round(point.speed_rpm, 1),
+        load_n=round(point.load_n, 1),
+        measured_c=dict(measured_c),
+    )
+    row = _nearest(maps.load_n, present.load_n)
+    column = _nearest(maps.speed_rpm, present.speed_rpm)
+    labels = list(maps.labels)
     for name, value_c in measured_c.items():
-        maps = document["sensors"][name]
-        expected_c = maps["steady_c"]["q50"][row][column]
-        for level in ("alarm", "warning"):
-            limit_c = maps["limits"].get(level, {}).get("limit_c")
-            if value_c is None or limit_c is None or expected_c is None:
+        of_sensor = maps.sensors[name]
+        expected_c = of_sensor.steady_c.q50[row][column]
+        for level in _LEVELS:
+            limit = of_sensor.limits.get(level)
+            if value_c is None or limit is None or expected_c is None:
                 continue
-            if value_c >= limit_c > expected_c:
+            if value_c >= limit.limit_c > expected_c:
                 labels.append(
                     f"{label(name)} measured {value_c:.1f} °C at the present point, over {level} "
-                    f"{limit_c:g} °C: the map shows {expected_c:.1f} °C there"
+                    f"{limit.limit_c:g} °C: the map shows {expected_c:.1f} °C there"
                 )
                 break
-    return dict(document) | {"labels": labels, "present": present | {"measured_c": measured_c}}
+    return EnvelopeDocument(**dict(maps) | {"labels": labels}, present=present)
 
 
 def _nearest(axis: Sequence[float], value: float) -> int:
@@ -189,49 +202,3 @@ def grid(
 def _axis(highest: float, count: int, unit: float) -> NDArray[np.float64]:
     step = max(math.ceil(highest / count / unit - 1e-9), 1) * unit
     return np.asarray(step * np.arange(1, count + 1))
-
-
-def envelope_json(found: Envelope) -> dict[str, Any]:
-    """An envelope as plain JSON types: matrices have one row per load, one column per speed."""
-    return {
-        "speed_rpm": found.speed_rpm.tolist(),
-        "load_n": found.load_n.tolist(),
-        "ambient_c": round(found.ambient_c, 2),
-        "horizon_s": found.horizon_s,
-        "members": found.members,
-        "sensors": {
-            name: {
-                "steady_c": {
-                    quantile: _matrix(found.steady_c[name][row], 2)
-                    for row, quantile in enumerate(QUANTILE_NAMES)
-                },
-                "limits": {
-                    level: _limit_json(limit)
-                    for level, limit in zip(LEVELS, found.limits[name], strict=False)
-                },
-            }
-            for name in found.sensors
-        },
-        "runaway": {
-            "probability": _matrix(found.runaway_probability, 4),
-            "not_excluded": found.runaway_not_excluded.tolist(),
-        },
-    }
-
-
-def _limit_json(limit: LimitMap) -> dict[str, Any]:
-    return {
-        "limit_c": limit.limit_c,
-        "probability": _matrix(limit.probability, 4),
-        "steady_probability": _matrix(limit.steady_probability, 4),
-        "median_s": _matrix(limit.median_s, 0),
-        "earliest_s": _matrix(limit.earliest_s, 0),
-    }
-
-
-def _matrix(values: NDArray[np.float64], digits: int) -> list[list[float | None]]:
-    """Rows of rounded numbers; what is not finite (never crossed) is null."""
-    return [
-        [value if math.isfinite(value) else None for value in row]
-        for row in np.round(values, digits).tolist()
-    ]

@@ -2,13 +2,19 @@
 
 import asyncio
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from adapters.protocol import Clock
 from adapters.samples import PlannedProfile
 from service.clock import rfc3339
+from service.documents.forecasts import (
+    ForecastDocument,
+    LiveForecast,
+    WhatIf,
+    forecast_document,
+)
 from service.domain.channels import OPERATING_CHANNELS
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
@@ -16,7 +22,7 @@ from service.live import presentation
 from service.live.ahead import Step, held, operating_profile, planned
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.outlook import Outlook, step_outlooks
-from service.live.presentation import LimitCrossing
+from service.live.presentation import ForecastSummary
 from service.live.readings import Readings, allowed_age_s
 from service.site.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
@@ -30,11 +36,11 @@ _PLAN_MAX_AGE_S = 30.0
 
 
 class _Made(NamedTuple):
-    """A forecast, when it passes which limit, and both as JSON."""
+    """A forecast, what tags show of it, and its document."""
 
     result: Forecast
-    crossings: dict[str, dict[str, LimitCrossing]]
-    body: dict[str, Any]
+    summary: ForecastSummary
+    document: ForecastDocument
 
 
 class Forecasting:
@@ -57,10 +63,10 @@ class Forecasting:
     ----------
     plan : PlannedProfile or None
         What the controller was last heard to plan.
-    latest : dict or None
-        The latest live forecast as JSON; None before the first.
-    crossings : dict
-        When it passes which limit, by channel and level.
+    latest : LiveForecast or None
+        The latest live forecast; None before the first.
+    summary : ForecastSummary or None
+        What tags show of it, and when it exceeds which limit.
     outlook : Outlook or None
         The same for every step of it; None before the first.
     """
@@ -78,22 +84,21 @@ class Forecasting:
         self._readings = readings
         self._clock = clock
         self._executor = executor
-        self._made_us: int | None = None
         self.plan: PlannedProfile | None = None
-        self.latest: dict[str, Any] | None = None
-        self.crossings: dict[str, dict[str, LimitCrossing]] = {}
+        self.latest: LiveForecast | None = None
+        self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
 
     def age_s(self, now_us: int) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
-        return math.nan if self._made_us is None else (now_us - self._made_us) / 1e6
+        return math.nan if self.summary is None else (now_us - self.summary.made_us) / 1e6
 
     def take_plan(self, plan: PlannedProfile) -> bool:
         """Follow a plan from now on; returns whether it is another one than before."""
         known, self.plan = self.plan, plan
         return known is None or _beyond_times(known) != _beyond_times(plan)
 
-    async def make(self, missing: Sequence[str] = ()) -> dict[str, Any] | None:
+    async def make(self, missing: Sequence[str] = ()) -> LiveForecast | None:
         """Make a new live forecast; None when the plan is over and nothing lies ahead.
 
         Parameters
@@ -110,38 +115,40 @@ class Forecasting:
             return None
         profile = operating_profile(steps, FORECAST_ROW_S, state.point.inputs)
         loop = asyncio.get_running_loop()
-        result, crossings, body = await loop.run_in_executor(
+        result, summary, document = await loop.run_in_executor(
             self._executor, _make, state, profile, self._limits
         )
-        body |= {
-            "made_at": rfc3339(made_us),
-            "model_version": version,
-            "profile": presentation.steps_json(steps),
-            "planned": self._has_plan(made_us),
-            "missing": list(missing),
-        }
-        self.latest, self.crossings, self._made_us = body, crossings, made_us
-        self.outlook = None
+        self.latest = LiveForecast(
+            **dict(document),
+            model_version=version,
+            profile=presentation.steps_document(steps),
+            missing=list(missing),
+            made_at=rfc3339(made_us),
+            planned=self._has_plan(made_us),
+        )
+        self.summary, self.outlook = summary, None
         if not missing:
             outlooks = step_outlooks(result, steps, self._limits)
-            self.outlook = Outlook(made_us, version, outlooks, crossings)
-        return body
+            self.outlook = Outlook(made_us, version, outlooks, summary.crossings)
+        return self.latest
 
     async def what_if(
         self,
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
-        """Forecast a profile from the present state; see `service.domain.interfaces.AssetTwin`."""
+        missing: Callable[[], Sequence[str]],
+    ) -> WhatIf:
+        """Forecast a profile; see `service.documents.interfaces.AssetTwin`."""
         state = self._estimate.state()
         if state is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         loop = asyncio.get_running_loop()
         wanted = list(nodes) if nodes else None
-        return await loop.run_in_executor(
+        document = await loop.run_in_executor(
             self._executor, what_if_document, state, self._limits, list(profile), step_s, wanted
         )
+        return document.model_copy(update={"missing": list(missing())})
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""
@@ -172,11 +179,18 @@ def _make(
     limits: Mapping[str, Limits],
     nodes: Sequence[str] | None = None,
 ) -> _Made:
-    # JSON too: two days in all nodes are a hundred thousand figures, no work for the event loop.
+    # The document too: two days in all nodes are a hundred thousand figures, no work for the event
+    # loop.
     active = state.active
     result = forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
-    crossings = presentation.limit_crossings(result, limits)
-    return _Made(result, crossings, presentation.forecast_json(result, limits, crossings, nodes))
+    summary = presentation.summarize(result, limits, state.time_us)
+    document = forecast_document(
+        result,
+        presentation.limits_document(limits),
+        presentation.crossings_document(summary.crossings),
+        nodes,
+    )
+    return _Made(result, summary, document)
 
 
 def what_if_document(
@@ -185,7 +199,8 @@ def what_if_document(
     profile: Sequence[ProfileStep],
     step_s: float | None,
     nodes: Sequence[str] | None,
-) -> dict[str, Any]:
+    missing: Sequence[str] = (),
+) -> WhatIf:
     """Forecast a profile from a state, as the REST interface shows it.
 
     Parameters
@@ -200,6 +215,8 @@ def what_if_document(
         Spacing of the answer.
     nodes : sequence of str, optional
         Sensors and nodes to be answered; by default all.
+    missing : sequence of str
+        Operating channels without a usable value.
     """
     steps = [
         Step(
@@ -211,10 +228,12 @@ def what_if_document(
         for step in profile
     ]
     ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
-    return _make(state, ahead, limits, nodes).body | {
-        "model_version": state.active.version,
-        "profile": presentation.steps_json(steps),
-    }
+    return WhatIf(
+        **dict(_make(state, ahead, limits, nodes).document),
+        model_version=state.active.version,
+        profile=presentation.steps_document(steps),
+        missing=list(missing),
+    )
 
 
 def _beyond_times(plan: PlannedProfile) -> list[tuple[float, ...]]:

@@ -1,15 +1,13 @@
 """Makes the verdict of a running asset from what is there at the moment."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from adapters.protocol import Clock
 from adapters.samples import Quality
 from service.alarms import AlarmBook
 from service.clock import rfc3339
+from service.documents.tags import Tag, tag
+from service.documents.verdicts import VerdictDocument
 from service.domain.alarm_kind import LEVELS
 from service.domain.channels import AMBIENT
-from service.live import presentation
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
@@ -59,7 +57,7 @@ class Judgement:
         self._clock = clock
         self._told: dict[str, tuple[int, str]] = {}
 
-    def document(self, running: bool) -> dict[str, Any]:
+    def document(self, running: bool) -> VerdictDocument:
         """Give the verdict of this moment.
 
         Parameters
@@ -68,19 +66,19 @@ class Judgement:
             Whether the asset's runtime is at work.
         """
         now_us = self._clock.now_us()
-        return {"time": rfc3339(now_us)} | judge(self._evidence(now_us, running))
+        return VerdictDocument(**dict(judge(self._evidence(now_us, running))), time=rfc3339(now_us))
 
-    def tags(self, document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    def tags(self, document: VerdictDocument) -> dict[str, Tag]:
         """Tags of a verdict; their time is when the word last changed.
 
         Unknown is a good value, too: who takes good values only must not keep an old *safe*.
         """
         tags = {}
-        for name in ("now", "next_step"):
-            code = CODES[document[name]["word"]]
+        for name, verdict in (("now", document.now), ("next_step", document.next_step)):
+            code = CODES[verdict.word]
             if self._told.get(name, (None,))[0] != code:
-                self._told[name] = code, document["time"]
-            tags[f"verdict.{name}"] = presentation.tag(code, "", Quality.GOOD, self._told[name][1])
+                self._told[name] = code, document.time
+            tags[f"verdict.{name}"] = tag(code, "", Quality.GOOD, self._told[name][1])
         return tags
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.live.ahead import Step
-from service.live.presentation import LimitCrossing
+from service.live.presentation import LimitCrossing, LimitCrossings
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast
 
@@ -85,7 +85,7 @@ class Outlook:
     made_us: int
     model_version: int
     steps: tuple[StepOutlook, ...]
-    crossings: Mapping[str, Mapping[str, LimitCrossing]]
+    crossings: LimitCrossings
 
 
 def step_outlooks(

@@ -2,11 +2,12 @@
 
 import asyncio
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
 
+from service.documents.advice import AdviceDocument
+from service.documents.envelope import EnvelopeDocument
 from service.domain.errors import NotIdentifiedError, NotReadyError
 from service.live.advice import give_advice
-from service.live.envelope import EnvelopeKeeper
+from service.live.envelope import EnvelopeKeeper, with_present
 from service.live.estimate import EstimatedState
 from service.site.settings import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError
@@ -38,17 +39,30 @@ class Planning:
         self._envelope = EnvelopeKeeper(settings)
         self._advising = asyncio.Lock()
 
-    async def envelope(self, planned: Sequence[tuple[float, float]]) -> Mapping[str, Any]:
-        """Safe operating envelope; its grid holds the planned speeds in rpm and loads in N.
+    async def envelope(
+        self,
+        planned: Sequence[tuple[float, float]],
+        measured_c: Mapping[str, float | None],
+    ) -> EnvelopeDocument:
+        """Safe operating envelope; its grid holds what is planned.
+
+        Parameters
+        ----------
+        planned : sequence of (float, float)
+            Speeds in rpm and loads in N.
+        measured_c : mapping of str to float or None
+            Good and fresh readings by sensor.
 
         Raises
         ------
         NotReadyError
             While there is no estimate.
         """
-        return await self._envelope.document(self._state(), planned)
+        state = self._state()
+        maps = await self._envelope.maps(state, planned)
+        return with_present(maps, state.point, measured_c)
 
-    async def advice(self, target: Level) -> Mapping[str, Any]:
+    async def advice(self, target: Level) -> AdviceDocument:
         """Low-risk steps, ranked by what they would teach about a point.
 
         Raises

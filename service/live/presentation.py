@@ -1,15 +1,19 @@
-"""Forecasts, states and tags as the JSON that others rely on."""
+"""States, tags and profiles of a running twin as the documents that others rely on."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from adapters.samples import Quality, Sample
 from service.clock import rfc3339, rfc3339_exact
+from service.documents import limits as documents
 from service.documents.alarms import alarm_summary
+from service.documents.assets import NodeState, State
+from service.documents.limits import Crossing, Crossings, Level
+from service.documents.measurements import SampleItem, sample_item
+from service.documents.profiles import ForecastStep
+from service.documents.tags import Tag, tag
 from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
 from service.site.settings import Limits
@@ -19,8 +23,9 @@ from twin_core.forecasting import Forecast
 KNOWN_WITHIN_K = 8.0
 """A node is known where half its 95 % interval is within a tenth of the scale of 20 to 100 °C."""
 _HALF_WIDTH = 1.959964
-
-QUANTILE_NAMES = ("q025", "q25", "q50", "q75", "q975")
+LEVELS: tuple[Level, ...] = ("warning", "alarm")
+#: Among the quantiles of a forecast: 2.5, 25, 50, 75 and 97.5 %.
+_MEDIAN = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +47,17 @@ class LimitCrossing:
     earliest_s: float | None
 
 
-def limit_crossings(
-    forecast: Forecast, limits: Mapping[str, Limits]
-) -> dict[str, dict[str, LimitCrossing]]:
+LimitCrossings = Mapping[str, Mapping[str, LimitCrossing]]
+"""By channel and level."""
+
+
+def limit_crossings(forecast: Forecast, limits: Mapping[str, Limits]) -> LimitCrossings:
     """Crossings of every warning and alarm limit of a sensor, by channel and level.
 
     A node has none: a forecast keeps the members' paths of the sensors alone.
     """
     return {
-        channel: {
-            level: _crossing(forecast, channel, getattr(pair, level))
-            for level in ("warning", "alarm")
-        }
+        channel: {level: _crossing(forecast, channel, getattr(pair, level)) for level in LEVELS}
         for channel, pair in limits.items()
         if channel in forecast.sensors
     }
@@ -64,45 +68,71 @@ def _crossing(forecast: Forecast, channel: str, limit_c: float) -> LimitCrossing
     return LimitCrossing(found.probability, found.median_s, found.earliest_s)
 
 
-def forecast_json(
-    forecast: Forecast,
-    limits: Mapping[str, Limits],
-    crossings: Mapping[str, Mapping[str, LimitCrossing]],
-    nodes: Sequence[str] | None = None,
-) -> dict[str, Any]:
-    """A forecast in the shape of the what-if answer, temperatures rounded to 0.01 K."""
-    wanted = forecast.names if nodes is None else nodes
-    rows = [forecast.names.index(name) for name in wanted]
-    # By name, quantile and time.
-    rounded = np.round(forecast.quantiles[:, :, rows].transpose(2, 0, 1), 2)
-    values = rounded.tolist()
-    if not np.isfinite(rounded).all():
-        values = [
-            [[one if math.isfinite(one) else None for one in series] for series in of_name]
-            for of_name in values
-        ]
+@dataclass(frozen=True, slots=True)
+class ForecastSummary:
+    """What tags show of a forecast.
+
+    Attributes
+    ----------
+    made_us : int
+        Process time of the state that it begins from.
+    highest_c : mapping of str to float or None
+        Highest median by limited channel; None where there is none.
+    crossings : mapping
+        How likely and when a limit is exceeded, by channel and level.
+    """
+
+    made_us: int
+    highest_c: Mapping[str, float | None]
+    crossings: LimitCrossings
+
+
+def summarize(forecast: Forecast, limits: Mapping[str, Limits], made_us: int) -> ForecastSummary:
+    """Take from a forecast what tags and alarms need.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        The forecast.
+    limits : mapping of str to Limits
+        By sensor or node.
+    made_us : int
+        Process time of the state that it begins from.
+    """
+    highest_c = {}
+    for channel in limits:
+        if channel in forecast.names:
+            medians = np.round(forecast.quantile(channel)[_MEDIAN], 2)
+            finite = medians[np.isfinite(medians)]
+            highest_c[channel] = float(finite.max()) if finite.size else None
+    return ForecastSummary(made_us, highest_c, limit_crossings(forecast, limits))
+
+
+def crossings_document(crossings: LimitCrossings) -> Crossings:
+    """Show when limits are exceeded."""
     return {
-        "time_s": [round(float(t), 3) for t in forecast.time_s],
-        "nodes": {
-            name: dict(zip(QUANTILE_NAMES, of_name, strict=True))
-            for name, of_name in zip(wanted, values, strict=True)
-        },
-        "limits": {
-            channel: {"warning": pair.warning, "alarm": pair.alarm}
-            for channel, pair in limits.items()
-        },
-        "time_to_limit": {
-            channel: {level: asdict(crossing) for level, crossing in levels.items()}
-            for channel, levels in crossings.items()
-        },
-        "labels": list(forecast.labels),
-        "runaway_probability": float(forecast.runaway_probability),
+        channel: {level: _shown(levels[level]) for level in LEVELS if level in levels}
+        for channel, levels in crossings.items()
     }
 
 
-def estimate_tags(
-    estimate: LiveEstimate, began: str, blind: bool = False
-) -> dict[str, dict[str, Any]]:
+def _shown(crossing: LimitCrossing) -> Crossing:
+    return Crossing(
+        probability=crossing.probability,
+        median_s=crossing.median_s,
+        earliest_s=crossing.earliest_s,
+    )
+
+
+def limits_document(limits: Mapping[str, Limits]) -> dict[str, documents.Limits]:
+    """Show the limits of an asset."""
+    return {
+        channel: documents.Limits(warning=pair.warning, alarm=pair.alarm)
+        for channel, pair in limits.items()
+    }
+
+
+def estimate_tags(estimate: LiveEstimate, began: str, blind: bool = False) -> dict[str, Tag]:
     """Tags ``<name>.twin`` of all sensors and nodes.
 
     Parameters
@@ -132,42 +162,39 @@ def estimate_tags(
 
 def forecast_tags(
     limits: Mapping[str, Limits],
-    forecast: Mapping[str, Any] | None,
-    crossings: Mapping[str, Mapping[str, LimitCrossing]],
+    forecast: ForecastSummary | None,
     began: str,
     blind: bool = False,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Tag]:
     """Tags of the forecast's maximum and the times to the limits, for every limited channel.
 
     While the twin does not know the operation (``blind``) they have no value: quality "last
     known".
     """
-    tags: dict[str, dict[str, Any]] = {}
+    tags: dict[str, Tag] = {}
     good = Quality.LAST_KNOWN if blind else Quality.GOOD
+    waiting = Quality.WAITING_FOR_INITIAL_DATA
     for channel in limits:
         maximum, made = None, began
-        if forecast is not None and channel in forecast["nodes"]:
-            made = forecast["made_at"]
-            medians = forecast["nodes"][channel]["q50"]
-            maximum = max((value for value in medians if value is not None), default=None)
-        waiting = Quality.WAITING_FOR_INITIAL_DATA
+        if forecast is not None and channel in forecast.highest_c:
+            maximum, made = forecast.highest_c[channel], rfc3339(forecast.made_us)
         tags[f"{channel}.forecast_max"] = tag(
             None if blind else maximum, "°C", waiting if maximum is None else good, made
         )
-        levels = crossings.get(channel, {})
-        for level in ("warning", "alarm"):
-            # No time and a good quality: the limit is not passed within the horizon.
-            known = level in levels
+        crossings = {} if forecast is None else forecast.crossings.get(channel, {})
+        for level in LEVELS:
+            # No time and a good quality: the limit is not exceeded within the horizon.
+            crossing = crossings.get(level)
             tags[f"{channel}.time_to_{level}_s"] = tag(
-                levels[level].median_s if known and not blind else None,
+                None if crossing is None or blind else crossing.median_s,
                 "s",
-                good if known else waiting,
+                waiting if crossing is None else good,
                 made,
             )
     return tags
 
 
-def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any]]:
+def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, Tag]:
     """Tags that count the alarms that are not over; ``changed`` is when one last changed.
 
     What is shelved, suppressed or out of service is neither active nor unacknowledged. Highest
@@ -185,52 +212,57 @@ def alarm_tags(alarms: Sequence[Alarm], changed: str) -> dict[str, dict[str, Any
     }
 
 
-def state_json(estimate: LiveEstimate, now_us: int) -> dict[str, Any]:
-    """Mean and standard deviation of the node temperatures, null before the first data."""
+def state_document(estimate: LiveEstimate, now_us: int, missing: Sequence[str]) -> State:
+    """Mean and standard deviation of the node temperatures, null before the first data.
+
+    Parameters
+    ----------
+    estimate : LiveEstimate
+        The twin.
+    now_us : int
+        Process time, which dates it before the first estimate.
+    missing : sequence of str
+        Operating channels that the twin does not know now.
+    """
     active = estimate.active
-    nodes: dict[str, dict[str, float | bool | None]] = {
-        name: {"mean_c": None, "std_c": None, "known": False} for name in active.model.node_names
+    nodes = {
+        name: NodeState(mean_c=None, std_c=None, known=False) for name in active.model.node_names
     }
     time_us = now_us
     if estimate.started:
         observer, time_us = estimate.observer, estimate.time_us or now_us
         for name, mean, std in zip(nodes, estimate.temperatures_c, observer.std_c, strict=True):
-            known = bool(_HALF_WIDTH * std <= KNOWN_WITHIN_K)
-            nodes[name] = {
-                "mean_c": round(float(mean), 3),
-                "std_c": round(float(std), 3),
-                "known": known,
-            }
-    return {
+            nodes[name] = NodeState(
+                mean_c=round(float(mean), 3),
+                std_c=round(float(std), 3),
+                known=bool(_HALF_WIDTH * std <= KNOWN_WITHIN_K),
+            )
+    return State(
         # As the samples of the same estimate, which are stored.
-        "time": rfc3339_exact(time_us),
-        "model_version": active.version,
-        "revolutions": round(estimate.revolutions),
-        "nodes": nodes,
-    }
+        time=rfc3339_exact(time_us),
+        model_version=active.version,
+        revolutions=round(estimate.revolutions),
+        nodes=nodes,
+        missing=list(missing),
+    )
 
 
-def samples_json(samples: Iterable[Sample]) -> list[dict[str, Any]]:
+def samples_document(samples: Iterable[Sample]) -> list[SampleItem]:
     """Samples as the stream shows them."""
     return [
-        {
-            "channel": sample.channel,
-            "time": rfc3339_exact(sample.time_us),
-            "value": sample.value,
-            "quality": int(sample.quality),
-        }
+        sample_item(sample.channel, sample.time_us, sample.value, sample.quality)
         for sample in samples
     ]
 
 
-def steps_json(steps: Sequence[Step]) -> list[dict[str, float]]:
+def steps_document(steps: Sequence[Step]) -> list[ForecastStep]:
     """The profile that a forecast follows."""
-    return [asdict(step) for step in steps]
-
-
-def tag(value: float | None, unit: str, quality: int, time: str) -> dict[str, Any]:
-    """One snapshot tag; a value that is not a number is null."""
-    if value is not None:
-        # A scaled register is 24.7, not 24.700000000000003.
-        value = round(value, 6) if math.isfinite(value) else None
-    return {"value": value, "unit": unit, "quality": int(quality), "time": time}
+    return [
+        ForecastStep(
+            duration_s=step.duration_s,
+            speed_rpm=step.speed_rpm,
+            load_n=step.load_n,
+            ambient_c=step.ambient_c,
+        )
+        for step in steps
+    ]

@@ -8,16 +8,16 @@ above its limit stands among the reasons all the same, with that limit.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
 
 from adapters.samples import meaning
+from service.documents.limits import Level, Limit
+from service.documents.verdicts import Judgements, TimeToLimit, VerdictOf, Word
 from service.domain.channels import AMBIENT, LOAD, SPEED, label
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.site.settings import AssetSection
 
-Word = Literal["safe", "not safe", "recovering", "unknown"]
 CODES: Mapping[Word, int] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
 """Values of the tags ``verdict.now`` and ``verdict.next_step``."""
 
@@ -30,54 +30,6 @@ _WHY = {
 }
 #: Operating channels that every verdict needs.
 OPERATION = (SPEED, LOAD)
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """The limit that a verdict is about, its level and temperature in degrees Celsius."""
-
-    channel: str
-    level: str
-    value_c: float
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """One word with what stands behind it.
-
-    Attributes
-    ----------
-    word : str
-        safe, not safe, recovering or unknown.
-    reasons : tuple of str
-        One line each.
-    limit : Limit or None
-        The limit that decides.
-    probability : float or None
-        That it is exceeded; 1 when it is exceeded already.
-    seconds_to_limit : float or None
-        Process seconds until it is exceeded at the earliest (2.5 % of the forecasts).
-    alarm_probability : float or None
-        That the alarm limit of the same channel is exceeded.
-    """
-
-    word: Word
-    reasons: tuple[str, ...]
-    limit: Limit | None = None
-    probability: float | None = None
-    seconds_to_limit: float | None = None
-    alarm_probability: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON types."""
-        return {
-            "word": self.word,
-            "reasons": list(self.reasons),
-            "limit": _limit_json(self.limit),
-            "probability": _rounded(self.probability, 4),
-            "seconds_to_limit": _rounded(self.seconds_to_limit, 0),
-            "alarm_probability": _rounded(self.alarm_probability, 4),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +103,8 @@ def missing_operation(settings: AssetSection, readings: Readings, now_us: int) -
     return [name for name in missing if name in (*OPERATION, *settings.input_names, AMBIENT)]
 
 
-def judge(evidence: Evidence) -> dict[str, Any]:
-    """Give the verdict as the REST interface shows it, but for its time."""
+def judge(evidence: Evidence) -> Judgements:
+    """Give the verdict, but for its time."""
     settings = evidence.settings
     absent = missing_channels(settings, evidence.readings, evidence.now_us)
     if not settings.limits:
@@ -167,12 +119,12 @@ def judge(evidence: Evidence) -> dict[str, Any]:
         absent_ahead.append(FORECAST)
     ambient = _assumption(evidence)
     why = {name: _why(name, evidence) for name in absent_ahead}
-    return {
-        "now": _now(evidence, absent, None if absent_ahead else steps[0], why, ambient),
-        "next_step": _next(evidence, steps, absent_ahead, why, ambient),
-        "time_to_limit": None if absent_ahead else _time_to_limit(evidence),
-        "missing": absent_ahead,
-    }
+    return Judgements(
+        now=_now(evidence, absent, None if absent_ahead else steps[0], why, ambient),
+        next_step=_next(evidence, steps, absent_ahead, why, ambient),
+        time_to_limit=None if absent_ahead else _time_to_limit(evidence),
+        missing=absent_ahead,
+    )
 
 
 # ------------------------------------------------------------------------------------- now
@@ -182,7 +134,7 @@ def _now(
     step: StepOutlook | None,
     why: Mapping[str, str],
     ambient: tuple[str, ...],
-) -> dict[str, Any]:
+) -> VerdictOf:
     exceeded = _exceeded(evidence)
     lost = tuple(why[name] for name in absent)
     if exceeded:
@@ -197,16 +149,16 @@ def _now(
             reasons += ("the present step cools it",)
         if absent:
             word = "unknown"
-        return Verdict(word, reasons + lost, limit, 1.0, 0.0).to_dict()
+        return _verdict(word, reasons + lost, limit, 1.0, 0.0)
     returning = sorted(evidence.returning & set(evidence.settings.limits))
     if absent:
         stood = tuple(f"{label(name)}: its limit alarm stands" for name in returning)
-        return Verdict("unknown", stood + lost).to_dict()
+        return _verdict("unknown", stood + lost)
     if returning:
         reasons = tuple(f"{label(name)}: its limit alarm is returning" for name in returning)
         cools = step is not None and not _rising(step, evidence.settings)
-        return Verdict("recovering" if cools else "not safe", reasons).to_dict()
-    return Verdict("safe", ("all temperatures are below their limits", *ambient)).to_dict()
+        return _verdict("recovering" if cools else "not safe", reasons)
+    return _verdict("safe", ("all temperatures are below their limits", *ambient))
 
 
 def _exceeded(evidence: Evidence) -> list[tuple[Limit, float]]:
@@ -217,8 +169,8 @@ def _exceeded(evidence: Evidence) -> list[tuple[Limit, float]]:
             continue
         value_c = evidence.readings.good_value(name, evidence.now_us)
         if value_c is not None and value_c >= pair.warning:
-            level = "alarm" if value_c >= pair.alarm else "warning"
-            found.append((Limit(name, level, getattr(pair, level)), value_c))
+            level: Level = "alarm" if value_c >= pair.alarm else "warning"
+            found.append((_limit(evidence, name, level), value_c))
     return sorted(found, key=lambda one: (one[0].level != "alarm", one[0].value_c - one[1]))
 
 
@@ -229,13 +181,13 @@ def _next(
     absent: Sequence[str],
     why: Mapping[str, str],
     ambient: tuple[str, ...],
-) -> dict[str, Any]:
+) -> VerdictOf:
     if absent or evidence.outlook is None:
-        return Verdict("unknown", tuple(why[name] for name in absent)).to_dict()
+        return _verdict("unknown", tuple(why[name] for name in absent))
     # With nothing planned after the present step, the question is about that one, to its end.
     step = steps[1] if len(steps) > 1 else steps[0]
     name, worst = _worst(step, evidence.settings)
-    limit = Limit(name, "warning", evidence.settings.limits[name].warning)
+    limit = _limit(evidence, name, "warning")
     elapsed_s = (evidence.now_us - evidence.outlook.made_us) / 1e6
     safe_below = evidence.settings.verdict.safe_below_probability
     probability = worst.warning.probability
@@ -248,14 +200,14 @@ def _next(
         f"upper bound (97.5 %) {worst.upper_c:.1f} °C"
     )
     cooling = ("the step begins over the warning and cools below it",)
-    return Verdict(
+    return _verdict(
         word,
         (reason, *(cooling if word == "recovering" else ()), *ambient),
         limit,
         probability,
         _seconds_left(worst.warning.earliest_s, elapsed_s),
         worst.alarm.probability,
-    ).to_dict()
+    )
 
 
 def _steps_ahead(evidence: Evidence) -> list[StepOutlook]:
@@ -287,7 +239,7 @@ def _rising(step: StepOutlook, settings: AssetSection) -> bool:
     )
 
 
-def _time_to_limit(evidence: Evidence) -> dict[str, Any] | None:
+def _time_to_limit(evidence: Evidence) -> TimeToLimit | None:
     """How long until a limit, along all that is planned: of the limit that comes soonest.
 
     Where the warning is exceeded already, the question is about the alarm limit.
@@ -297,10 +249,12 @@ def _time_to_limit(evidence: Evidence) -> dict[str, Any] | None:
         return None
     elapsed_s = (evidence.now_us - outlook.made_us) / 1e6
     over = {limit.channel for limit, _ in _exceeded(evidence)}
+    asked_level: dict[str, Level] = {
+        name: "alarm" if name in over else "warning" for name in outlook.crossings
+    }
     asked = [
-        (Limit(name, level, getattr(evidence.settings.limits[name], level)), levels[level])
-        for name, levels in outlook.crossings.items()
-        for level in ("alarm" if name in over else "warning",)
+        (_limit(evidence, name, level), outlook.crossings[name][level])
+        for name, level in asked_level.items()
     ]
     if not asked:
         return None
@@ -313,14 +267,14 @@ def _time_to_limit(evidence: Evidence) -> dict[str, Any] | None:
         return crossing.probability < safe_below, soon_s, -crossing.probability
 
     limit, crossing = min(asked, key=rank)
-    return {
-        "limit": _limit_json(limit),
-        "expected": crossing.probability >= safe_below,
-        "probability": round(crossing.probability, 4),
-        "earliest_s": _rounded(_seconds_left(crossing.earliest_s, elapsed_s), 0),
-        "median_s": _rounded(_seconds_left(crossing.median_s, elapsed_s), 0),
-        "horizon_s": round(max(end_s - elapsed_s, 0.0)),
-    }
+    return TimeToLimit(
+        limit=limit,
+        expected=crossing.probability >= safe_below,
+        probability=round(crossing.probability, 4),
+        earliest_s=_rounded(_seconds_left(crossing.earliest_s, elapsed_s), 0),
+        median_s=_rounded(_seconds_left(crossing.median_s, elapsed_s), 0),
+        horizon_s=round(max(end_s - elapsed_s, 0.0)),
+    )
 
 
 # ------------------------------------------------------------------------------------- words
@@ -350,10 +304,27 @@ def _percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-def _limit_json(limit: Limit | None) -> dict[str, Any] | None:
-    if limit is None:
-        return None
-    return {"channel": limit.channel, "level": limit.level, "value_c": limit.value_c}
+def _verdict(
+    word: Word,
+    reasons: Sequence[str],
+    limit: Limit | None = None,
+    probability: float | None = None,
+    seconds_to_limit: float | None = None,
+    alarm_probability: float | None = None,
+) -> VerdictOf:
+    return VerdictOf(
+        word=word,
+        reasons=list(reasons),
+        limit=limit,
+        probability=_rounded(probability, 4),
+        seconds_to_limit=_rounded(seconds_to_limit, 0),
+        alarm_probability=_rounded(alarm_probability, 4),
+    )
+
+
+def _limit(evidence: Evidence, channel: str, level: Level) -> Limit:
+    pair = evidence.settings.limits[channel]
+    return Limit(channel=channel, level=level, value_c=getattr(pair, level))
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

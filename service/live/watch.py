@@ -9,7 +9,7 @@ from service.alarms import AlarmBook, AlarmCondition
 from service.domain.alarm_kind import AlarmContext
 from service.domain.channels import SPEED
 from service.live.estimate import LiveEstimate
-from service.live.presentation import LimitCrossing
+from service.live.presentation import LimitCrossings
 from service.live.rates import RatesOfRise
 from service.live.readings import Readings
 from service.live.reference import Reference
@@ -104,7 +104,7 @@ class AlarmWatch:
         if not self._withdrawn:
             self._withdraw(context, {condition.key for condition in conditions})
 
-    def forecast(self, now_us: int, crossings: Mapping[str, Mapping[str, LimitCrossing]]) -> None:
+    def forecast(self, now_us: int, crossings: LimitCrossings) -> None:
         """Evaluate what a new forecast says about the limits."""
         self._evaluate(self._context(now_us, crossings), "forecast")
 
@@ -175,7 +175,7 @@ class AlarmWatch:
     def _context(
         self,
         now_us: int,
-        crossings: Mapping[str, Mapping[str, LimitCrossing]] = MappingProxyType({}),
+        crossings: LimitCrossings = MappingProxyType({}),
     ) -> AlarmContext:
         since_us = self._standing_since_us
         residuals = self._residuals

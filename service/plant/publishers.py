@@ -8,7 +8,7 @@ from prometheus_client import CollectorRegistry, Gauge
 
 from adapters.configuration import suggestion
 from service.bus.stream import Bus
-from service.domain.interfaces import AssetTwin
+from service.documents.interfaces import AssetTwin
 from service.plant import mqtt, opcua
 from service.plant.endpoints import check_endpoint
 from service.plant.protocol import Endpoint, Host, PublisherEntry

@@ -8,7 +8,7 @@ import structlog
 
 from adapters.backoff import Backoff
 from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedError
-from service.domain.interfaces import AssetTwin
+from service.documents.interfaces import AssetTwin
 from service.live.guard import Guard
 from service.plant.protocol import Host, Publisher, TagValue
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, Field
 
 from service.clock import rfc3339_exact
+from service.documents.measurements import BucketItem, SampleItem, sample_item
 from service.spreadsheets import quoted_cell
 from service.store import Rollup, Store, StoredSample
 
@@ -102,15 +103,10 @@ def read_pages(
         following = page.following
 
 
-def as_items(rows: Sequence[StoredSample | Rollup]) -> list[dict[str, Any]]:
+def as_items(rows: Sequence[StoredSample | Rollup]) -> list[SampleItem | BucketItem]:
     """Rows as the JSON answer shows them."""
     return [
-        {
-            "channel": row.channel,
-            "time": rfc3339_exact(row.time_us),
-            "value": row.value,
-            "quality": row.quality,
-        }
+        sample_item(row.channel, row.time_us, row.value, row.quality)
         if isinstance(row, StoredSample)
         else {
             "channel": row.channel,

@@ -1,16 +1,18 @@
 """The cell as the web side sees it: everything that it must be asked over the bus."""
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from cachetools import TTLCache
-from pydantic_core import from_json
+from pydantic import TypeAdapter
 
 from adapters.samples import Sample
 from service.bus import commands as ask
 from service.bus.interface import ReaderBus
 from service.bus.messages import AnswerT, Command
+from service.documents.identification import JobDocument
+from service.documents.models import ModelDocument
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import IdentificationRequest
 from service.store import Alarm, WriteCounts
@@ -23,6 +25,8 @@ WHILE_S: Final = 60.0
 SHARED_S: Final = 0.1
 #: So many answers are kept.
 MOST_SHARED: Final = 256
+_JOB: Final[TypeAdapter[JobDocument | None]] = TypeAdapter(JobDocument | None)
+_JOBS: Final = TypeAdapter(list[JobDocument])
 
 
 class Shared:
@@ -153,7 +157,7 @@ class CellIngest:
 
 
 class CellJobs:
-    """The jobs of the cell; see `service.domain.interfaces.JobManager`."""
+    """The jobs of the cell; see `service.documents.interfaces.JobManager`."""
 
     def __init__(self, reader: ReaderBus, shared: Shared) -> None:
         self._reader = reader
@@ -165,39 +169,35 @@ class CellJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
-    ) -> tuple[Mapping[str, Any], bool]:
+    ) -> tuple[JobDocument, bool]:
         """Queue a job."""
         text = request.model_dump_json().encode()
         command = ask.CreateJob(asset_id, text, idempotency_key, who)
         job, created = await self._reader.ask(command, WHILE_S)
-        return from_json(job), created
+        return JobDocument.model_validate_json(job), created
 
-    async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Return one job."""
         text = await self._shared.ask(ask.GetJobs(asset_id, job_id), WRITTEN_S)
-        job: Mapping[str, Any] | None = from_json(text)
-        return job
+        return _JOB.validate_json(text)
 
-    async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
+    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Return the jobs of an asset."""
         text = await self._shared.ask(ask.GetJobs(asset_id), WRITTEN_S)
-        jobs: Sequence[Mapping[str, Any]] = from_json(text)
-        return jobs
+        return _JOBS.validate_json(text)
 
-    async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Stop a job."""
         text = await self._reader.ask(ask.CancelJob(asset_id, job_id), WHILE_S)
-        job: Mapping[str, Any] | None = from_json(text)
-        return job
+        return _JOB.validate_json(text)
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
-    ) -> Mapping[str, Any]:
+    ) -> ModelDocument:
         """Make a model version the active one."""
         command = ask.ActivateModel(asset_id, version, who, comment, force)
         text = await self._reader.ask(command, WHILE_S)
-        model: Mapping[str, Any] = from_json(text)
-        return model
+        return ModelDocument.model_validate_json(text)
 
 
 class CellHealth:

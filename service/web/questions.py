@@ -13,6 +13,10 @@ from typing import Any, Final, TypeVar
 from anyio import to_thread
 from pydantic_core import to_json
 
+from service.documents.advice import AdviceDocument
+from service.documents.envelope import EnvelopeDocument
+from service.documents.forecasts import WhatIf
+from service.documents.identification import WindowDocument
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.site.settings import Settings
@@ -81,7 +85,7 @@ class WorkerQuestions:
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         """Forecast a profile from the state of a machine."""
         model = await self._model(asset, machine["version"])
         steps = [step.model_dump() for step in profile]
@@ -90,19 +94,19 @@ class WorkerQuestions:
             self._what_ifs, worker.what_if, model, machine, steps, step_s, wanted
         )
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> Mapping[str, Any]:
+    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
         """Give the safe operating envelope."""
         model = await self._model(asset, machine["version"])
         return await self._study(worker.envelope, model, machine)
 
     async def advice(
         self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
-    ) -> Mapping[str, Any]:
+    ) -> AdviceDocument:
         """Rank low-risk steps by what they teach about a point."""
         model = await self._model(asset, machine["version"])
         return await self._study(worker.advice, model, machine, target)
 
-    async def windows(self, asset: str) -> Sequence[Mapping[str, Any]]:
+    async def windows(self, asset: str) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store."""
         return await self._study(worker.windows, asset)
 

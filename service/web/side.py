@@ -8,6 +8,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.documents.health import Alive, Ready, ReadyCheck
 from service.web.api.deps import json_response
 from service.web.api.problems import RETRY_AFTER_S, problem_response
 from service.web.server import WebServer, serve_web
@@ -78,9 +79,9 @@ class WebSide:
         path, reason = request.url.path, f"waits for {self.waits_for}"
         asks = request.method in ("GET", "HEAD")
         if asks and path == "/livez":
-            return json_response({"status": "alive"})
+            return json_response(Alive())
         retry = {"Retry-After": str(RETRY_AFTER_S)}
         if asks and path == "/readyz":
-            checks = [{"name": "start", "status": "failed", "detail": reason}]
-            return json_response({"status": "not ready", "checks": checks}, 503, retry)
+            checks = [ReadyCheck(name="start", status="failed", detail=reason)]
+            return json_response(Ready(status="not ready", checks=checks), 503, retry)
         return problem_response(503, f"the service starts: {reason}", path, headers=retry)

@@ -17,6 +17,7 @@ from service.bus.presence import tell_presence
 from service.bus.replica import Replicas
 from service.bus.stream import Bus
 from service.clock import ProcessClock, wall_us
+from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
 from service.security.loopback import is_loopback
 from service.site.configuration import SettingsError
@@ -187,19 +188,14 @@ async def _tell_absence(
         if not told:
             _log.warning("cell_away", since_s=round(reader.away_s, 1))
         told = True
-        health = {
-            "sources": [
-                {
-                    "name": "cell",
-                    "driver": "bus",
-                    "up": False,
-                    "detail": "the process that follows the machines does not answer",
-                    "age_s": reader.away_s,
-                }
-            ],
-            "degraded": True,
-            "clock_rate": clock_rate,
-        }
+        cell = SourceDocument(
+            name="cell",
+            driver="bus",
+            up=False,
+            detail="the process that follows the machines does not answer",
+            age_s=reader.away_s,
+        )
+        health = ServiceHealth(sources=[cell], degraded=True, clock_rate=clock_rate)
         bus.announce("health", None, health)
         for asset in replicas.assets.values():
             with contextlib.suppress(CellUnavailableError):

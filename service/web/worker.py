@@ -13,6 +13,10 @@ from pydantic_core import from_json
 from service.domain.requests import ProfileStep
 
 if TYPE_CHECKING:
+    from service.documents.advice import AdviceDocument
+    from service.documents.envelope import EnvelopeDocument
+    from service.documents.forecasts import WhatIf
+    from service.documents.identification import WindowDocument
     from service.jobs.history import AssetHistory
     from service.live.estimate import ActiveModel, EstimatedState
     from service.live.planning import Planning
@@ -46,29 +50,27 @@ def what_if(
     profile: Sequence[Mapping[str, Any]],
     step_s: float | None,
     nodes: Sequence[str] | None,
-) -> dict[str, Any]:
+) -> "WhatIf":
     """Forecast a profile from the state of a machine."""
     from service.live.forecasting import what_if_document
 
     steps = [ProfileStep.model_construct(**step) for step in profile]
     state = _state(model, machine)
-    document = what_if_document(state, _asset(model["asset"]).limits, steps, step_s, nodes)
-    return document | {"missing": machine["missing"]}
+    limits = _asset(model["asset"]).limits
+    return what_if_document(state, limits, steps, step_s, nodes, machine["missing"])
 
 
-def envelope(model: Model, machine: Mapping[str, Any]) -> Mapping[str, Any]:
+def envelope(model: Model, machine: Mapping[str, Any]) -> "EnvelopeDocument":
     """Give the safe operating envelope; one that still holds is not computed again."""
-    from service.live.envelope import with_measured
-
     planning, present = _planning(model["asset"])
     present[:] = [_state(model, machine)]
-    document = asyncio.run(planning.envelope([tuple(one) for one in machine["planned"]]))
-    return with_measured(document, machine["measured_c"])
+    planned = [tuple(one) for one in machine["planned"]]
+    return asyncio.run(planning.envelope(planned, machine["measured_c"]))
 
 
 def advice(
     model: Model, machine: Mapping[str, Any], target: tuple[float, float, float]
-) -> Mapping[str, Any]:
+) -> "AdviceDocument":
     """Rank low-risk steps by what they teach about a point."""
     from twin_core.forecasting.design import Level
 
@@ -77,9 +79,9 @@ def advice(
     return asyncio.run(planning.advice(Level(*target)))
 
 
-def windows(asset: str) -> Sequence[Mapping[str, Any]]:
+def windows(asset: str) -> "Sequence[WindowDocument]":
     """Find the low-risk windows in the store."""
-    return asyncio.run(_history(asset).windows_json())
+    return asyncio.run(_history(asset).window_documents())
 
 
 def _asset(name: str) -> "AssetSection":

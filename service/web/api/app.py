@@ -4,15 +4,18 @@ import contextlib
 from collections.abc import AsyncIterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI
+from pydantic.json_schema import JsonSchemaValue
 from starlette.middleware import Middleware
 
 import service.web.pages
+from service.documents.messages import asyncapi_document
 from service.security import AuditTrail, Authenticator
 from service.web.api.access import make_door
 from service.web.api.context import ServiceContext
-from service.web.api.docs import install_docs
+from service.web.api.docs import STREAM_PATH, install_docs
 from service.web.api.middleware import (
     AtTheDoor,
     BodyLimit,
@@ -25,23 +28,7 @@ from service.web.api.middleware import (
 from service.web.api.page import page_route
 from service.web.api.problems import install_handlers
 from service.web.api.proxies import KnownProxies
-from service.web.api.routes import (
-    advice,
-    alarm_journal,
-    alarms,
-    assets,
-    audit,
-    drift,
-    envelope,
-    forecasts,
-    health,
-    identifications,
-    keys,
-    measurements,
-    models,
-    session,
-    stream,
-)
+from service.web.api.routes import measurements, routers
 from service.web.api.snapshots import SnapshotShortcut
 from service.web.api.trail import Trail
 from service.web.api.turns import Turns
@@ -83,21 +70,8 @@ def create_app(context: ServiceContext) -> FastAPI:
     )
     trail = AuditTrail(context.outbox)
     turns = Turns()
-    app = FastAPI(
-        title="Bearing Twin",
-        version=version("bearing-twin"),
-        description=_DESCRIPTION,
+    app = _new_app(
         lifespan=lifespan,
-        docs_url=None,
-        redoc_url=None,
-        redirect_slashes=False,
-        telemetry={
-            "tracing": False,
-            "metrics": False,
-            "logs": False,
-            "operation_spans": False,
-            "auto_configure": False,
-        },
         middleware=[
             Middleware(KnownProxies, proxies=context.settings.service.trusted_proxies),
             Middleware(SecurityHeaders),
@@ -117,25 +91,43 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.trail = trail
     app.state.turns = turns
     install_handlers(app)
-    for module in (
-        assets,
-        measurements,
-        forecasts,
-        envelope,
-        advice,
-        identifications,
-        models,
-        drift,
-        alarm_journal,
-        alarms,
-        session,
-        keys,
-        audit,
-        stream,
-    ):
-        app.include_router(module.router, prefix=API_PREFIX)
-    app.include_router(health.router)
-    install_docs(app)
+    _take_in_routes(app)
     app.router.routes.append(page_route(_DASHBOARD / "index.html"))
     app.frontend("/", directory=_DASHBOARD, fallback=None)
     return app
+
+
+def descriptions() -> dict[str, JsonSchemaValue]:
+    """Describe REST interface and stream, without a service: by the name of the file."""
+    app = _new_app()
+    _take_in_routes(app)
+    return {
+        "openapi.json": app.openapi(),
+        "asyncapi.json": asyncapi_document(app.version, STREAM_PATH),
+    }
+
+
+def _new_app(**options: Any) -> FastAPI:
+    return FastAPI(
+        title="Bearing Twin",
+        version=version("bearing-twin"),
+        description=_DESCRIPTION,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        telemetry={
+            "tracing": False,
+            "metrics": False,
+            "logs": False,
+            "operation_spans": False,
+            "auto_configure": False,
+        },
+        **options,
+    )
+
+
+def _take_in_routes(app: FastAPI) -> None:
+    for name, router in routers().items():
+        # Probes of supervisors and proxies have their usual addresses.
+        app.include_router(router, prefix="" if name == "health" else API_PREFIX)
+    install_docs(app)

@@ -7,7 +7,7 @@ from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock
 from service.bus.stream import Bus
-from service.domain.interfaces import AssetTwin, JobManager
+from service.documents.interfaces import AssetTwin, JobManager
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.web.cell import CellAlarms, CellHealth, CellIngest

@@ -1,14 +1,14 @@
 """What the routes take from the context."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Depends, Path
-from pydantic_core import to_json
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
-from service.domain.interfaces import AssetTwin
+from service.documents.base import Document
+from service.documents.interfaces import AssetTwin
 from service.security import AuditTrail, Authenticator
 from service.web.api.context import ServiceContext
 from service.web.api.problems import parameter_problem
@@ -55,8 +55,7 @@ Asset = Annotated[AssetTwin, Depends(get_asset)]
 
 
 def json_response(
-    data: Any, status: int = 200, headers: Mapping[str, str] | None = None
+    answer: Document, status: int = 200, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Answer with plain JSON types; NaN and infinities become null."""
-    body = to_json(data, inf_nan_mode="null")
-    return Response(body, status, headers=headers, media_type="application/json")
+    """Answer with a document."""
+    return Response(answer.to_bytes(), status, headers=headers, media_type="application/json")

@@ -6,12 +6,17 @@ from typing import Any, Final
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from starlette.responses import HTMLResponse
+from pydantic_core import to_json
+from starlette.responses import HTMLResponse, Response
 from starlette.staticfiles import StaticFiles
 
+from service.documents.messages import asyncapi_document
+from service.documents.problems import ProblemDocument
 from service.web.api.access import AUDIT, SECURITY_SCHEMES, problems
-from service.web.api.problems import ProblemDocument
 
+#: Description of the stream, beside that of the calls (`/openapi.json`).
+ASYNCAPI_PATH: Final = "/asyncapi.json"
+STREAM_PATH: Final = "/api/v1/stream"
 _EXAMPLES = Path(__file__).parent / "examples.json"
 _STATIC = Path(__file__).parent / "static"
 _PAGE: Final = """<!doctype html>
@@ -46,7 +51,12 @@ def install_docs(app: FastAPI) -> None:
     async def docs() -> HTMLResponse:
         return HTMLResponse(_PAGE)
 
+    async def asyncapi() -> Response:
+        body = to_json(asyncapi_document(app.version, STREAM_PATH))
+        return Response(body, media_type="application/json")
+
     app.add_api_route("/docs", docs, include_in_schema=False)
+    app.add_api_route(ASYNCAPI_PATH, asyncapi, include_in_schema=False)
     app.mount("/docs/files", StaticFiles(directory=_STATIC))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
 

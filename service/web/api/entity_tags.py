@@ -5,8 +5,9 @@ import re
 from typing import Annotated, Any, Final
 
 from fastapi import Header
-from pydantic_core import to_json
 from starlette.responses import Response
+
+from service.documents.base import Document
 
 _ENTITY_TAG = re.compile(r'(?:W/)?("[^"]*")')
 
@@ -39,9 +40,9 @@ def tagged_response(body: bytes, tag: str, if_none_match: str | None) -> Respons
     return Response(body, headers=headers, media_type="application/json")
 
 
-def conditional_response(data: Any, if_none_match: str | None) -> Response:
-    """Answer with plain JSON types, or with 304 to a caller who has just this."""
-    body = to_json(data, inf_nan_mode="null")
+def conditional_response(answer: Document, if_none_match: str | None) -> Response:
+    """Answer with a document, or with 304 to a caller who has just this."""
+    body = answer.to_bytes()
     return tagged_response(body, entity_tag(body), if_none_match)
 
 

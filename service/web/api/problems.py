@@ -8,12 +8,12 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute, iter_route_contexts
-from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import to_json
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.routing import compile_path
 
+from service.documents.identification import JobDocument
+from service.documents.problems import FieldError, ProblemDocument
 from service.domain.errors import (
     ActivationRefusedError,
     CellUnavailableError,
@@ -35,46 +35,6 @@ _SECRET_FIELDS = frozenset({"key"})
 _log = structlog.get_logger(__name__)
 
 
-class FieldError(BaseModel):
-    """One thing that is wrong: where, and what was expected."""
-
-    pointer: str | None = Field(None, description="JSON pointer into the body.")
-    parameter: str | None = Field(None, description="Name of the query, path or header parameter.")
-    detail: str
-
-
-class ProblemDocument(BaseModel):
-    """An error as RFC 9457 has it."""
-
-    model_config = ConfigDict(
-        extra="allow",
-        json_schema_extra={
-            "examples": [
-                {
-                    "type": "about:blank",
-                    "title": "Unprocessable Entity",
-                    "status": 422,
-                    "detail": "profile[0].speed_rpm: Input should be less than or equal to 20000",
-                    "instance": "/api/v1/assets/bench-1/forecasts",
-                    "errors": [
-                        {
-                            "pointer": "/profile/0/speed_rpm",
-                            "detail": "Input should be less than or equal to 20000 (got 30000)",
-                        }
-                    ],
-                }
-            ]
-        },
-    )
-
-    type: str = "about:blank"
-    title: str
-    status: int = Field(ge=400, le=599)
-    detail: str
-    instance: str
-    errors: list[FieldError] = []
-
-
 class Problem(HTTPException):
     """An error on its way to the caller.
 
@@ -84,12 +44,12 @@ class Problem(HTTPException):
         HTTP status.
     detail : str
         One sentence for people: what is wrong and what was expected.
-    errors : sequence of mapping
-        ``{"pointer" or "parameter", "detail"}`` each.
+    errors : sequence of FieldError
+        What is wrong where.
     headers : mapping, optional
         Headers to send along.
-    **members
-        More members of the document.
+    job : JobDocument, optional
+        The job in the way.
     """
 
     def __init__(
@@ -97,24 +57,26 @@ class Problem(HTTPException):
         status: int,
         detail: str,
         *,
-        errors: Sequence[Mapping[str, str]] = (),
+        errors: Sequence[FieldError] = (),
         headers: Mapping[str, str] | None = None,
-        **members: Any,
+        job: JobDocument | None = None,
     ) -> None:
         super().__init__(status, detail, headers)
         self.errors = errors
-        self.members = members
+        self.job = job
 
 
 def parameter_problem(name: str, detail: str, status: int = 422) -> Problem:
     """Build the problem of one wrong query, path or header parameter."""
-    return Problem(status, f"{name}: {detail}", errors=[{"parameter": name, "detail": detail}])
+    return Problem(status, f"{name}: {detail}", errors=[FieldError(parameter=name, detail=detail)])
 
 
 def pointer_problem(pointer: str, detail: str, status: int = 422) -> Problem:
     """Build the problem of one wrong place in the body."""
     return Problem(
-        status, f"{pointer or 'body'}: {detail}", errors=[{"pointer": pointer, "detail": detail}]
+        status,
+        f"{pointer or 'body'}: {detail}",
+        errors=[FieldError(pointer=pointer, detail=detail)],
     )
 
 
@@ -123,23 +85,20 @@ def problem_response(
     detail: str,
     instance: str,
     *,
-    errors: Sequence[Mapping[str, str]] = (),
+    errors: Sequence[FieldError] = (),
     headers: Mapping[str, str] | None = None,
-    members: Mapping[str, Any] | None = None,
+    job: JobDocument | None = None,
 ) -> Response:
     """Build the HTTP answer of a problem."""
-    document = {
-        "type": "about:blank",
-        "title": http.client.responses.get(status, "Error"),
-        "status": status,
-        "detail": detail,
-        "instance": instance,
-        "errors": list(errors),
-        **(members or {}),
-    }
-    return Response(
-        to_json(document, inf_nan_mode="null"), status, headers=headers, media_type=MEDIA_TYPE
+    document = ProblemDocument(
+        title=http.client.responses.get(status, "Error"),
+        status=status,
+        detail=detail,
+        instance=instance,
+        errors=list(errors),
+        job=job,
     )
+    return Response(document.to_bytes(), status, headers=headers, media_type=MEDIA_TYPE)
 
 
 def install_handlers(app: FastAPI) -> None:
@@ -161,12 +120,13 @@ def install_handlers(app: FastAPI) -> None:
     async def on_validation_error(request: Request, error: RequestValidationError) -> Response:
         errors = [_field_error(one, error.body) for one in error.errors()]
         first = errors[0]
-        where = first.get("parameter") or first.get("pointer") or "body"
+        where = first.parameter or first.pointer or "body"
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        return _answer(request, Problem(422, f"{where}: {first['detail']}{more}", errors=errors))
+        return _answer(request, Problem(422, f"{where}: {first.detail}{more}", errors=errors))
 
     async def on_conflict(request: Request, error: JobConflictError) -> Response:
-        return _answer(request, Problem(409, str(error), job=error.job))
+        job = error.job if isinstance(error.job, JobDocument) else None
+        return _answer(request, Problem(409, str(error), job=job))
 
     async def on_key_used_before(request: Request, error: KeyUsedBeforeError) -> Response:
         return _answer(request, parameter_problem("Idempotency-Key", str(error)))
@@ -239,25 +199,23 @@ def _answer(request: Request, problem: Problem) -> Response:
         request.url.path,
         errors=problem.errors,
         headers=problem.headers,
-        members=problem.members,
+        job=problem.job,
     )
 
 
-def _field_error(error: Mapping[str, Any], body: Any) -> dict[str, str]:
+def _field_error(error: Mapping[str, Any], body: Any) -> FieldError:
     location = tuple(error["loc"])
     message = str(error["msg"]).removeprefix("Value error, ")
     if error["type"] == "json_invalid":
         reason = error.get("ctx", {}).get("error", "")
-        return {
-            "pointer": "",
-            "detail": f"not valid JSON at character {location[-1]}: {reason}",
-        }
+        detail = f"not valid JSON at character {location[-1]}: {reason}"
+        return FieldError(pointer="", detail=detail)
     shown = _shown(error, location)
     if location and location[0] == "body":
-        return {"pointer": _pointer(location[1:], body), "detail": f"{message}{shown}"}
+        return FieldError(pointer=_pointer(location[1:], body), detail=f"{message}{shown}")
     # A list parameter carries the index of its wrong item behind the name.
     name = location[1] if len(location) > 1 else location[0]
-    return {"parameter": str(name), "detail": f"{message}{shown}"}
+    return FieldError(parameter=str(name), detail=f"{message}{shown}")
 
 
 def _pointer(location: Sequence[int | str], body: Any) -> str:

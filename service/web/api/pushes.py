@@ -16,6 +16,7 @@ from starlette.responses import Response
 
 from adapters.samples import Quality, Sample, is_bad
 from service.clock import MICROSECONDS, rfc3339
+from service.documents.measurements import Rejected
 from service.domain.requests import PUSH_SOURCE, RequestBody
 from service.domain.times import parse_time
 from service.web.api.turns import caller_of, turns_of
@@ -97,7 +98,7 @@ class Verdict:
     ----------
     samples : list of Sample
         Good to be stored.
-    rejected : list of dict
+    rejected : list of Rejected
         Index of each of the others, and why; after the first `REASONS_MAX` a word must do.
     too_old : list of Sample
         Those of the others that are only wrong by their time.
@@ -106,7 +107,7 @@ class Verdict:
     """
 
     samples: list[Sample] = field(default_factory=list)
-    rejected: list[dict[str, Any]] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
     too_old: list[Sample] = field(default_factory=list)
     wired: dict[str, int] = field(default_factory=dict)
 
@@ -150,7 +151,7 @@ def judge(
         except ValueError as error:
             few = len(verdict.rejected) < REASONS_MAX
             detail = str(error) if few else _ONE_OF_MANY
-            verdict.rejected.append({"index": index, "detail": detail})
+            verdict.rejected.append(Rejected(index=index, detail=detail))
         else:
             verdict.samples.append(sample)
             continue

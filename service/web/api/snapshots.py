@@ -12,8 +12,8 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.documents.interfaces import AssetTwin
 from service.domain.errors import CellUnavailableError
-from service.domain.interfaces import AssetTwin
 from service.domain.roles import VIEWER
 from service.web.api.access import known_caller
 from service.web.api.entity_tags import tagged_response

@@ -18,6 +18,7 @@ from service.bus.local import QUEUE, LocalCellBus, LocalReaderBus
 from service.bus.memory import MemoryBus
 from service.bus.messages import Command, Request, State, encode
 from service.bus.places import LONGEST, bus_folder
+from service.documents.identification import JobDocument
 from service.domain.errors import CellUnavailableError, JobConflictError, RequestRefusedError
 
 Handlers = Mapping[type[Command[Any]], Callable[[Any], Awaitable[Any]]]
@@ -25,6 +26,29 @@ Handlers = Mapping[type[Command[Any]], Callable[[Any], Awaitable[Any]]]
 
 class Double(Command[int], frozen=True, array_like=True):
     number: int
+
+
+JOB = JobDocument(
+    id="a1",
+    status="running",
+    progress=0.5,
+    best_fitness=None,
+    evaluations=3,
+    created_at="2026-11-21T08:00:00.000Z",
+    started_at=None,
+    ended_at=None,
+    error=None,
+    model_version=None,
+    windows=[],
+    method="noa",
+    seed=1,
+    budget=None,
+    requested_by="automatic",
+    attempts=1,
+    phase=None,
+    seconds_left=None,
+    active_fitness=None,
+)
 
 
 class Fail(Command[None], frozen=True, array_like=True):
@@ -42,7 +66,7 @@ async def double(command: Double) -> int:
 async def fail(command: Fail) -> None:
     errors: dict[str, Exception] = {
         "refused": RequestRefusedError("/windows/0", "no data"),
-        "conflict": JobConflictError({"id": "a1", "status": "running"}),
+        "conflict": JobConflictError("identification a1 is running", JOB),
         "key": KeyError(7),
         "fault": ZeroDivisionError("secret figures"),
     }
@@ -101,7 +125,8 @@ async def test_errors_of_the_domain_come_out_as_they_went_in(kind: str, tmp_path
         assert (refused.value.pointer, refused.value.detail) == ("/windows/0", "no data")
         with pytest.raises(JobConflictError) as conflict:
             await reader.ask(Fail("conflict"), 30)
-        assert conflict.value.job == {"id": "a1", "status": "running"}
+        assert conflict.value.job == JOB
+        assert str(conflict.value) == "identification a1 is running"
         with pytest.raises(KeyError) as key:
             await reader.ask(Fail("key"), 30)
         assert key.value.args == (7,)

@@ -21,7 +21,7 @@ async def test_a_rejected_version_is_activated_only_by_force_with_a_comment(shop
             await jobs.activate(ASSET, 2, "engineer x", comment, force)
     assert shop.active() == (1, 1)
     shown = await jobs.activate(ASSET, 2, "engineer x", "try it", force=True)
-    assert (shown["version"], shown["status"]) == (2, "active")
+    assert (shown.version, shown.status) == (2, "active")
     assert shop.active() == (2, 2)
     await jobs.activate(ASSET, 1, "engineer x", "back again", force=False)
     assert shop.active() == (1, 1)

@@ -121,7 +121,7 @@ def test_failed_fit_and_other_models_are_not_compared(model: ThermalModel) -> No
     assert failed["changed"] is None
     assert failed["quantities"] == {}
     assert "the fit failed" in failed["text"]
-    assert "a possible cause" in failed["text"]
+    assert "possibly by a change within the data" in failed["text"]
     other = build_model(bearing=bearing("6016"))
     strangers = [
         stored(1, posterior(other, 1), 1, None),

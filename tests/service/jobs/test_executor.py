@@ -26,8 +26,8 @@ def test_numba_may_be_given_less_than_the_machine_has() -> None:
     """A container's share, or the user's wish: a worker must not ask for more threads."""
     prepare = (
         "import os; os.cpu_count = lambda: 8\n"
-        "from service.jobs.executor import _prepare_worker\n"
-        "_prepare_worker()\n"
+        "from service.jobs.executor import prepare_worker\n"
+        "prepare_worker()\n"
         "import numba; print(numba.config.NUMBA_NUM_THREADS)"
     )
     found = subprocess.run(

@@ -245,12 +245,12 @@ async def test_the_run_is_one_window_that_begins_at_rest(
     assert window.at_rest
     assert [round(point.speed_rpm, -2) for point in window.operating_points] == [1500, 2400, 4200]
     assert window.start_s == start_us / 1e6
-    (shown,) = await history.windows_json()
-    assert shown["start"] < shown["end"]
-    assert shown["speed_rpm_max"] == pytest.approx(4200.0, abs=1)
-    assert shown["load_n_max"] == pytest.approx(2650.0, abs=1)
-    assert [point["duration_s"] for point in shown["operating_points"]] == [2700.0] * 3
-    assert 0.0 < shown["score"] <= 1.0
+    (shown,) = await history.window_documents()
+    assert shown.start < shown.end
+    assert shown.speed_rpm_max == pytest.approx(4200.0, abs=1)
+    assert shown.load_n_max == pytest.approx(2650.0, abs=1)
+    assert [point.duration_s for point in shown.operating_points] == [2700.0] * 3
+    assert 0.0 < shown.score <= 1.0
 
 
 async def test_a_found_window_may_be_asked_for(

@@ -39,9 +39,9 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     subscription = shop.bus.subscribe()
     shown, created = await jobs.create(ASSET, QUICK, None, "engineer x")
     assert created
-    assert (shown["status"], shown["requested_by"]) == ("queued", "engineer x")
+    assert (shown.status, shown.requested_by) == ("queued", "engineer x")
     assert jobs.busy(ASSET)
-    job = await shop.ended(jobs, shown["id"])
+    job = await shop.ended(jobs, shown.id)
     assert (job.status, job.progress, job.model_version, job.attempts) == ("succeeded", 1.0, 2, 1)
     assert job.evaluations > 0
     assert job.best_fitness is not None
@@ -61,17 +61,17 @@ async def test_a_job_ends_with_a_version_that_the_twin_runs_on(shop: Shop) -> No
     assert [one["data"]["status"] for one in messages[:2]] == ["queued", "running"]
     whole = await jobs.job(ASSET, job.id)
     assert whole is not None
-    evaluations, fitness = zip(*whole["convergence"], strict=True)
+    evaluations, fitness = zip(*whole.convergence, strict=True)
     assert list(evaluations) == sorted(evaluations)
     assert list(fitness) == sorted(fitness, reverse=True)
     assert fitness[-1] == pytest.approx(job.best_fitness)
     # The priors, which are active, cannot meet the data as well as what was fitted to them.
-    assert whole["active_fitness"] > 2 * fitness[-1]
-    assert (whole["phase"], whole["seconds_left"]) == (None, None), "it has ended"
+    assert whole.active_fitness > 2 * fitness[-1]
+    assert (whole.phase, whole.seconds_left) == (None, None), "it has ended"
     after_restart = await (await shop.open()).job(ASSET, job.id)
     assert after_restart is not None
-    assert after_restart["active_fitness"] == pytest.approx(whole["active_fitness"])
-    assert after_restart["convergence"][-1] == whole["convergence"][-1]
+    assert after_restart.active_fitness == pytest.approx(whole.active_fitness)
+    assert after_restart.convergence[-1] == whole.convergence[-1]
     # Who sees the end of the job sees its version at work.
     assert shop.store.models.activations(ASSET)[-1].who == "automatic"
     assert shop.outbox.flush(30)
@@ -85,7 +85,7 @@ async def test_a_second_version_is_compared_with_the_first(shop: Shop) -> None:
     for number, seed in ((2, 0), (3, 1)):
         request = IdentificationRequest(method="refine", seed=seed)
         shown, _ = await jobs.create(ASSET, request, None, "x")
-        job = await shop.ended(jobs, shown["id"])
+        job = await shop.ended(jobs, shown.id)
         assert job.model_version == number
     first, second = (shop.store.models.version(ASSET, number) for number in (2, 3))
     assert first is not None
@@ -107,7 +107,7 @@ async def test_below_apply_a_candidate_waits_for_an_engineer(
     shop.assets[ASSET].settings = make_section(identification={"ladder": ladder})
     jobs = await shop.open()
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    job = await shop.ended(jobs, shown["id"])
+    job = await shop.ended(jobs, shown.id)
     assert (job.status, job.model_version) == ("succeeded", 2)
     version = shop.store.models.version(ASSET, 2)
     assert version is not None
@@ -137,7 +137,7 @@ async def test_given_windows_are_judged_one_by_one(shop: Shop) -> None:
 async def test_windows_are_identified_from_in_the_order_of_time(shop: Shop) -> None:
     jobs = await shop.open()
     shown, _ = await jobs.create(ASSET, windows(shop, (95, 140), (0, 95)), None, "x")
-    job = await shop.ended(jobs, shown["id"])
+    job = await shop.ended(jobs, shown.id)
     assert job.status == "succeeded", job.error
     version = shop.store.models.version(ASSET, job.model_version or 0)
     assert version is not None
@@ -154,13 +154,13 @@ async def test_one_job_at_a_time_per_asset(shop: Shop) -> None:
     first, _ = await jobs.create(ASSET, QUICK, "key", "x")
     with pytest.raises(JobConflictError) as conflict:
         await jobs.create(ASSET, QUICK, None, "x")
-    assert conflict.value.job["id"] == first["id"]
+    assert conflict.value.job.id == first.id
     again, created = await jobs.create(ASSET, QUICK, "key", "x")
-    assert (again["id"], created) == (first["id"], False)
-    with pytest.raises(KeyUsedBeforeError, match=first["id"]):
+    assert (again.id, created) == (first.id, False)
+    with pytest.raises(KeyUsedBeforeError, match=first.id):
         await jobs.create(ASSET, QUICK.model_copy(update={"seed": 1}), "key", "x")
-    assert await jobs.job("bench-2", first["id"]) is None
-    assert [one["id"] for one in await jobs.jobs(ASSET)] == [first["id"]]
+    assert await jobs.job("bench-2", first.id) is None
+    assert [one.id for one in await jobs.jobs(ASSET)] == [first.id]
 
 
 async def test_a_job_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> None:
@@ -171,7 +171,7 @@ async def test_a_job_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> No
     assert ended.status == "failed"
     assert (ended.error or "").startswith("ValueError: no data from 1970")
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    assert (await shop.ended(jobs, shown["id"])).status == "succeeded", "the next one may"
+    assert (await shop.ended(jobs, shown.id)).status == "succeeded", "the next one may"
 
 
 @pytest.mark.parametrize("table", ["jobs", "model_versions"])
@@ -187,7 +187,7 @@ async def test_a_job_waits_for_a_store_that_is_away(
         held.let_go.set()
         await until(lambda: len([one for one in logs if "waits_for_the_store" in one["event"]]) > 2)
         assert jobs.busy(ASSET)
-    job = await shop.ended(jobs, shown["id"])
+    job = await shop.ended(jobs, shown.id)
     assert job.status == "succeeded"
     assert shop.active() == (2, 2)
 

@@ -12,10 +12,10 @@ async def test_a_stopped_service_takes_its_job_up_again(shop: Shop) -> None:
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     await asyncio.wait_for(held.computed.wait(), 120)
     await jobs.stop()
-    waiting = shop.row(shown["id"])
+    waiting = shop.row(shown.id)
     assert (waiting.status, waiting.attempts) == ("queued", 0)
     again = await shop.open()
-    job = await shop.ended(again, shown["id"])
+    job = await shop.ended(again, shown.id)
     assert (job.status, job.model_version) == ("succeeded", 2)
     assert len(shop.store.models.versions(ASSET)) == 2
 
@@ -27,7 +27,7 @@ async def test_a_version_that_was_stored_before_a_crash_is_not_made_twice(
     """Killed between storing the version and ending the job."""
     jobs = await shop.open()
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    done = await shop.ended(jobs, shown["id"])
+    done = await shop.ended(jobs, shown.id)
     version = shop.store.models.version(ASSET, 2)
     assert version is not None
     job, _ = shop.store.jobs.add(ASSET, done.request, shop.clock.us)

@@ -31,19 +31,19 @@ async def suspend(jobs: IdentificationJobs, job_id: str, shop: Shop) -> BaseProc
 async def test_a_worker_that_hangs_once_goes_on_from_its_checkpoint(shop: Shop) -> None:
     jobs = await shop.open(make_executor=make_executor)
     hung, _ = await jobs.create(ASSET, LONG, None, "x")
-    process = await suspend(jobs, hung["id"], shop)
-    folder = JobFolder(shop.folder / hung["id"])
+    process = await suspend(jobs, hung.id, shop)
+    folder = JobFolder(shop.folder / hung.id)
     kept = folder.read_checkpoint()
     assert kept is not None
     jobs.stalled_after_wall_s = HANGS_S
-    await until(lambda: shop.row(hung["id"]).attempts == 2, PATIENCE_S)
+    await until(lambda: shop.row(hung.id).attempts == 2, PATIENCE_S)
     jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
     await until(lambda: not process.is_alive(), PATIENCE_S)
     await until(folder.read_progress, PATIENCE_S)
     progress = folder.read_progress()
     assert progress is not None
     assert progress.evaluations >= kept["evaluations"] > 0, "it does not begin once more"
-    assert shop.row(hung["id"]).status == "running"
+    assert shop.row(hung.id).status == "running"
 
 
 async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(shop: Shop) -> None:
@@ -57,35 +57,35 @@ async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(sho
     jobs = await shop.open(make_executor=make_executor)
     hung, _ = await jobs.create(ASSET, LONG, None, "x")
     waiting, _ = await jobs.create("bench-2", LONG, None, "x")
-    await suspend(jobs, hung["id"], shop)
+    await suspend(jobs, hung.id, shop)
     jobs.stalled_after_wall_s = HANGS_S
-    await until(lambda: shop.row(hung["id"]).attempts == 2, PATIENCE_S)
+    await until(lambda: shop.row(hung.id).attempts == 2, PATIENCE_S)
     jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
-    assert shop.row(waiting["id"]).status == "queued"
-    await suspend(jobs, hung["id"], shop)
+    assert shop.row(waiting.id).status == "queued"
+    await suspend(jobs, hung.id, shop)
     jobs.stalled_after_wall_s = HANGS_S
-    await until(lambda: shop.row(hung["id"]).ended_at_us, PATIENCE_S)
+    await until(lambda: shop.row(hung.id).ended_at_us, PATIENCE_S)
     jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
-    job = shop.row(hung["id"])
+    job = shop.row(hung.id)
     assert (job.status, job.attempts) == ("failed", 2)
     assert job.error == f"the worker did not respond for {HANGS_S:g} s and was terminated"
-    await until(lambda: (shop.row(waiting["id"]).evaluations or 0) > 0, PATIENCE_S)
+    await until(lambda: (shop.row(waiting.id).evaluations or 0) > 0, PATIENCE_S)
 
 
 async def test_a_stop_ends_a_worker_that_hangs(shop: Shop) -> None:
     jobs = await shop.open(make_executor=make_executor)
     hung, _ = await jobs.create(ASSET, LONG, None, "x")
-    process = await suspend(jobs, hung["id"], shop)
+    process = await suspend(jobs, hung.id, shop)
     await jobs.stop()
     await until(lambda: not process.is_alive(), PATIENCE_S)
-    left = shop.row(hung["id"])
+    left = shop.row(hung.id)
     assert (left.status, left.attempts) == ("queued", 0)
 
 
 async def test_the_gates_show_signs_of_life_too(shop: Shop) -> None:
     jobs = await shop.open(make_executor=make_executor)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
-    folder = JobFolder(shop.folder / shown["id"])
+    folder = JobFolder(shop.folder / shown.id)
 
     def at_gates() -> int | None:
         progress = folder.read_progress()
@@ -94,5 +94,5 @@ async def test_the_gates_show_signs_of_life_too(shop: Shop) -> None:
     await until(at_gates, PATIENCE_S)
     first = at_gates()
     await until(lambda: at_gates() not in (first, None), PATIENCE_S)
-    job = await shop.ended(jobs, shown["id"])
+    job = await shop.ended(jobs, shown.id)
     assert (job.status, job.attempts) == ("succeeded", 1)

@@ -16,15 +16,15 @@ LONG = IdentificationRequest(method="noa", budget=5_000_000)
 async def test_progress_that_cannot_be_stored_costs_no_attempt(shop: Shop, tmp_path: Path) -> None:
     jobs = await shop.open(make_executor=make_executor)
     job, _ = await jobs.create(ASSET, LONG, None, "x")
-    folder = JobFolder(shop.folder / job["id"])
-    await until(lambda: shop.row(job["id"]).evaluations, PATIENCE_S)
+    folder = JobFolder(shop.folder / job.id)
+    await until(lambda: shop.row(job.id).evaluations, PATIENCE_S)
     [worker] = jobs._executor._processes.values()  # type: ignore[union-attr]
     with capture_logs() as logs, away(tmp_path, "jobs"):
         await until(lambda: any("store" in line["event"] for line in logs), PATIENCE_S)
     progress = folder.read_progress()
     assert progress is not None
-    await until(lambda: shop.row(job["id"]).evaluations > progress.evaluations, PATIENCE_S)
-    row = shop.row(job["id"])
+    await until(lambda: shop.row(job.id).evaluations > progress.evaluations, PATIENCE_S)
+    row = shop.row(job.id)
     assert (row.status, row.attempts) == ("running", 1)
     [same] = jobs._executor._processes.values()  # type: ignore[union-attr]
     assert same.pid == worker.pid, "the worker went on"
@@ -40,5 +40,5 @@ async def test_a_result_that_cannot_be_stored_costs_no_attempt(shop: Shop, tmp_p
         await until(
             lambda: any(line["event"] == "job_waits_for_the_store" for line in logs), PATIENCE_S
         )
-    ended = await shop.ended(jobs, job["id"])
+    ended = await shop.ended(jobs, job.id)
     assert (ended.status, ended.attempts) == ("succeeded", 1)

@@ -48,22 +48,22 @@ async def test_its_nodes_and_sensors_are_in_every_answer(make_live: Callable[...
     live.start()
     forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
     nodes = {"t_bearing_c", "t_housing_c", "t_oil_c"}
-    assert set(live.runtime.state()["nodes"]) == nodes
-    assert set(forecast["nodes"]) == nodes | {"t_wall_c"}
-    assert set(forecast["time_to_limit"]) == {"t_bearing_c"}
+    assert set(live.runtime.state().nodes) == nodes
+    assert set(forecast.nodes) == nodes | {"t_wall_c"}
+    assert set(forecast.time_to_limit) == {"t_bearing_c"}
     tags = live.runtime.snapshot()["tags"]
     assert {f"{name}.twin" for name in (*nodes, "t_wall_c")} <= set(tags)
     assert "t_inner_ring_c.twin" not in tags
     assert tags["t_bearing_c.twin"]["value"] == pytest.approx(55.0, abs=2.0)
     assert tags["t_bearing_c.forecast_max"]["unit"] == "°C"
     shown = live.runtime.summary()
-    assert (shown["bearing"], shown["network"]) == (None, "gearbox")
+    assert (shown.bearing, shown.network) == (None, "gearbox")
     await live.until(lambda: live.stored, "an estimate for the store", WARM)
     assert {sample.channel for sample in live.stored} == {"t_bearing_c.twin", "t_wall_c.twin"}
     answer = await live.runtime.what_if(
         [ProfileStep(duration_s=3600.0, speed_rpm=2000.0, load_n=4000.0)], 600.0, ["t_oil_c"]
     )
-    assert set(answer["nodes"]) == {"t_oil_c"}
+    assert set(answer.nodes) == {"t_oil_c"}
     assert live.runtime.temperature_names == ("t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c")
     kept = live.runtime.estimate.to_dict()
     again = make_live(settings, active_model(settings, stored(settings)))
@@ -124,7 +124,7 @@ async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[
     assert estimate.point is not None
     assert estimate.point.inputs == (200.0,)
     assert estimate.observer.state().inputs == (200.0,)
-    last = forecast["nodes"]["t_winding_c"]["q50"][-1]
+    last = forecast.nodes["t_winding_c"].q50[-1]
     assert last > 40.0
     kept = estimate.to_dict()
     assert kept["inputs"] == [200.0]
@@ -134,4 +134,4 @@ async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[
     answer = await live.runtime.what_if(
         [ProfileStep(duration_s=4 * 3600.0, speed_rpm=0.0, load_n=0.0)], 600.0, None
     )
-    assert answer["nodes"]["t_winding_c"]["q50"][-1] == pytest.approx(last, abs=5.0)
+    assert answer.nodes["t_winding_c"].q50[-1] == pytest.approx(last, abs=5.0)

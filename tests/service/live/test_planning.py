@@ -9,13 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.documents.advice import AdviceDocument
+from service.documents.envelope import (
+    EnvelopeDocument,
+    EnvelopeMaps,
+    LimitMap,
+    RunawayMap,
+    SensorMaps,
+    SteadyMap,
+)
+from service.documents.limits import LowRisk
 from service.domain.errors import NotIdentifiedError, NotReadyError
-from service.live.envelope import grid, with_measured
+from service.live.envelope import grid, with_present
 from service.live.estimate import ActiveModel
-from service.web.api.planning import AdviceDocument, EnvelopeDocument
+from twin_core import profiles
 from twin_core.identification.posterior import TrainedRange
 from twin_core.operating_points import OperatingPoint
 
+RING = "t_inner_ring_c"
 RUNNING = {
     "speed_rpm": 4200.0,
     "load_n": 2650.0,
@@ -56,7 +67,7 @@ async def live(make_live: Callable[..., Any], make_version: Callable[..., Active
 # ---------------------------------------------------------------------------- envelope
 async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
     document = await live.runtime.envelope()
-    shown = EnvelopeDocument.model_validate(document)
+    shown = EnvelopeDocument.model_validate_json(document.to_bytes())
     shape = (len(shown.load_n), len(shown.speed_rpm))
     assert shape == (3, 4)
     assert set(shown.sensors) == SENSORS
@@ -90,11 +101,11 @@ async def test_envelope_is_kept_until_the_model_changes(
     live: Any, make_version: Callable[..., ActiveModel]
 ) -> None:
     first, second = await live.runtime.envelope(), await live.runtime.envelope()
-    assert second["sensors"] is first["sensors"]
+    assert second.sensors[RING] is first.sensors[RING]
     live.runtime.switch(identified(make_version(4, z=0.3)))
     third = await live.runtime.envelope()
-    assert third["model_version"] == 4
-    assert third["sensors"] != first["sensors"]
+    assert third.model_version == 4
+    assert third.sensors != first.sensors
 
 
 async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,13 +117,13 @@ async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.Monke
         lambda: row @ live.runtime.estimate.observer.temperatures_c > 60.0, "a hot machine", hot
     )
     second = await live.runtime.envelope()
-    assert second["sensors"] is not first["sensors"]
-    assert second["made_at"] > first["made_at"]
+    assert second.sensors[RING] is not first.sensors[RING]
+    assert second.made_at > first.made_at
 
 
 async def test_two_callers_share_one_computation(live: Any) -> None:
     first, second = await asyncio.gather(live.runtime.envelope(), live.runtime.envelope())
-    assert first["sensors"] is second["sensors"]
+    assert first.sensors[RING] is second.sensors[RING]
 
 
 async def test_an_envelope_from_priors_says_so(
@@ -122,7 +133,7 @@ async def test_an_envelope_from_priors_says_so(
     live.start()
     await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
     document = await live.runtime.envelope()
-    assert document["labels"] == ["not identified yet: prior parameters only"]
+    assert document.labels == ["not identified yet: prior parameters only"]
     with pytest.raises(NotIdentifiedError, match="identify first"):
         await live.runtime.advice(6200.0, 5500.0, 7200.0)
 
@@ -148,14 +159,14 @@ async def test_the_grid_reaches_beyond_region_and_plan(
     assert np.all(load_n % 50.0 == 0.0)
     live.plan((3600.0, 9000.0, 2650.0))
     document = await live.runtime.envelope()
-    assert np.shape(document["runaway"]["probability"]) == (15, 20)
-    assert document["speed_rpm"][-1] >= 9900.0
+    assert np.shape(document.runaway.probability) == (15, 20)
+    assert document.speed_rpm[-1] >= 9900.0
 
 
 # ---------------------------------------------------------------------------- advice
 async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
     document = await live.runtime.advice(6200.0, 5500.0, 3600.0)
-    shown = AdviceDocument.model_validate(document)
+    shown = AdviceDocument.model_validate_json(document.to_bytes())
     assert shown.model_version == 3
     assert (shown.target.speed_rpm, shown.target.load_n) == (6200.0, 5500.0)
     assert not shown.target.inside_low_risk
@@ -172,7 +183,7 @@ async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
     assert set(last.stop_above_c) == SENSORS
     assert len(shown.stop_rule.rules) >= 4
     inside = await live.runtime.advice(4200.0, 3000.0, 3600.0)
-    assert inside["target"]["inside_low_risk"]
+    assert inside.target.inside_low_risk
 
 
 async def test_the_event_loop_goes_on_while_they_are_computed(
@@ -203,23 +214,37 @@ async def test_the_event_loop_goes_on_while_they_are_computed(
 
 def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:
     """The ring was at 77 °C over a warning of 70, and the map rated the point 61 °C."""
-    document: dict[str, Any] = {
-        "speed_rpm": [1000.0, 2000.0],
-        "load_n": [1000.0, 3000.0],
-        "present": {"speed_rpm": 1900.0, "load_n": 2650.0},
-        "labels": [],
-        "sensors": {
-            "t_inner_ring_c": {
-                "steady_c": {"q50": [[40.0, 50.0], [45.0, 61.0]]},
-                "limits": {"warning": {"limit_c": 70.0}, "alarm": {"limit_c": 95.0}},
-            }
-        },
+    cool, unlikely = [[0.0, 0.0]] * 2, [[None, None]] * 2
+    limits = {
+        level: LimitMap(
+            limit_c=limit_c,
+            probability=cool,
+            steady_probability=cool,
+            median_s=unlikely,
+            earliest_s=unlikely,
+        )
+        for level, limit_c in (("warning", 70.0), ("alarm", 95.0))
     }
-    shown = with_measured(document, {"t_inner_ring_c": 77.1})
-    assert shown["present"]["measured_c"] == {"t_inner_ring_c": 77.1}
-    assert shown["labels"] == [
+    steady = SteadyMap(q025=cool, q50=[[40.0, 50.0], [45.0, 61.0]], q975=cool)
+    maps = EnvelopeMaps(
+        made_at="2026-11-21T08:00:00.000Z",
+        model_version=2,
+        ambient_c=23.0,
+        horizon_s=28_800.0,
+        members=80,
+        speed_rpm=[1000.0, 2000.0],
+        load_n=[1000.0, 3000.0],
+        sensors={RING: SensorMaps(steady_c=steady, limits=limits)},
+        runaway=RunawayMap(probability=cool, not_excluded=[[False, False]] * 2),
+        low_risk=LowRisk(speed_rpm_max=4300.0, load_n_max=3000.0),
+        labels=[],
+    )
+    point = profiles.OperatingPoint(1900.0, 2650.0, 23.0)
+    shown = with_present(maps, point, {RING: 77.1})
+    assert shown.present.measured_c == {RING: 77.1}
+    assert shown.labels == [
         "Inner ring measured 77.1 °C at the present point, over warning 70 °C: "
         "the map shows 61.0 °C there"
     ]
     for calm in (60.0, None):
-        assert with_measured(document, {"t_inner_ring_c": calm})["labels"] == []
+        assert with_present(maps, point, {RING: calm}).labels == []

@@ -2,18 +2,20 @@
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
 from adapters.samples import Quality
+from service.documents.forecasts import ForecastDocument, Quantiles, forecast_document
+from service.documents.tags import tag
 from service.domain.channels import unit_of
 from service.live import presentation
 from service.live.ahead import Step, operating_profile
 from service.live.estimate import LiveEstimate
-from service.live.presentation import LimitCrossing
+from service.live.presentation import ForecastSummary, LimitCrossing, LimitCrossings
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.machine_state import MachineState
@@ -40,9 +42,9 @@ def hot_forecast(make_version: Callable[..., Any]) -> Forecast:
     return forecast(active.model, active.posterior, state, profile, members=50)
 
 
-def body(result: Forecast) -> dict[str, Any]:
-    crossings = presentation.limit_crossings(result, LIMITS)
-    return presentation.forecast_json(result, LIMITS, crossings) | {"made_at": BEGAN}
+def shown_of(result: Forecast, names: Sequence[str] | None = None) -> ForecastDocument:
+    crossings = presentation.crossings_document(presentation.limit_crossings(result, LIMITS))
+    return forecast_document(result, presentation.limits_document(LIMITS), crossings, names)
 
 
 def test_crossings_are_those_of_the_ensemble(hot_forecast: Forecast) -> None:
@@ -57,11 +59,11 @@ def test_crossings_are_those_of_the_ensemble(hot_forecast: Forecast) -> None:
 
 
 def test_a_forecast_is_plain_json_with_ordered_quantiles(hot_forecast: Forecast) -> None:
-    shown = json.loads(json.dumps(body(hot_forecast), allow_nan=False))
+    shown = json.loads(shown_of(hot_forecast).to_bytes())
     assert shown["time_s"] == [600.0 * row for row in range(13)]
     assert set(shown["nodes"]) == set(hot_forecast.names)
     for quantiles in shown["nodes"].values():
-        columns = [quantiles[name] for name in presentation.QUANTILE_NAMES]
+        columns = [quantiles[name] for name in Quantiles.model_fields]
         assert (np.diff(np.array(columns), axis=0) >= 0).all()
         assert all(len(column) == 13 for column in columns)
     assert shown["limits"]["t_node_7_c"] == {"warning": 60.0, "alarm": 80.0}
@@ -71,31 +73,31 @@ def test_a_forecast_is_plain_json_with_ordered_quantiles(hot_forecast: Forecast)
         "earliest_s",
     }
     assert shown["labels"] == list(hot_forecast.labels)
+    assert ForecastDocument.model_validate(shown), "what is not checked when it is built fits, too"
 
 
 def test_only_the_wanted_nodes_are_shown(hot_forecast: Forecast) -> None:
-    shown = presentation.forecast_json(hot_forecast, LIMITS, {}, ["t_node_3_c"])
-    assert list(shown["nodes"]) == ["t_node_3_c"]
+    assert list(shown_of(hot_forecast, ["t_node_3_c"]).nodes) == ["t_node_3_c"]
 
 
 def test_tags_of_an_estimate_that_has_not_started(estimate: LiveEstimate) -> None:
     tags = presentation.estimate_tags(estimate, BEGAN)
     assert len(tags) == 15
     assert set(map(str, tags)) >= {"t_inner_ring_c.twin", "t_node_13_c.twin"}
-    for tag in tags.values():
-        assert tag == {
+    for one in tags.values():
+        assert one == {
             "value": None,
             "unit": "°C",
             "quality": int(Quality.WAITING_FOR_INITIAL_DATA),
             "time": BEGAN,
         }
-    state = presentation.state_json(estimate, START_US)
-    assert state["nodes"]["t_node_1_c"] == {
+    state = presentation.state_document(estimate, START_US, [])
+    assert dict(state.nodes["t_node_1_c"]) == {
         "mean_c": None,
         "std_c": None,
         "known": False,
     }
-    assert state["time"] == "2025-11-21T04:40:00.000Z"
+    assert state.time == "2025-11-21T04:40:00.000Z"
 
 
 def test_tags_and_state_of_a_running_estimate(
@@ -106,10 +108,10 @@ def test_tags_and_state_of_a_running_estimate(
     assert tag["value"] == round(float(estimate.observer.temperatures_c[6]), 3)
     assert tag["quality"] == Quality.GOOD
     assert tag["time"] == "2025-11-21T04:40:00.000Z", "when it held, not when it is asked for"
-    state = presentation.state_json(estimate, START_US + 3_000_000)
-    assert state["time"] == tag["time"]
-    assert state["model_version"] == 1
-    assert state["nodes"]["t_node_7_c"] == {
+    state = presentation.state_document(estimate, START_US + 3_000_000, [])
+    assert state.time == tag["time"]
+    assert state.model_version == 1
+    assert dict(state.nodes["t_node_7_c"]) == {
         "mean_c": tag["value"],
         "std_c": round(float(estimate.observer.std_c[6]), 3),
         "known": True,
@@ -117,29 +119,32 @@ def test_tags_and_state_of_a_running_estimate(
 
 
 def test_forecast_tags_wait_for_the_first_forecast() -> None:
-    tags = presentation.forecast_tags(LIMITS, None, {}, BEGAN)
+    tags = presentation.forecast_tags(LIMITS, None, BEGAN)
     assert len(tags) == 3 * len(LIMITS)
-    for tag in tags.values():
-        assert tag["value"] is None
-        assert tag["quality"] == Quality.WAITING_FOR_INITIAL_DATA
+    for one in tags.values():
+        assert one["value"] is None
+        assert one["quality"] == Quality.WAITING_FOR_INITIAL_DATA
 
 
-def test_forecast_tags_tell_the_peak_and_the_times(hot_forecast: Forecast) -> None:
-    shown, crossings = body(hot_forecast), presentation.limit_crossings(hot_forecast, LIMITS)
-    tags = presentation.forecast_tags(LIMITS, shown, crossings, "never")
+def test_forecast_tags_show_the_peak_and_the_times(hot_forecast: Forecast) -> None:
+    summary = presentation.summarize(hot_forecast, LIMITS, START_US)
+    tags = presentation.forecast_tags(LIMITS, summary, "never")
     peak = tags["t_inner_ring_c.forecast_max"]
-    assert peak["value"] == max(shown["nodes"]["t_inner_ring_c"]["q50"])
-    assert (peak["unit"], peak["quality"], peak["time"]) == ("°C", Quality.GOOD, BEGAN)
+    medians = [value for value in shown_of(hot_forecast).nodes["t_inner_ring_c"].q50 if value]
+    assert peak["value"] == max(medians)
+    assert (peak["unit"], peak["quality"]) == ("°C", Quality.GOOD)
+    assert peak["time"] == "2025-11-21T04:40:00.000Z"
     to_warning = tags["t_inner_ring_c.time_to_warning_s"]
-    assert to_warning["value"] == round(crossings["t_inner_ring_c"]["warning"].median_s or 0, 6)
+    crossing = summary.crossings["t_inner_ring_c"]["warning"]
+    assert to_warning["value"] == round(crossing.median_s or 0, 6)
     assert to_warning["unit"] == "s"
 
 
-def test_a_limit_that_will_not_be_passed_has_no_time_but_a_good_quality(
-    hot_forecast: Forecast,
-) -> None:
-    never = {"warning": LimitCrossing(0.0, None, None), "alarm": LimitCrossing(0.0, None, None)}
-    tags = presentation.forecast_tags(LIMITS, body(hot_forecast), {"t_inner_ring_c": never}, BEGAN)
+def test_a_limit_that_will_not_be_exceeded_has_no_time_but_a_good_quality() -> None:
+    never = LimitCrossing(0.0, None, None)
+    crossings: LimitCrossings = {"t_inner_ring_c": {"warning": never, "alarm": never}}
+    summary = ForecastSummary(START_US, {"t_inner_ring_c": 60.0}, crossings)
+    tags = presentation.forecast_tags(LIMITS, summary, BEGAN)
     assert tags["t_inner_ring_c.time_to_alarm_s"]["value"] is None
     assert tags["t_inner_ring_c.time_to_alarm_s"]["quality"] == Quality.GOOD
 
@@ -149,7 +154,7 @@ def test_a_limit_that_will_not_be_passed_has_no_time_but_a_good_quality(
     [(24.700000000000003, 24.7), (math.nan, None), (-math.inf, None), (None, None), (0.0, 0.0)],
 )
 def test_a_tag_shows_numbers_only(value: float | None, shown: float | None) -> None:
-    assert presentation.tag(value, "°C", Quality.GOOD, BEGAN)["value"] == shown
+    assert tag(value, "°C", Quality.GOOD, BEGAN)["value"] == shown
 
 
 @pytest.mark.parametrize(

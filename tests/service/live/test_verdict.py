@@ -18,7 +18,9 @@ from adapters.samples import Quality, Sample
 from service.bus.memory import MemoryBus
 from service.bus.replica import Replicas
 from service.cell.answers import Answers, Parts
-from service.domain.interfaces import JobManager
+from service.documents.interfaces import JobManager
+from service.documents.limits import Limit
+from service.documents.verdicts import VerdictDocument
 from service.ingest import Ingest, Spool
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_over
 from service.live.presentation import LimitCrossing
@@ -84,16 +86,16 @@ def put(readings: Readings, name: str, way: str, value: float | None = None) -> 
 
 def words(evidence: Evidence) -> tuple[str, str]:
     verdict = judge(evidence)
-    return verdict["now"]["word"], verdict["next_step"]["word"]
+    return verdict.now.word, verdict.next_step.word
 
 
 # ------------------------------------------------------------------------------------- the rule
 def test_with_all_inputs_it_is_safe(evidence: Evidence) -> None:
     verdict = judge(evidence)
-    assert (verdict["now"]["word"], verdict["next_step"]["word"]) == ("safe", "safe")
-    assert verdict["missing"] == []
-    assert verdict["next_step"]["limit"] == {"channel": RING, "level": "warning", "value_c": 70.0}
-    assert verdict["time_to_limit"]["expected"] is False
+    assert (verdict.now.word, verdict.next_step.word) == ("safe", "safe")
+    assert verdict.missing == []
+    assert verdict.next_step.limit == Limit(channel=RING, level="warning", value_c=70.0)
+    assert verdict.time_to_limit.expected is False
 
 
 @pytest.mark.parametrize("way", WAYS[1:])
@@ -103,10 +105,10 @@ def test_a_missing_input_is_named_and_nothing_is_safe(
 ) -> None:
     put(evidence.readings, name, way)
     verdict = judge(evidence)
-    assert (verdict["now"]["word"], verdict["next_step"]["word"]) == ("unknown", "unknown")
-    assert verdict["missing"] == [name]
-    assert verdict["time_to_limit"] is None
-    assert len(verdict["now"]["reasons"]) == 1
+    assert (verdict.now.word, verdict.next_step.word) == ("unknown", "unknown")
+    assert verdict.missing == [name]
+    assert verdict.time_to_limit is None
+    assert len(verdict.now.reasons) == 1
 
 
 @pytest.mark.parametrize(
@@ -121,8 +123,8 @@ def test_what_the_twin_lacks_is_named(
     evidence: Evidence, change: dict[str, Any], missing: str, now: str
 ) -> None:
     verdict = judge(replace(evidence, **change))
-    assert (verdict["now"]["word"], verdict["next_step"]["word"]) == (now, "unknown")
-    assert verdict["missing"] == [missing]
+    assert (verdict.now.word, verdict.next_step.word) == (now, "unknown")
+    assert verdict.missing == [missing]
 
 
 def test_no_random_combination_of_missing_inputs_is_safe(evidence: Evidence) -> None:
@@ -134,9 +136,9 @@ def test_no_random_combination_of_missing_inputs_is_safe(evidence: Evidence) -> 
         for name, way in ways.items():
             put(evidence.readings, name, way)
         verdict = judge(replace(evidence, twin_runs=twin, identified=identified))
-        assert (verdict["now"]["word"], verdict["next_step"]["word"]) == ("unknown", "unknown")
+        assert (verdict.now.word, verdict.next_step.word) == ("unknown", "unknown")
         absent = {name for name, way in ways.items() if way != "good"}
-        assert set(verdict["missing"]) == absent | (set() if twin else {"twin"}) | (
+        assert set(verdict.missing) == absent | (set() if twin else {"twin"}) | (
             set() if identified else {"identified model"}
         )
 
@@ -146,10 +148,10 @@ def test_a_machine_without_an_ambient_channel_says_what_is_assumed(
 ) -> None:
     settings = make_section([name for name in INPUTS if name != "ambient_c"])
     verdict = judge(replace(evidence, settings=settings, assumed_ambient_c=21.6))
-    assert verdict["missing"] == []
+    assert verdict.missing == []
     for name in ("now", "next_step"):
-        assert verdict[name]["word"] == "safe"
-        assert "ambient assumed 22 °C" in verdict[name]["reasons"]
+        assert getattr(verdict, name).word == "safe"
+        assert "ambient assumed 22 °C" in getattr(verdict, name).reasons
 
 
 def test_without_a_measured_temperature_nothing_is_safe(
@@ -160,16 +162,16 @@ def test_without_a_measured_temperature_nothing_is_safe(
     for name in ("speed_rpm", "load_n"):
         put(readings, name, "good")
     verdict = judge(replace(evidence, settings=settings, readings=readings))
-    assert verdict["now"]["word"] == "unknown"
-    assert RING in verdict["missing"]
+    assert verdict.now.word == "unknown"
+    assert RING in verdict.missing
 
 
 def test_without_limits_nothing_is_safe(
     evidence: Evidence, make_section: Callable[..., Any]
 ) -> None:
     verdict = judge(replace(evidence, settings=make_section(limits={})))
-    assert verdict["now"]["word"] == verdict["next_step"]["word"] == "unknown"
-    assert "limits" in verdict["missing"]
+    assert verdict.now.word == verdict.next_step.word == "unknown"
+    assert "limits" in verdict.missing
 
 
 @pytest.mark.parametrize(("probability", "word"), [(0.049, "safe"), (0.05, "not safe")])
@@ -177,10 +179,10 @@ def test_the_threshold_decides_about_the_next_step(
     evidence: Evidence, probability: float, word: str
 ) -> None:
     ahead = replace(evidence, outlook=outlook(channel(), channel(probability)))
-    verdict = judge(ahead)["next_step"]
-    assert verdict["word"] == word
-    assert verdict["probability"] == probability
-    assert verdict["seconds_to_limit"] == 900
+    verdict = judge(ahead).next_step
+    assert verdict.word == word
+    assert verdict.probability == probability
+    assert verdict.seconds_to_limit == 900
 
 
 def test_seconds_count_from_now_not_from_the_forecast(evidence: Evidence) -> None:
@@ -190,8 +192,8 @@ def test_seconds_count_from_now_not_from_the_forecast(evidence: Evidence) -> Non
         outlook=outlook(channel(), channel(0.4)),
     )
     verdict = judge(later)
-    assert verdict["next_step"]["seconds_to_limit"] == 895
-    assert verdict["time_to_limit"]["earliest_s"] == 895
+    assert verdict.next_step.seconds_to_limit == 895
+    assert verdict.time_to_limit.earliest_s == 895
 
 
 def test_over_a_limit_the_reason_and_the_limit_stand_whatever_is_missing(
@@ -202,11 +204,11 @@ def test_over_a_limit_the_reason_and_the_limit_stand_whatever_is_missing(
     put(evidence.readings, "speed_rpm", "stale")
     put(evidence.readings, "t_outer_ring_c", "bad")
     verdict = judge(evidence)
-    assert verdict["now"]["word"] == "unknown"
-    assert verdict["now"]["reasons"][0] == "Inner ring 97.0 °C, over alarm 95 °C"
-    assert verdict["now"]["limit"] == {"channel": RING, "level": "alarm", "value_c": 95.0}
-    assert verdict["next_step"]["word"] == "unknown"
-    assert set(verdict["missing"]) == {"speed_rpm", "t_outer_ring_c"}
+    assert verdict.now.word == "unknown"
+    assert verdict.now.reasons[0] == "Inner ring 97.0 °C, over alarm 95 °C"
+    assert verdict.now.limit == Limit(channel=RING, level="alarm", value_c=95.0)
+    assert verdict.next_step.word == "unknown"
+    assert set(verdict.missing) == {"speed_rpm", "t_outer_ring_c"}
 
 
 def test_over_the_warning_is_recovering_only_while_the_present_step_cools(
@@ -240,8 +242,8 @@ def test_a_forecast_that_has_run_out_is_none(evidence: Evidence) -> None:
         sample = evidence.readings.latest[name]
         evidence.readings.add([sample._replace(time_us=late.now_us, received_us=late.now_us)])
     verdict = judge(late)
-    assert verdict["now"]["word"] == "safe"
-    assert verdict["missing"] == ["forecast"]
+    assert verdict.now.word == "safe"
+    assert verdict.missing == ["forecast"]
 
 
 def test_a_share_is_read_from_the_quantiles() -> None:
@@ -345,7 +347,7 @@ async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
     async def ask() -> Any:
         answer = await web.get("/api/v1/assets/bench-1/verdict")
         assert answer.status_code == 200, answer.text
-        return answer.json()
+        return VerdictDocument.model_validate(answer.json())
 
     def spoil(name: str, way: str) -> None:
         now_us = live.clock.now_us()
@@ -367,8 +369,8 @@ async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
         for name in absent:
             spoil(name, rng.choice(WAYS[1:]))
         verdict = await ask()
-        assert verdict["now"]["word"] == verdict["next_step"]["word"] == "unknown", verdict
-        assert set(absent) <= set(verdict["missing"])
+        assert verdict.now.word == verdict.next_step.word == "unknown", verdict
+        assert set(absent) <= set(verdict.missing)
         await asyncio.sleep(0.01)
     await live.until(both_safe, "a machine that is safe again", WARM)
 
@@ -391,9 +393,9 @@ async def test_after_speed_is_lost_nothing_presents_itself_as_valid(
         tag = live.tag(f"t_inner_ring_c.{name}")
         assert tag["value"] is None
         assert tag["quality"] < Quality.UNCERTAIN
-    assert live.runtime.state()["missing"] == ["speed_rpm"]
+    assert live.runtime.state().missing == ["speed_rpm"]
     forecast = await live.until(live.runtime.forecast, "a forecast", without_speed)
-    assert forecast["missing"] == ["speed_rpm"]
+    assert forecast.missing == ["speed_rpm"]
     live.stored.clear()
     await live.until(lambda: live.stored, "a kept estimate", without_speed)
     assert all(sample.quality == Quality.LAST_USABLE for sample in live.stored)
@@ -432,8 +434,8 @@ async def test_a_twin_that_has_ended_is_missing(
     await live.stop()
     live.feed(WARM)
     verdict = live.runtime.verdict()
-    assert verdict["now"]["word"] == "unknown"
-    assert verdict["missing"][0] == "twin"
+    assert verdict.now.word == "unknown"
+    assert verdict.missing[0] == "twin"
 
 
 async def test_a_start_without_an_ambient_channel_warns_and_says_what_is_assumed(
@@ -445,7 +447,7 @@ async def test_a_start_without_an_ambient_channel_warns_and_says_what_is_assumed
         live.start()
         await live.until(lambda: live.runtime.estimate.started, "a start", without)
     assert [line["asset"] for line in lines if line["event"] == "ambient_assumed"] == ["bench-1"]
-    assert live.runtime.summary()["ambient_assumed_c"] == pytest.approx(30.0)
+    assert live.runtime.summary().ambient_assumed_c == pytest.approx(30.0)
 
 
 def test_every_channel_that_a_verdict_needs_is_listed(make_section: Callable[..., Any]) -> None:

@@ -168,16 +168,16 @@ async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start
     now -= STEP_S
     forecast = await forecasting.make()
     assert forecast is not None
-    hour = [row for row, time_s in enumerate(forecast["time_s"]) if time_s <= HOUR_S]
-    came_s = now + np.array(forecast["time_s"])[hour].astype(int)
+    hour = [row for row, time_s in enumerate(forecast.time_s) if time_s <= HOUR_S]
+    came_s = now + np.array(forecast.time_s)[hour].astype(int)
     for column, name in enumerate(("t_winding_c", "t_body_c")):
-        quantiles = forecast["nodes"][name]
-        low, high = (np.array(quantiles[level])[hour] for level in ("q025", "q975"))
+        quantiles = forecast.nodes[name]
+        low, high = (np.array(getattr(quantiles, level))[hour] for level in ("q025", "q975"))
         came_c = truth[came_s, column]
         assert np.mean((low <= came_c) & (came_c <= high)) > 0.9, (name, low, came_c, high)
-    body = forecast["nodes"]["t_body_c"]
-    half_k = (body["q975"][0] - body["q025"][0]) / 2.0
-    said = [label for label in forecast["labels"] if label.startswith("initial state")]
+    body = forecast.nodes["t_body_c"]
+    half_k = (body.q975[0] - body.q025[0]) / 2.0
+    said = [label for label in forecast.labels if label.startswith("initial state")]
     doubtful = half_k > 5.0 * motor.model.errors.scale
     assert said == ([f"{LABEL}{half_k:.0f} K only"] if doubtful else [])
     assert doubtful or moment != "full load"
@@ -195,19 +195,20 @@ async def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
     for second in range(BEFORE_S - 10, now + 1, STEP_S):
         estimate.step(START_US + second * 1_000_000, means(speed, load, truth, second))
     settings = motor_section(tmp_path)
-    document = await Planning(settings, estimate.state, list(settings.channels)).envelope([])
-    maps = document["sensors"]["t_winding_c"]["limits"]
+    planning = Planning(settings, estimate.state, list(settings.channels))
+    document = await planning.envelope([], {})
+    maps = document.sensors["t_winding_c"].limits
     time_s = np.arange(0.0, 4.0 * HOUR_S)
     reached = 0
-    for row, load_n in enumerate(document["load_n"]):
-        for column, speed_rpm in enumerate(document["speed_rpm"]):
+    for row, load_n in enumerate(document.load_n):
+        for column, speed_rpm in enumerate(document.speed_rpm):
             held = np.full(time_s.size, speed_rpm), np.full(time_s.size, load_n)
             winding_c = run_of(motor.model, time_s, *held, truth[now])[:, 0]
             for level in ("warning", "alarm"):
-                over = np.flatnonzero(winding_c >= maps[level]["limit_c"])
+                over = np.flatnonzero(winding_c >= maps[level].limit_c)
                 if over.size:
                     reached += 1
-                    earliest_s = maps[level]["earliest_s"][row][column]
+                    earliest_s = maps[level].earliest_s[row][column]
                     assert earliest_s is not None
                     assert earliest_s <= over[0] + 1, (level, speed_rpm, load_n)
     assert reached > 10
@@ -238,7 +239,7 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
 
     def labels(live: Any) -> list[str]:
         forecast = live.runtime.forecast()
-        return [] if forecast is None else [one for one in forecast["labels"] if LABEL in one]
+        return [] if forecast is None else [one for one in forecast.labels if LABEL in one]
 
     async def until(live: Any, look: Callable[[], Any], what: str) -> None:
         async with asyncio.timeout(60.0):
@@ -252,7 +253,7 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
     begun_us = first.clock.now_us()
     first.start()
     await until(first, first.runtime.forecast, "a forecast")
-    assert labels(first), first.runtime.forecast()["labels"]
+    assert labels(first), first.runtime.forecast().labels
     await first.stop()
     kept = json.loads(json.dumps(first.saved[-1]))
     assert 0.0 <= kept["followed_s"] < FOLLOWED_S

@@ -6,11 +6,11 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.documents.advice import AdviceDocument
 from service.domain.requests import MAX_PROFILE_HOURS
 from service.domain.roles import ENGINEER
 from service.web.api.access import secured
 from service.web.api.deps import Asset, json_response
-from service.web.api.planning import AdviceDocument
 from service.web.api.turns import caller_of, turns_of
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])

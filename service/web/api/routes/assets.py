@@ -3,17 +3,17 @@
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from service.domain.requests import GreaseRenewedRequest
-from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
-from service.web.api.access import Caller, secured
-from service.web.api.bodies import (
+from service.documents.assets import (
     AssetDocument,
     AssetList,
     GreaseRenewed,
-    Snapshot,
     State,
-    VerdictDocument,
 )
+from service.documents.tags import Snapshot
+from service.documents.verdicts import VerdictDocument
+from service.domain.requests import GreaseRenewedRequest
+from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
+from service.web.api.access import Caller, secured
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.web.api.snapshots import snapshot_response
@@ -31,7 +31,7 @@ async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Re
     """Give configuration, health and active model of every asset."""
     await context.refresh_summaries()
     items = [asset.summary() for asset in context.assets.values()]
-    return conditional_response({"items": items, "next": None}, if_none_match)
+    return conditional_response(AssetList(items=items), if_none_match)
 
 
 @router.get(

@@ -4,10 +4,10 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.documents.envelope import EnvelopeDocument
 from service.domain.roles import VIEWER
 from service.web.api.access import secured
 from service.web.api.deps import Asset, json_response
-from service.web.api.planning import EnvelopeDocument
 from service.web.api.turns import caller_of, turns_of
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["planning"])

@@ -1,18 +1,17 @@
 """Forecasts: the live one, and what-if."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from fastapi import APIRouter
-from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
+from service.documents.forecasts import LiveForecast, WhatIf
 from service.domain.errors import NotReadyError, RequestRefusedError
 from service.domain.requests import ForecastRequest
 from service.domain.roles import OPERATOR, VIEWER
 from service.web.api.access import secured
-from service.web.api.bodies import LiveForecast, WhatIf
 from service.web.api.deps import Asset, json_response
 from service.web.api.turns import caller_of, pieces_in_turn, turns_of, while_there
 
@@ -66,6 +65,6 @@ async def post_forecast(asset: Asset, request: Request, body: ForecastRequest) -
     return StreamingResponse(pieces_in_turn(pieces), media_type="application/json")
 
 
-def _pieces_of(answer: Mapping[str, Any]) -> list[bytes]:
-    text = to_json(answer, inf_nan_mode="null")
+def _pieces_of(answer: WhatIf) -> list[bytes]:
+    text = answer.to_bytes()
     return [text[begin : begin + _PIECE_BYTES] for begin in range(0, len(text), _PIECE_BYTES)]

@@ -1,5 +1,7 @@
 """Is it alive, is it ready, and the metrics."""
 
+from typing import Literal
+
 import structlog
 from anyio import to_thread
 from fastapi import APIRouter
@@ -7,10 +9,10 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.documents.health import Alive, Ready, ReadyCheck
 from service.domain.roles import VIEWER
 from service.security.loopback import is_loopback
 from service.web.api.access import authenticate, problems, public, unauthorized
-from service.web.api.bodies import Alive, Ready
 from service.web.api.deps import Context, Keys, json_response
 from service.web.api.problems import RETRY_AFTER_S, Problem
 
@@ -22,7 +24,7 @@ _log = structlog.get_logger(__name__)
 @router.get("/livez", response_model=Alive, summary="Liveness: the process answers", **public())
 async def livez() -> Response:
     """Say yes."""
-    return json_response({"status": "alive"})
+    return json_response(Alive())
 
 
 @router.get(
@@ -39,21 +41,16 @@ async def readyz(context: Context, request: Request, keys: Keys) -> Response:
     checks = await context.health.checks()
     statuses = {check.status for check in checks}
     ready = "failed" not in statuses
-    overall = ("degraded" if "degraded" in statuses else "ready") if ready else "not ready"
+    overall: Literal["ready", "degraded", "not ready"] = (
+        ("degraded" if "degraded" in statuses else "ready") if ready else "not ready"
+    )
     detailed = await _may_see_details(request, keys)
-    body = {
-        "status": overall,
-        "checks": [
-            {
-                "name": check.name,
-                "status": check.status,
-                "detail": check.detail if detailed else None,
-            }
-            for check in checks
-        ],
-    }
+    shown = [
+        ReadyCheck(name=check.name, status=check.status, detail=check.detail if detailed else None)
+        for check in checks
+    ]
     retry = {} if ready else {"Retry-After": str(RETRY_AFTER_S)}
-    return json_response(body, 200 if ready else 503, retry)
+    return json_response(Ready(status=overall, checks=shown), 200 if ready else 503, retry)
 
 
 # Many probes only ask for the head.

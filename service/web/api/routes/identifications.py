@@ -6,10 +6,10 @@ from fastapi import APIRouter, Header, Path
 from starlette.requests import Request
 from starlette.responses import Response
 
+from service.documents.identification import JobDocument, JobList, WindowList
 from service.domain.requests import IdentificationRequest
 from service.domain.roles import ENGINEER
 from service.web.api.access import LOCATION, RETRY_AFTER, Caller, secured
-from service.web.api.bodies import JobDocument, JobList, WindowList
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
@@ -32,7 +32,7 @@ JobId = Annotated[str, Path(max_length=64, description="The job's id.")]
 async def list_windows(asset: Asset, request: Request) -> Response:
     """Contiguous good data inside the low-risk region, with operating points and score."""
     async with turns_of(request).studies.turn(caller_of(request)):
-        return json_response({"items": await asset.windows(), "next": None})
+        return json_response(WindowList(items=list(await asset.windows())))
 
 
 @router.post(
@@ -68,7 +68,7 @@ async def post_identification(
     """Queue a background job; `Location` tells where its progress is."""
     job, created = await context.jobs.create(asset.id, request, idempotency_key, who.who)
     headers = {
-        "Location": f"{http_request.url.path}/{job['id']}",
+        "Location": f"{http_request.url.path}/{job.id}",
         "Retry-After": str(RETRY_AFTER_S),
     }
     if not created:
@@ -87,8 +87,10 @@ async def list_identifications(
 ) -> Response:
     """All jobs of the asset, those of earlier runs of the service too."""
     jobs = await context.jobs.jobs(asset.id)
-    page, following = page_of(jobs, limit, cursor, lambda job: job["id"])
-    return json_response({"items": page, "next": following}, headers=next_link(request, following))
+    page, following = page_of(jobs, limit, cursor, lambda job: job.id)
+    return json_response(
+        JobList(items=list(page), next=following), headers=next_link(request, following)
+    )
 
 
 @router.get(

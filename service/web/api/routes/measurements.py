@@ -11,8 +11,10 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from adapters.tables import TableFileError
+from service.documents.interfaces import AssetTwin
+from service.documents.measurements import Measurements, Pushed
+from service.documents.problems import FieldError
 from service.domain.errors import PushRefusedError
-from service.domain.interfaces import AssetTwin
 from service.domain.roles import PUSH, VIEWER
 from service.domain.times import Instant
 from service.store import Store
@@ -28,7 +30,6 @@ from service.transfer.pages import (
     read_page,
 )
 from service.web.api.access import secured
-from service.web.api.bodies import Measurements, Pushed
 from service.web.api.context import ServiceContext
 from service.web.api.cursors import decode_cursor, encode_cursor, next_link
 from service.web.api.deps import Asset, Context, json_response
@@ -194,10 +195,10 @@ async def post_measurements(
             f"channel {', '.join(sorted(verdict.wired))}: comes from a source of its own and "
             'takes no pushes, expected channels with source = "push"',
             errors=[
-                {
-                    "pointer": f"/samples/{index}/channel",
-                    "detail": f"{name} comes from {channels[name]!r}",
-                }
+                FieldError(
+                    pointer=f"/samples/{index}/channel",
+                    detail=f"{name} comes from {channels[name]!r}",
+                )
                 for name, index in sorted(verdict.wired.items())
             ],
         )
@@ -216,11 +217,7 @@ async def post_measurements(
         # The time from which samples are kept moved on meanwhile.
         verdict = await judged()
     return json_response(
-        {
-            "accepted": counts.stored,
-            "duplicates": counts.duplicates,
-            "rejected": verdict.rejected,
-        }
+        Pushed(accepted=counts.stored, duplicates=counts.duplicates, rejected=verdict.rejected)
     )
 
 

@@ -7,12 +7,16 @@ from pydantic import ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from service.clock import rfc3339
+from service.documents.models import (
+    ActivationList,
+    ModelDocument,
+    ModelList,
+    activation_line,
+    model_document,
+)
 from service.domain.requests import RequestBody
 from service.domain.roles import ENGINEER
-from service.jobs.documents import model_json
 from service.web.api.access import Caller, secured
-from service.web.api.bodies import ActivationList, ModelDocument, ModelList
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
@@ -40,8 +44,10 @@ def list_models(
     """All versions, newest first; informed combinations are counted, not spelled out."""
     newest_first = context.store.models.versions(asset.id)[::-1]
     page, following = page_of(newest_first, limit, cursor, lambda model: model.version)
-    items = [model_json(version, combinations=False) for version in page]
-    return json_response({"items": items, "next": following}, headers=next_link(request, following))
+    items = [model_document(version, combinations=False) for version in page]
+    return json_response(
+        ModelList(items=items, next=following), headers=next_link(request, following)
+    )
 
 
 @router.get(
@@ -56,16 +62,9 @@ def list_activations(
     """The activation journal, newest first: who changed the active version, when and why."""
     newest_first = list(enumerate(context.store.models.activations(asset.id)))[::-1]
     page, following = page_of(newest_first, limit, cursor, lambda numbered: numbered[0])
-    items = [
-        {
-            "time": rfc3339(line.at_us),
-            "version": line.version,
-            "who": line.who,
-            "comment": line.comment,
-        }
-        for _, line in page
-    ]
-    return json_response({"items": items, "next": following}, headers=next_link(request, following))
+    items = [activation_line(line) for _, line in page]
+    answer = ActivationList(items=items, next=following)
+    return json_response(answer, headers=next_link(request, following))
 
 
 @router.get(
@@ -79,7 +78,7 @@ def get_model(context: Context, asset: Asset, version: Version) -> Response:
     model = context.store.models.version(asset.id, version)
     if model is None:
         raise _no_version(asset, version)
-    return json_response(model_json(model))
+    return json_response(model_document(model))
 
 
 @router.post(

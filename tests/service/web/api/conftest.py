@@ -23,7 +23,27 @@ from service.bus.replica import Replicas
 from service.bus.stream import Bus
 from service.cell.answers import Answers, Parts
 from service.clock import ProcessClock, rfc3339
-from service.documents.alarms import alarm_document
+from service.documents.advice import AdviceDocument, Steady, StopRule, Target
+from service.documents.alarms import alarm_document, alarm_summary
+from service.documents.assets import (
+    ActiveModel,
+    AssetDocument,
+    ChannelDocument,
+    GreaseRenewed,
+    HealthOfAsset,
+    IdentificationSettings,
+    NodeState,
+    State,
+    VerdictSettings,
+)
+from service.documents.envelope import EnvelopeDocument, PresentPoint, RunawayMap
+from service.documents.forecasts import LiveForecast, Quantiles, WhatIf
+from service.documents.identification import JobDocument, WindowDocument, job_document
+from service.documents.limits import Crossing, Limits, LowRisk
+from service.documents.models import ModelDocument, model_document
+from service.documents.profiles import ForecastStep, StepLevel
+from service.documents.tags import Snapshot, Tag
+from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.channels import NODES, RING_SENSORS
 from service.domain.errors import (
     ActivationRefusedError,
@@ -35,7 +55,7 @@ from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
 from service.security import create_key
 from service.site.settings import Settings
-from service.store import ActiveJobError, Job, ModelVersion, Outbox, Store
+from service.store import ActiveJobError, Outbox, Store
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
@@ -44,9 +64,10 @@ ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
 REMOTE = ("203.0.113.9", 50_000)
 QUANTILES = ("q025", "q25", "q50", "q75", "q975")
 MINUTE_US = 60_000_000
+LIMITS = {"t_inner_ring_c": Limits(warning=90, alarm=105)}
 
 
-def tag(value: float | None, unit: str, time_us: int, quality: int = 192) -> dict[str, Any]:
+def tag(value: float | None, unit: str, time_us: int, quality: int = 192) -> Tag:
     return {"value": value, "unit": unit, "quality": quality, "time": rfc3339(time_us)}
 
 
@@ -61,7 +82,7 @@ class MemoryTwin:
         self.time_us = time_us
         self.ready = True
         self.identified = True
-        self.live_forecast: dict[str, Any] | None = None
+        self.live_forecast: LiveForecast | None = None
         self.tags = {
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
         }
@@ -77,63 +98,98 @@ class MemoryTwin:
     def machine(self) -> Mapping[str, Any]:
         return {"version": 1, "estimate": {} if self.ready else None, "missing": []}
 
-    def summary(self) -> Mapping[str, Any]:
-        return {
-            "id": self.id,
-            "name": self.id,
-            "group": None,
-            "bearing": "6311",
-            "network": "bearing-14",
-            "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},
-            "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
-            "channels": [{"name": n, "source": s} for n, s in self.channels.items()],
-            "health": {"status": "good"},
-            "active_model": {"version": 1, "trusted": True, "identified_at": None},
-            "controller": None,
-        }
+    def summary(self) -> AssetDocument:
+        return AssetDocument(
+            id=self.id,
+            name=self.id,
+            group=None,
+            bearing="6311",
+            network="bearing-14",
+            clock_rate=1.0,
+            low_risk=LowRisk(speed_rpm_max=4300, load_n_max=3000),
+            limits=LIMITS,
+            channels=[
+                ChannelDocument(name=name, source=source, unit="°C", reason=None, max_age_s=60.0)
+                for name, source in self.channels.items()
+            ],
+            alarms=alarm_summary([]),
+            ambient_assumed_c=None,
+            verdict=VerdictSettings(safe_below_probability=0.05),
+            health=HealthOfAsset(status="good", twin_running=True, channels_without_good_data=[]),
+            active_model=ActiveModel(
+                version=1, model="bearing-14", trusted=True, identified=False, identified_at=None
+            ),
+            identification=IdentificationSettings(ladder="apply"),
+            controller=None,
+        )
 
-    def snapshot(self) -> Mapping[str, Any]:
+    def snapshot(self) -> Snapshot:
         return {"tags": self.tags}
 
-    def state(self) -> Mapping[str, Any]:
-        nodes = {name: {"mean_c": 60.0, "std_c": float("nan")} for name in NODES}
-        return {"time": rfc3339(self.time_us), "model_version": 1, "nodes": nodes}
+    def state(self) -> State:
+        node = NodeState(mean_c=60.0, std_c=float("nan"), known=False)
+        return State(
+            time=rfc3339(self.time_us),
+            model_version=1,
+            revolutions=0,
+            nodes=dict.fromkeys(NODES, node),
+            missing=[],
+        )
 
-    def verdict(self) -> Mapping[str, Any]:
-        unknown = {"word": "unknown", "reasons": ["the twin does not run"], "limit": None}
-        unknown |= {"probability": None, "seconds_to_limit": None, "alarm_probability": None}
-        return {
-            "time": rfc3339(self.time_us),
-            "now": unknown,
-            "next_step": unknown,
-            "time_to_limit": None,
-            "missing": ["twin"],
-        }
+    def verdict(self) -> VerdictDocument:
+        unknown = VerdictOf(
+            word="unknown",
+            reasons=["the twin does not run"],
+            limit=None,
+            probability=None,
+            seconds_to_limit=None,
+            alarm_probability=None,
+        )
+        return VerdictDocument(
+            time=rfc3339(self.time_us),
+            now=unknown,
+            next_step=unknown,
+            time_to_limit=None,
+            missing=["twin"],
+        )
 
-    def forecast(self) -> Mapping[str, Any] | None:
+    def forecast(self) -> LiveForecast | None:
         return self.live_forecast
 
     def what_if(
         self, profile: Sequence[ProfileStep], step_s: float | None, nodes: Collection[str] | None
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         total_s = sum(step.duration_s for step in profile)
         step_s = step_s or 60.0
         time_s = [step_s * row for row in range(int(total_s // step_s) + 1)]
-        crossing = {"probability": 0.0, "median_s": None, "earliest_s": None}
-        return {
-            "time_s": time_s,
-            "nodes": {
-                name: {quantile: [60.0] * len(time_s) for quantile in QUANTILES}
+        crossing = Crossing(probability=0.0, median_s=None, earliest_s=None)
+        return WhatIf(
+            time_s=time_s,
+            nodes={
+                name: Quantiles(**dict.fromkeys(QUANTILES, [60.0] * len(time_s)))
                 for name in nodes or RING_SENSORS + NODES
             },
-            "limits": {"t_inner_ring_c": {"warning": 90, "alarm": 105}},
-            "time_to_limit": {"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
-        }
+            limits=LIMITS,
+            time_to_limit={"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
+            labels=[],
+            runaway_probability=0.0,
+            model_version=1,
+            profile=[
+                ForecastStep(
+                    duration_s=step.duration_s,
+                    speed_rpm=step.speed_rpm,
+                    load_n=step.load_n,
+                    ambient_c=23.0,
+                )
+                for step in profile
+            ],
+            missing=[],
+        )
 
-    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
         if not self.ready:
             raise NotReadyError("the twin waits for its first data")
-        return {"time": rfc3339(self.time_us), "revolutions_before": 1000, "revolutions": 0}
+        return GreaseRenewed(time=rfc3339(self.time_us), revolutions_before=1000, revolutions=0)
 
 
 class MemoryQuestions:
@@ -149,47 +205,67 @@ class MemoryQuestions:
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         return self.twins[asset].what_if(profile, step_s, nodes)
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> Mapping[str, Any]:
-        made_at = rfc3339(self.twins[asset].time_us)
-        return {"made_at": made_at, "labels": [], "median_s": float("inf")}
+    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
+        return EnvelopeDocument(
+            made_at=rfc3339(self.twins[asset].time_us),
+            model_version=1,
+            ambient_c=23.0,
+            horizon_s=28_800.0,
+            members=80,
+            speed_rpm=[1000.0],
+            load_n=[2000.0],
+            sensors={},
+            runaway=RunawayMap(probability=[[float("inf")]], not_excluded=[[False]]),
+            low_risk=LowRisk(speed_rpm_max=4300, load_n_max=3000),
+            labels=[],
+            present=PresentPoint(speed_rpm=1000.0, load_n=2000.0, measured_c={}),
+        )
 
     async def advice(
         self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
-    ) -> Mapping[str, Any]:
+    ) -> AdviceDocument:
         if not self.twins[asset].identified:
             raise NotIdentifiedError("no identified model yet")
-        names = ("speed_rpm", "load_n", "duration_s")
-        return {"target": dict(zip(names, target, strict=True)), "steps": []}
+        speed_rpm, load_n, duration_s = target
+        return AdviceDocument(
+            made_at=rfc3339(self.twins[asset].time_us),
+            model_version=1,
+            target=Target(
+                speed_rpm=speed_rpm,
+                load_n=load_n,
+                duration_s=duration_s,
+                inside_low_risk=False,
+                sensor="t_inner_ring_c",
+                sensors={},
+                labels=[],
+            ),
+            worth_while=False,
+            steps=[],
+            excluded=[],
+            stop_rule=StopRule(
+                rules=[],
+                largest_ratio=1.25,
+                hold_at_least_s=1800,
+                steady=Steady(change_k=0.2, within_s=600),
+                levels=[],
+            ),
+        )
 
-    async def windows(self, asset: str) -> Sequence[Mapping[str, Any]]:
+    async def windows(self, asset: str) -> Sequence[WindowDocument]:
         time_us = self.twins[asset].time_us
         return [
-            {
-                "start": rfc3339(time_us - 60 * MINUTE_US),
-                "end": rfc3339(time_us),
-                "score": 1.5,
-                "operating_points": [{"speed_rpm": 1500.0, "load_n": 2650.0, "duration_s": 3600.0}],
-            }
+            WindowDocument(
+                start=rfc3339(time_us - 60 * MINUTE_US),
+                end=rfc3339(time_us),
+                speed_rpm_max=1500.0,
+                load_n_max=2650.0,
+                operating_points=[StepLevel(speed_rpm=1500.0, load_n=2650.0, duration_s=3600.0)],
+                score=1.5,
+            )
         ]
-
-
-def job_document(job: Job) -> dict[str, Any]:
-    return {
-        "id": job.id,
-        "status": job.status,
-        "progress": job.progress,
-        "best_fitness": job.best_fitness,
-        "evaluations": job.evaluations,
-        "created_at": rfc3339(job.created_at_us),
-        "started_at": None,
-        "ended_at": None,
-        "error": job.error,
-        "model_version": job.model_version,
-        "request": job.request,
-    }
 
 
 class MemoryJobs:
@@ -205,34 +281,36 @@ class MemoryJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
-    ) -> tuple[Mapping[str, Any], bool]:
+    ) -> tuple[JobDocument, bool]:
         try:
             job, created = self._store.jobs.add(
                 asset_id,
-                request.model_dump(mode="json") | {"who": who},
+                request.model_dump(mode="json")
+                | {"who": who}
+                | ({"windows": []} if request.windows == "auto" else {}),
                 self._clock.now_us(),
                 idempotency_key,
             )
         except ActiveJobError as error:
             in_the_way = self._store.jobs.get(error.job_id)
             assert in_the_way is not None
-            raise JobConflictError(job_document(in_the_way)) from error
+            raise JobConflictError("a job is under way", job_document(in_the_way)) from error
         return job_document(job), created
 
-    async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
         job = self._store.jobs.get(job_id)
         return job_document(job) if job and job.asset == asset_id else None
 
-    async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
+    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         return [job_document(job) for job in self._store.jobs.of_asset(asset_id)]
 
-    async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
         self._store.jobs.update(job_id, status="cancelled")
         return await self.job(asset_id, job_id)
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
-    ) -> Mapping[str, Any]:
+    ) -> ModelDocument:
         wanted = self._store.models.version(asset_id, version)
         if wanted is None:
             raise KeyError(version)
@@ -242,11 +320,6 @@ class MemoryJobs:
             asset_id, version, who, comment or "", self._clock.now_us()
         )
         return model_document(active)
-
-
-def model_document(model: ModelVersion) -> dict[str, Any]:
-    named = {name: model.document[name] for name in ("parameters", "windows", "scores", "naive")}
-    return {"version": model.version, "status": model.status, "reason": model.reason} | named
 
 
 @dataclass

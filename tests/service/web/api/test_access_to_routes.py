@@ -9,7 +9,12 @@ from fastapi.routing import APIRoute, APIWebSocketRoute, iter_route_contexts
 
 from service.security import create_key, revoke_key
 
-UNLISTED = {("HEAD", "/livez"), ("HEAD", "/readyz"), ("GET", "/docs")}
+UNLISTED = {
+    ("HEAD", "/livez"),
+    ("HEAD", "/readyz"),
+    ("GET", "/docs"),
+    ("GET", "/asyncapi.json"),
+}
 PUBLIC = UNLISTED | {
     ("GET", "/livez"),
     ("GET", "/readyz"),

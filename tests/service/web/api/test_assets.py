@@ -2,8 +2,11 @@ import json
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
-from service.web.api.bodies import AssetDocument, AssetList, Snapshot, State
+from service.documents.assets import AssetDocument, AssetList, State
+from service.documents.forecasts import LiveForecast
+from service.documents.tags import Snapshot
 
 SNAPSHOT = "/api/v1/assets/bench-1/snapshot"
 
@@ -20,7 +23,8 @@ async def test_assets_are_listed_and_shown(world: Any) -> None:
 async def test_snapshot_answers_304_until_something_changes(world: Any) -> None:
     client = world.client("viewer")
     first = await client.get(SNAPSHOT)
-    assert Snapshot.model_validate(first.json()).tags["t_inner_ring_c"].value == 60.0
+    assert TypeAdapter(Snapshot).validate_python(first.json()) == world.bench.snapshot()
+    assert first.json()["tags"]["t_inner_ring_c"]["value"] == 60.0
     entity_tag = first.headers["etag"]
     for condition in (entity_tag, f"W/{entity_tag}", f'"other", {entity_tag}', "*"):
         again = await client.get(SNAPSHOT, headers={"If-None-Match": condition})
@@ -65,9 +69,21 @@ async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
     assert waiting.status_code == 503
     assert int(waiting.headers["Retry-After"]) > 0
     assert "waits for its first data" in waiting.json()["detail"]
-    world.bench.live_forecast = {"made_at": "2026-11-21T08:00:00.000Z", "time_s": [0.0]}
+    world.bench.live_forecast = LiveForecast(
+        time_s=[0.0],
+        nodes={},
+        limits={},
+        time_to_limit={},
+        labels=[],
+        runaway_probability=0.0,
+        model_version=1,
+        profile=[],
+        missing=[],
+        made_at="2026-11-21T08:00:00.000Z",
+        planned=False,
+    )
     answer = await client.get("/api/v1/assets/bench-1/forecast")
-    assert answer.json() == world.bench.live_forecast
+    assert LiveForecast.model_validate(answer.json()) == world.bench.live_forecast
 
 
 async def test_what_if_passes_on_what_was_asked(world: Any) -> None:

@@ -7,8 +7,8 @@ import pytest
 from prometheus_client import Counter
 
 from adapters.samples import Sample
+from service.documents.health import Ready
 from service.site.settings import SecuritySection
-from service.web.api.bodies import Ready
 
 
 async def ready(world: Any, role: str | None = None) -> tuple[int, Ready]:

@@ -12,7 +12,7 @@ import pytest
 
 from adapters.samples import Sample
 from service.clock import from_rfc3339, rfc3339, rfc3339_exact
-from service.web.api.bodies import Measurements
+from service.documents.measurements import Measurements
 
 PATH = "/api/v1/assets/bench-1/measurements"
 HOUR_US = 3_600_000_000

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from service.web.api.bodies import JobDocument, JobList, WindowList
+from service.documents.identification import JobDocument, JobList, WindowList
 
 JOBS = "/api/v1/assets/bench-1/identifications"
 
@@ -34,12 +34,14 @@ async def test_job_is_accepted_and_found_at_its_location(world: Any) -> None:
 async def test_request_reaches_the_job_manager_with_who_asked(world: Any) -> None:
     windows = [{"start": "2026-11-21T08:00:00Z", "end": "2026-11-21T10:00:00+01:00"}]
     response = await start(world, windows=windows, method="refine", seed=7, budget=5000)
-    assert response.json()["request"] == {
+    shown = response.json()
+    asked = {name: shown[name] for name in ("windows", "method", "seed", "budget", "requested_by")}
+    assert asked == {
         "windows": [{"start": "2026-11-21T08:00:00.000Z", "end": "2026-11-21T09:00:00.000Z"}],
         "method": "refine",
         "seed": 7,
         "budget": 5000,
-        "who": f"engineer {world.keys['engineer'][:11]}",
+        "requested_by": f"engineer {world.keys['engineer'][:11]}",
     }
 
 

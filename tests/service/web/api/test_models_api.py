@@ -2,15 +2,27 @@ from typing import Any
 
 import pytest
 
-from service.web.api.bodies import ActivationList, ModelDocument, ModelList
+from service.documents.models import ActivationList, ModelDocument, ModelList
 
 MODELS = "/api/v1/assets/bench-1/models"
+PAPER_VIEW = {"f2": {"value": 0.7, "low": 0.5, "high": 0.9}}
 DOCUMENT = {
     "model": "default",
-    "parameters": {"k1": {"value": 1.0, "unit": "W/K", "low": 0.5, "high": 2.0}},
+    "parameters": {
+        "k1": {
+            "value": 1.0,
+            "unit": "W/K",
+            "low": 0.5,
+            "high": 2.0,
+            "verdict": "informed",
+            "at_bound": None,
+            "informed_share": 0.8,
+            "description": "contact conductance",
+        }
+    },
     "windows": [],
-    "scores": {"rms_error_k": 0.4},
-    "naive": {"persistence": 3.0},
+    "scores": {"train_rms_k": {"t_inner_ring_c": 0.4}},
+    "naive": {"extrapolation": {"persistence": {"t_inner_ring_c": 3.0}}},
     "gates": None,
     "job": None,
     "identified": True,
@@ -43,7 +55,9 @@ async def test_versions_are_listed_newest_first(models: Any) -> None:
 
 async def test_one_version_is_shown(models: Any) -> None:
     document = (await models.client("engineer").get(f"{MODELS}/2")).json()
-    assert ModelDocument.model_validate(document).parameters == DOCUMENT["parameters"]
+    assert ModelDocument.model_validate(document).version == 2
+    for name in ("parameters", "scores", "naive"):
+        assert document[name] == DOCUMENT[name]
     assert (await models.client("engineer").get(f"{MODELS}/4")).status_code == 404
     assert (await models.client("engineer").get(f"{MODELS}/0")).status_code == 422
     assert (await models.client("engineer").get(f"{MODELS}/{2**40}")).status_code == 422
@@ -56,19 +70,30 @@ async def test_what_the_data_inform_is_counted_in_the_list_and_spelled_out_for_o
         "rank": 2,
         "condition": 30.0,
         "informed": 1,
-        "combinations": [{"combination": "0.80 k1 + 0.60 k2", "verdict": "informed"}],
+        "weak": 1,
+        "prior_only": 0,
+        "combinations": [
+            {
+                "combination": "0.80 k1 + 0.60 k2",
+                "weights": {"k1": 0.8, "k2": 0.6},
+                "strength": 20.0,
+                "std_over_prior": 0.05,
+                "verdict": "informed",
+            }
+        ],
     }
-    extra = {"identifiability": told, "paper_view": {"f2": {"value": 0.7}}}
+    extra = {"identifiability": told, "paper_view": PAPER_VIEW}
     world.store.models.add("bench-1", "candidate", "", DOCUMENT | extra, 1)
     client = world.client("engineer")
     version = (await client.get(MODELS)).json()["items"][0]["version"]
     whole = (await client.get(f"{MODELS}/{version}")).json()
     assert whole["identifiability"] == told
-    assert whole["paper_view"] == {"f2": {"value": 0.7}}
+    assert whole["paper_view"] == PAPER_VIEW
     (listed,) = [
         item for item in (await client.get(MODELS)).json()["items"] if item["version"] == version
     ]
-    assert listed["identifiability"] == {"rank": 2, "condition": 30.0, "informed": 1}
+    del told["combinations"]
+    assert listed["identifiability"] == told
 
 
 async def test_versions_of_older_releases_say_nothing_about_it(models: Any) -> None:

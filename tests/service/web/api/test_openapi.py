@@ -1,13 +1,20 @@
 """What /openapi.json promises, and that its examples keep to it."""
 
+import json
+import re
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import jsonschema_rs
 import pytest
 
+from service.documents.messages import MessageType
+from service.web.api.app import descriptions
+
 JSON = "application/json"
 PROBLEM = "application/problem+json"
+DOCS = Path(__file__).parents[4] / "docs"
 
 
 @pytest.fixture
@@ -84,6 +91,66 @@ async def test_every_body_and_answer_has_an_example_that_fits(description: dict[
             if status.startswith("2") and content:
                 assert "example" in content, (name, status)
                 check(description, content["schema"], content["example"], name)
+
+
+def open_parts(schema: Any, where: str = "") -> Iterator[str]:
+    """Places of a schema that say nothing about what stands there."""
+    if isinstance(schema, list):
+        for number, one in enumerate(schema):
+            yield from open_parts(one, f"{where}/{number}")
+    if not isinstance(schema, dict):
+        return
+    beyond = schema.get("additionalProperties", True)
+    if schema.get("type") == "object" and beyond is True:
+        yield where
+    if not schema.keys() & {"type", "$ref", "anyOf", "oneOf", "enum", "const"}:
+        yield where
+    for name, one in schema.get("properties", {}).items():
+        yield from open_parts(one, f"{where}/{name}")
+    for key in ("additionalProperties", "items", "anyOf", "oneOf"):
+        if isinstance(schema.get(key), dict | list):
+            below = schema[key] if isinstance(schema[key], list) else [schema[key]]
+            for one in below:
+                yield from open_parts(one, f"{where}/{key}")
+
+
+def answers_of(description: dict[str, Any]) -> set[str]:
+    """Names of the schemas that answers are made of."""
+    schemas = description["components"]["schemas"]
+    found: set[str] = set()
+    waiting = {
+        name
+        for _, operation in operations(description)
+        for name in re.findall(r"#/components/schemas/(\w+)", json.dumps(operation["responses"]))
+    }
+    while waiting - found:
+        name = (waiting - found).pop()
+        found.add(name)
+        waiting |= set(re.findall(r"#/components/schemas/(\w+)", json.dumps(schemas[name])))
+    return found
+
+
+async def test_no_answer_leaves_open_what_it_holds(description: dict[str, Any]) -> None:
+    schemas = description["components"]["schemas"]
+    for name in answers_of(description):
+        assert list(open_parts(schemas[name], name)) == []
+
+
+def test_no_message_leaves_open_what_it_holds() -> None:
+    stream = descriptions()["asyncapi.json"]
+    for name, schema in stream["components"]["schemas"].items():
+        assert list(open_parts(schema, name)) == []
+        jsonschema_rs.meta.validate(schema)
+    assert set(stream["components"]["messages"]) == {"hello", *get_args(MessageType)}
+
+
+async def test_the_descriptions_in_the_repository_are_those_that_are_served(world: Any) -> None:
+    """A change of the interface is a decision: `make descriptions` writes it down."""
+    for name, document in descriptions().items():
+        kept = json.loads((DOCS / name).read_text())
+        assert kept == document, f"docs/{name} differs; 'make descriptions' writes it"
+        served = (await world.client().get(f"/{name}")).json()
+        assert served == document
 
 
 def _examples(description: dict[str, Any], schema: dict[str, Any]) -> list[Any]:

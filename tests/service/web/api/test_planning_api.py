@@ -11,7 +11,7 @@ ADVICE = "/api/v1/assets/bench-1/advice"
 async def test_envelope_is_the_twins_and_infinities_are_null(world: Any) -> None:
     answer = await world.client("viewer").get(ENVELOPE)
     assert answer.status_code == 200
-    assert answer.json()["median_s"] is None
+    assert answer.json()["runaway"]["probability"] == [[None]]
     assert answer.json()["labels"] == []
 
 
@@ -26,9 +26,11 @@ async def test_envelope_before_the_first_data_is_to_be_tried_again(world: Any) -
 async def test_advice_is_asked_for_the_point_of_the_query(world: Any) -> None:
     client = world.client("engineer")
     answer = await client.get(ADVICE, params={"speed_rpm": 6200, "load_n": 5500})
-    assert answer.json()["target"] == {"speed_rpm": 6200, "load_n": 5500, "duration_s": 7200}
+    asked = {"speed_rpm": 6200, "load_n": 5500, "duration_s": 7200}
+    assert answer.json()["target"].items() >= asked.items()
     longer = {"speed_rpm": 6200, "load_n": 0, "duration_s": 600.5}
-    assert (await client.get(ADVICE, params=longer)).json()["target"] == longer
+    answer = await client.get(ADVICE, params=longer)
+    assert answer.json()["target"].items() >= longer.items()
 
 
 async def test_advice_without_an_identified_model_is_a_conflict(world: Any) -> None:

@@ -3,7 +3,6 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from service.web.api.bodies import Page
 from service.web.api.cursors import After, encode_cursor
 from service.web.api.problems import ProblemDocument
 
@@ -229,4 +228,4 @@ async def test_listings_have_items_and_next(world: Any) -> None:
     ):
         document = (await engineer.get(path)).json()
         assert isinstance(document["items"], list), path
-        assert Page.model_validate(document).next is None
+        assert document["next"] is None, path

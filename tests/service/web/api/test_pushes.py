@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from service.clock import rfc3339
+from service.documents.measurements import Pushed
 from service.store import Retention, Store
-from service.web.api.bodies import Pushed
 
 PATH = "/api/v1/assets/rig-2/measurements"
 INNER = "t_inner_ring_c"

@@ -1,13 +1,20 @@
 """What a live twin and a manager of jobs are, for those who use one."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
+from service.documents.advice import AdviceDocument
+from service.documents.assets import AssetDocument, GreaseRenewed, State
+from service.documents.base import Document
+from service.documents.envelope import EnvelopeDocument
+from service.documents.forecasts import LiveForecast, WhatIf
+from service.documents.identification import JobDocument, WindowDocument
+from service.documents.messages import MessageType
+from service.documents.models import ModelDocument
+from service.documents.tags import Snapshot
+from service.documents.verdicts import VerdictDocument
 from service.domain.requests import IdentificationRequest, ProfileStep
 
-MessageType = Literal[
-    "measurement", "state", "verdict", "forecast", "alarm", "job", "health", "heartbeat"
-]
 DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "facts", "machine"]
 
 
@@ -18,7 +25,7 @@ class Publisher(Protocol):
         self,
         type: MessageType,
         asset: str | None,
-        data: Mapping[str, Any],
+        data: Document,
         time_us: int | None = None,
     ) -> object:
         """Give a message its number and hand it to all who want it; never waits.
@@ -29,8 +36,8 @@ class Publisher(Protocol):
             What the data are.
         asset : str or None
             Asset that it is about; None for the service as a whole.
-        data : mapping
-            Plain JSON types; NaN and infinities become null.
+        data : Document
+            What the type of message carries; NaN and infinities become null.
         time_us : int, optional
             Process time of the data in microseconds; default now.
         """
@@ -73,19 +80,19 @@ class AssetTwin(Protocol):
     def temperature_names(self) -> Sequence[str]:
         """Sensors and nodes that a forecast can be asked for."""
 
-    def summary(self) -> Mapping[str, Any]:
+    def summary(self) -> AssetDocument:
         """Return configuration, health and active model, as `GET /assets/{id}` shows them."""
 
-    def snapshot(self) -> Mapping[str, Any]:
-        """Return ``{"tags": {name: {"value", "unit", "quality", "time"}}}``."""
+    def snapshot(self) -> Snapshot:
+        """Return the flat tags; the same object until one of them changes."""
 
-    def state(self) -> Mapping[str, Any]:
-        """Return ``{"time", "model_version", "nodes": {name: {"mean_c", "std_c"}}}``."""
+    def state(self) -> State:
+        """Return the estimated node temperatures."""
 
-    def verdict(self) -> Mapping[str, Any]:
+    def verdict(self) -> VerdictDocument:
         """Return the verdict, as `GET /assets/{id}/verdict` shows it."""
 
-    def forecast(self) -> Mapping[str, Any] | None:
+    def forecast(self) -> LiveForecast | None:
         """Return the latest live forecast; None before the first."""
 
     async def what_if(
@@ -93,7 +100,7 @@ class AssetTwin(Protocol):
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
-    ) -> Mapping[str, Any]:
+    ) -> WhatIf:
         """Forecast a profile from the present state.
 
         Raises
@@ -102,7 +109,7 @@ class AssetTwin(Protocol):
             While the twin has no state yet.
         """
 
-    async def renew_grease(self, who: str, comment: str) -> Mapping[str, Any]:
+    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
         """Count the revolutions since the grease was fresh from zero again.
 
         Raises
@@ -111,10 +118,10 @@ class AssetTwin(Protocol):
             While the twin has no state yet.
         """
 
-    async def windows(self) -> Sequence[Mapping[str, Any]]:
+    async def windows(self) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store, with operating points and score."""
 
-    async def envelope(self) -> Mapping[str, Any]:
+    async def envelope(self) -> EnvelopeDocument:
         """Give the safe operating envelope.
 
         Raises
@@ -123,7 +130,7 @@ class AssetTwin(Protocol):
             While the twin has no state yet.
         """
 
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> Mapping[str, Any]:
+    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
         """Rank low-risk steps by what they teach about a point.
 
         Raises
@@ -144,7 +151,7 @@ class JobManager(Protocol):
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
-    ) -> tuple[Mapping[str, Any], bool]:
+    ) -> tuple[JobDocument, bool]:
         """Queue a job; returns it and whether it is new (False: the idempotency key matched).
 
         Raises
@@ -157,18 +164,18 @@ class JobManager(Protocol):
             When the idempotency key stands for another request.
         """
 
-    async def job(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def job(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Return one job; None when the asset has no such job."""
 
-    async def jobs(self, asset_id: str) -> Sequence[Mapping[str, Any]]:
+    async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Return the jobs of an asset, newest first."""
 
-    async def cancel(self, asset_id: str, job_id: str) -> Mapping[str, Any] | None:
+    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
         """Ask a job to stop and return it; None when the asset has no such job."""
 
     async def activate(
         self, asset_id: str, version: int, who: str, comment: str | None, force: bool
-    ) -> object:
+    ) -> ModelDocument:
         """Make a model version the active one and switch the live twin to it.
 
         Raises

@@ -1,0 +1,166 @@
+"""The safe operating envelope: steady temperatures and times to the limits over speed and load."""
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from service.documents.base import Document, Number, Time
+from service.documents.limits import Level, LowRisk
+from service.documents.profiles import OperatingPoint
+
+if TYPE_CHECKING:  # web and plant side show envelopes, and never compute one
+    from twin_core.forecasting import envelope
+
+Matrix = Annotated[
+    list[list[Number]],
+    Field(description="One row per load, one column per speed.", examples=[[[41.2, 44.9]]]),
+]
+_LEVELS: tuple[Level, ...] = ("warning", "alarm")
+
+
+class SteadyMap(Document):
+    """Quantiles of what the sensor will read in the steady state, °C; 500 where it runs away."""
+
+    q025: Matrix
+    q50: Matrix
+    q975: Matrix
+
+
+class LimitMap(Document):
+    """When and how probably a limit is reached, each point held from the present state."""
+
+    limit_c: float = Field(description="°C", examples=[90])
+    probability: Matrix = Field(
+        description="Share of the members that reach it within the horizon."
+    )
+    steady_probability: Matrix = Field(
+        description="Probability that the steady state is at or over it, smooth over the map."
+    )
+    median_s: Matrix = Field(
+        description="Seconds until half of the members have reached it; null where fewer do."
+    )
+    earliest_s: Matrix = Field(
+        description="Seconds until 2.5 % of the members have reached it; null where fewer do."
+    )
+
+
+class SensorMaps(Document):
+    """Maps of one sensor; `limits` holds `warning` and `alarm`, or nothing if it has none."""
+
+    steady_c: SteadyMap
+    limits: dict[Level, LimitMap]
+
+
+class RunawayMap(Document):
+    """Thermal runaway: beyond the limit (130 °C of a bearing), or without a steady state."""
+
+    probability: Matrix = Field(description="Share of the members that run away.")
+    not_excluded: list[list[bool]] = Field(
+        description="True where the upper edge passes 100 °C, the load is beyond 1.5 times what "
+        "the data hold, or members run away."
+    )
+
+
+class PresentPoint(OperatingPoint):
+    """Where the machine is now, and what is measured there."""
+
+    measured_c: dict[str, Number] = Field(
+        description="Good and fresh readings by sensor, °C; `labels` say where the map is low.",
+    )
+
+
+class EnvelopeMaps(Document):
+    """What is computed over speed and load, and kept until the machine has changed."""
+
+    made_at: Time
+    model_version: int
+    ambient_c: float = Field(description="Assumed to stay, °C.", examples=[23.1])
+    horizon_s: float = Field(
+        description="How long each point is held for the times, s.", examples=[28800]
+    )
+    members: int = Field(description="Of the ensemble.", examples=[80])
+    speed_rpm: list[float] = Field(description="Columns of all maps.", examples=[[350, 700]])
+    load_n: list[float] = Field(description="Rows of all maps.", examples=[[450, 900]])
+    sensors: dict[str, SensorMaps]
+    runaway: RunawayMap
+    low_risk: LowRisk
+    labels: list[str] = Field(
+        description="What the result rests on.",
+        examples=[["not identified yet: prior parameters only"]],
+    )
+
+
+class EnvelopeDocument(EnvelopeMaps):
+    """Steady temperatures and times to the limits over speed and load."""
+
+    present: PresentPoint
+
+
+def envelope_maps(
+    found: "envelope.Envelope",
+    *,
+    made_at: str,
+    model_version: int,
+    low_risk: LowRisk,
+    labels: list[str],
+) -> EnvelopeMaps:
+    """Show an envelope; matrices have one row per load, one column per speed.
+
+    Parameters
+    ----------
+    found : Envelope
+        As it was computed.
+    made_at, model_version, low_risk, labels
+        When, with which model and for which region; and what must be said with it.
+    """
+    return EnvelopeMaps(
+        made_at=made_at,
+        model_version=model_version,
+        ambient_c=round(found.ambient_c, 2),
+        horizon_s=found.horizon_s,
+        members=found.members,
+        speed_rpm=found.speed_rpm.tolist(),
+        load_n=found.load_n.tolist(),
+        sensors={
+            name: SensorMaps(
+                steady_c=SteadyMap(
+                    **{
+                        quantile: _matrix(found.steady_c[name][row], 2)
+                        for row, quantile in enumerate(SteadyMap.model_fields)
+                    }
+                ),
+                limits={
+                    level: _limit_map(limit)
+                    for level, limit in zip(_LEVELS, found.limits[name], strict=False)
+                },
+            )
+            for name in found.sensors
+        },
+        runaway=RunawayMap(
+            probability=_matrix(found.runaway_probability, 4),
+            not_excluded=found.runaway_not_excluded.tolist(),
+        ),
+        low_risk=low_risk,
+        labels=labels,
+    )
+
+
+def _limit_map(limit: "envelope.LimitMap") -> LimitMap:
+    return LimitMap(
+        limit_c=limit.limit_c,
+        probability=_matrix(limit.probability, 4),
+        steady_probability=_matrix(limit.steady_probability, 4),
+        median_s=_matrix(limit.median_s, 0),
+        earliest_s=_matrix(limit.earliest_s, 0),
+    )
+
+
+def _matrix(values: NDArray[np.float64], digits: int) -> list[list[float | None]]:
+    """Rows of rounded numbers; what is not finite (never crossed) is null."""
+    return [
+        [value if math.isfinite(value) else None for value in row]
+        for row in np.round(values, digits).tolist()
+    ]

@@ -1,0 +1,120 @@
+"""Forecasts: the live one, and what-ifs."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field, SkipValidation
+
+from service.documents.base import Document, Number, Time
+from service.documents.limits import Crossings, Limits
+from service.documents.profiles import ForecastStep
+
+if TYPE_CHECKING:  # web and plant side show forecasts, and never compute one
+    from twin_core.forecasting import Forecast
+
+# Two days in all nodes are a hundred thousand figures: they are not checked one by one.
+Percentiles = Annotated[
+    SkipValidation[list[Number]], Field(description="One temperature per time, °C.")
+]
+
+
+class Quantiles(Document):
+    """Quantiles of a temperature over time: of the measured value for sensors, else of the true."""
+
+    q025: Percentiles
+    q25: Percentiles
+    q50: Percentiles
+    q75: Percentiles
+    q975: Percentiles
+
+
+class ForecastDocument(Document):
+    """Temperatures over a profile, and when limits are exceeded."""
+
+    time_s: list[float] = Field(description="Seconds from the present moment.")
+    nodes: dict[str, Quantiles] = Field(description="By sensor and node.")
+    limits: dict[str, Limits]
+    time_to_limit: Crossings = Field(description="By sensor and level.")
+    labels: list[str] = Field(
+        description="What the result rests on.", examples=[["load law from prior only"]]
+    )
+    runaway_probability: float = Field(
+        ge=0, le=1, description="Share of the members that run away thermally."
+    )
+
+
+class WhatIf(ForecastDocument):
+    """A forecast of the asked-for sensors and nodes."""
+
+    model_version: int
+    profile: list[ForecastStep] = Field(description="What the forecast follows.")
+    missing: list[str] = Field(
+        description="Speed, load and ambient without a usable value now; with any of them "
+        "the forecast starts from an uncertain state.",
+    )
+
+
+class LiveForecast(WhatIf):
+    """The latest live forecast: of the controller's plan, else of the present point held."""
+
+    made_at: Time = Field(description="Process time of the state that it begins from.")
+    planned: bool = Field(description="Whether it follows the controller's plan.")
+
+
+def quantiles_document(
+    forecast: "Forecast", names: Sequence[str] | None = None
+) -> dict[str, Quantiles]:
+    """Quantiles by sensor and node, rounded to 0.01 K.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        The forecast.
+    names : sequence of str, optional
+        The sensors and nodes; default all.
+    """
+    wanted = forecast.names if names is None else names
+    rows = [forecast.names.index(name) for name in wanted]
+    # By name, quantile and time.
+    rounded = np.round(forecast.quantiles[:, :, rows].transpose(2, 0, 1), 2)
+    values = rounded.tolist()
+    if not np.isfinite(rounded).all():
+        values = [
+            [[one if math.isfinite(one) else None for one in series] for series in of_name]
+            for of_name in values
+        ]
+    return {
+        name: Quantiles(**dict(zip(Quantiles.model_fields, of_name, strict=True)))
+        for name, of_name in zip(wanted, values, strict=True)
+    }
+
+
+def forecast_document(
+    forecast: "Forecast",
+    limits: Mapping[str, Limits],
+    crossings: Crossings,
+    names: Sequence[str] | None = None,
+) -> ForecastDocument:
+    """Show a forecast.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        The forecast.
+    limits : mapping of str to Limits
+        Of the asset.
+    crossings
+        When it exceeds which limit.
+    names : sequence of str, optional
+        The sensors and nodes; default all.
+    """
+    return ForecastDocument(
+        time_s=np.round(forecast.time_s, 3).tolist(),
+        nodes=quantiles_document(forecast, names),
+        limits=dict(limits),
+        time_to_limit=crossings,
+        labels=list(forecast.labels),
+        runaway_probability=float(forecast.runaway_probability),
+    )

@@ -1,0 +1,217 @@
+"""Model versions: parameters, what the data inform, scores and gates."""
+
+from typing import Literal
+
+from pydantic import ConfigDict, Field
+
+from service.clock import rfc3339
+from service.documents.base import Document, Number, Page, StoredDocument, Time, is_none
+from service.documents.drift import DriftDocument
+from service.store.records import Activation, ModelVersion
+
+Verdict = Literal["informed", "weak", "prior only"]
+ModelStatus = Literal["candidate", "active", "retired", "rejected"]
+
+
+class Interval(StoredDocument):
+    """A value with its 95 % interval."""
+
+    value: float
+    low: Number = Field(description="2.5 %")
+    high: Number = Field(description="97.5 %")
+
+
+class ParameterDocument(Interval):
+    """One parameter of the model."""
+
+    unit: str = Field(description="`-` for a number without a unit.", examples=["W/K"])
+    verdict: Verdict = Field(description="Whether the data say more of it than the prior.")
+    at_bound: Literal["lower", "upper"] | None = Field(
+        None, description="Whether the value lies on a bound of its range."
+    )
+    informed_share: Number = Field(
+        None, description="Part of the prior's variance that the data take away, 0 to 1."
+    )
+    description: str = Field("", examples=["viscous friction: exponent of speed"])
+
+
+class Combination(StoredDocument):
+    """A combination of parameters, in standard coordinates of the prior."""
+
+    combination: str = Field(examples=["0.78 M0 - 0.35 gs + 0.29 q"])
+    weights: dict[str, float] = Field(description="By parameter; those below 0.05 are left out.")
+    strength: float = Field(description="Singular value of the sensitivities.")
+    std_over_prior: float = Field(description="Standard deviation over that of the prior, 0 to 1.")
+    verdict: Verdict
+
+
+class IdentifiabilityDocument(StoredDocument):
+    """What the data inform: rank and condition of the sensitivities, and combinations."""
+
+    rank: int
+    condition: Number
+    informed: int = Field(description="Number of combinations that the data inform.")
+    weak: int
+    prior_only: int
+    combinations: list[Combination] | None = Field(
+        None, exclude_if=is_none, description="Of a single version only."
+    )
+
+
+class ModelWindow(StoredDocument):
+    """A span of process time that a version was identified from."""
+
+    start: Time
+    end: Time
+    speed_rpm_max: Number = Field(None, description="Highest speed, rpm.")
+    load_n_max: Number = Field(None, description="Highest radial load, N.")
+
+
+class PredictionScore(StoredDocument):
+    """Errors at a point of the data that a fit without it predicts, rms in K."""
+
+    speed_rpm: float = Field(description="Speed of the point, rpm.")
+    load_n: float = Field(description="Radial load of the point, N.")
+    nested_rms_k: Number = Field(description="Of a fit to the other data.")
+    active_rms_k: Number = Field(description="Of the version that was active then.")
+    candidate_rms_k: Number = Field(description="Of this version, which has seen the point.")
+    active_has_seen_it: bool = Field(
+        description="Whether the active version was identified from this point, too."
+    )
+
+
+class Scores(Document):
+    """Errors in the training data, and one member for each prediction test, by its name."""
+
+    model_config = ConfigDict(extra="allow")
+
+    __pydantic_extra__: dict[str, PredictionScore]
+    train_rms_k: dict[str, Number] | None = Field(
+        None,
+        exclude_if=is_none,
+        description="Rms in K by sensor; left out before the first identification.",
+    )
+
+
+GateValue = float | bool | None | dict[str, float | None]
+
+
+class GateDocument(StoredDocument):
+    """One check of a candidate."""
+
+    name: str = Field(examples=["fit"])
+    passed: bool
+    detail: str
+    values: dict[str, GateValue] = Field(description="What the check compared, by name.")
+
+
+NaiveScores = dict[str, dict[str, dict[str, Number]]]
+
+
+class GatesDocument(StoredDocument):
+    """Whether a candidate may become the active version, and why."""
+
+    accepted: bool
+    reason: str
+    checks: list[GateDocument]
+    scores: Scores
+    naive: NaiveScores
+
+
+class ModelDocument(Document):
+    """One model version with its parameters, the data it comes from and its scores."""
+
+    version: int = Field(ge=1)
+    status: ModelStatus
+    reason: str | None
+    created_at: Time
+    model: str = Field(description="Name of the thermal network.", examples=["bearing-14"])
+    parameters: dict[str, ParameterDocument]
+    windows: list[ModelWindow]
+    scores: Scores
+    naive: NaiveScores = Field(
+        description="Rms in K of naive forecasts in the same tests, by test, kind and sensor."
+    )
+    gates: GatesDocument | None = Field(description="Null before the first identification.")
+    job: str | None = Field(description="The job that it comes from; null for the priors.")
+    identifiability: IdentifiabilityDocument | None = Field(
+        description="Null for versions of older releases."
+    )
+    paper_view: dict[str, Interval] | None = Field(
+        description="The paper's 15 numbers, of the model paper-reduced only."
+    )
+    drift: DriftDocument | None = Field(
+        description="Comparison with earlier versions; see `GET …/drift`. Null: none made."
+    )
+    method: Literal["noa+refine", "refine", "noa"] | None = Field(
+        description="Of the identification; null for the priors."
+    )
+    seed: int | None
+
+
+class ModelList(Page):
+    """Model versions, newest first."""
+
+    items: list[ModelDocument]
+
+
+class ActivationLine(Document):
+    """One change of the active version."""
+
+    time: Time
+    version: int = Field(ge=1, description="The version that became the active one.")
+    who: str
+    comment: str
+
+
+class ActivationList(Page):
+    """The activation journal, newest first."""
+
+    items: list[ActivationLine]
+
+
+def model_document(version: ModelVersion, combinations: bool = True) -> ModelDocument:
+    """Show a model version.
+
+    Parameters
+    ----------
+    version : ModelVersion
+        From the store.
+    combinations : bool
+        Whether to spell out which combinations of parameters are informed, besides how many.
+    """
+    stored = version.document
+    identifiability = IdentifiabilityDocument.read(stored.get("identifiability"))
+    if identifiability is not None and not combinations:
+        identifiability.combinations = None
+    paper_view = stored.get("paper_view")
+    return ModelDocument(
+        version=version.version,
+        status=version.status,
+        reason=version.reason,
+        created_at=rfc3339(version.created_at_us),
+        model=stored["model"],
+        parameters={
+            name: ParameterDocument.model_validate(one)
+            for name, one in stored["parameters"].items()
+        },
+        windows=[ModelWindow.model_validate(one) for one in stored["windows"]],
+        scores=Scores.model_validate(stored["scores"]),
+        naive=stored["naive"],
+        gates=GatesDocument.read(stored["gates"]),
+        job=stored["job"],
+        identifiability=identifiability,
+        paper_view=None
+        if paper_view is None
+        else {name: Interval.model_validate(one) for name, one in paper_view.items()},
+        drift=DriftDocument.read(stored.get("drift")),
+        method=stored.get("method"),
+        seed=stored.get("seed"),
+    )
+
+
+def activation_line(line: Activation) -> ActivationLine:
+    """Show a line of the activation journal."""
+    return ActivationLine(
+        time=rfc3339(line.at_us), version=line.version, who=line.who, comment=line.comment
+    )

@@ -1,0 +1,316 @@
+"""Every route and every kind of message of a real site against what is published of them.
+
+A bench, real wires, a twin that identifies by itself. Answers are held against ``/openapi.json``
+and messages against ``/asyncapi.json``, by a validator that is not ours; the schemas forbid
+whatever they do not name. A route or a kind of message that nothing here calls up fails the test.
+"""
+
+import asyncio
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import httpx2
+import jsonschema_rs
+import pytest
+import websockets
+from processes import Site, wait_until
+
+from service.lab.demo.configuration import ASSET
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
+
+A = f"/api/v1/assets/{ASSET}"
+ALARMS = "/api/v1/alarms"
+PUSHED = "t_node_5_c"
+LATCHED = "\n[assets.alarms.stale_data]\nlatched = true\n"
+MESSAGES_S = 400.0
+STEP = {"duration_s": 600, "speed_rpm": 4200, "load_n": 2650}
+ENDLESS = {"method": "noa", "budget": 5_000_000}
+#: A caller who may not do what a route does: gateways push and see assets, nothing else.
+STRANGERS = ("gateway", "viewer")
+
+
+@dataclass
+class Published:
+    """The descriptions, and which calls and messages were held against them."""
+
+    site: Site
+    openapi: dict[str, Any]
+    asyncapi: dict[str, Any]
+    keys: dict[str, str] = field(default_factory=dict)
+    answered: set[tuple[str, int]] = field(default_factory=set)
+    received: set[str] = field(default_factory=set)
+
+    @property
+    def operations(self) -> dict[str, dict[str, Any]]:
+        """Every operation by method and path."""
+        return {
+            f"{method.upper()} {path}": operation
+            for path, item in self.openapi["paths"].items()
+            for method, operation in item.items()
+        }
+
+    def operation_of(self, method: str, path: str) -> str:
+        """The operation that a call belongs to; of two, that with fewer parameters."""
+        names = [
+            name
+            for name in self.operations
+            if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", name), f"{method} {path}")
+        ]
+        assert names, f"{method} {path} is not published"
+        return min(names, key=lambda name: name.count("{"))
+
+    def call(self, method: str, path: str, status: int, **options: Any) -> Any:
+        """Make a call and hold the answer against its schema."""
+        answer = self.site.client.request(method, path, **options)
+        return self.check(method, path, status, answer)
+
+    def check(self, method: str, path: str, status: int, answer: httpx2.Response) -> Any:
+        name = self.operation_of(method, path)
+        assert answer.status_code == status, (name, answer.status_code, answer.text[:500])
+        described = self.operations[name]["responses"]
+        assert str(status) in described, (name, status)
+        self.answered.add((name, status))
+        content = described[str(status)].get("content", {})
+        if not content:
+            assert not answer.content, (name, status)
+            return None
+        media_type = answer.headers["content-type"].partition(";")[0]
+        known = {media.partition(";")[0]: one for media, one in content.items()}
+        assert media_type in known, (name, status, media_type)
+        if not media_type.endswith("json"):
+            return answer.text
+        body = json.loads(answer.content)
+        self.hold(known[media_type]["schema"], body, self.openapi, f"{name} {status}")
+        return body
+
+    def hold(self, schema: dict[str, Any], body: Any, whole: dict[str, Any], name: str) -> None:
+        """Hold a body against a schema of a description."""
+        rooted = schema | {"components": whole["components"]}
+        errors = [
+            f"{'/'.join(map(str, one.instance_path))}: {one.message}"
+            for one in jsonschema_rs.Draft202012Validator(
+                rooted, validate_formats=True
+            ).iter_errors(body)
+        ]
+        assert not errors, (name, errors[:5])
+
+    def as_role(self, role: str | None) -> httpx2.Client:
+        """A client with a key of a role, or with none."""
+        headers = {} if role is None else {"X-API-Key": self.keys[role]}
+        return httpx2.Client(base_url=self.site.client.base_url, headers=headers, timeout=60)
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Published]:
+    site = Site(tmp_path_factory.mktemp("site"), "demo", 100.0, pushed=PUSHED)
+    with site.configuration.open("a") as configuration:
+        configuration.write(LATCHED)
+    try:
+        site.start_bench()
+        site.start_service()
+        site.client.timeout = httpx2.Timeout(240.0)
+        yield Published(site, site.get("/openapi.json"), site.get("/asyncapi.json"))
+    finally:
+        site.close()
+
+
+def test_what_answers_before_the_first_identification(published: Published) -> None:
+    call = published.call
+    call("GET", f"{A}/advice", 409, params={"speed_rpm": 6200, "load_n": 5500})
+    for part in ("", "/snapshot", "/state", "/verdict", "/models", "/models/1"):
+        call("GET", A + part, 200)
+    call("GET", "/livez", 200)
+    published.site.client.get("/readyz")
+
+
+def test_every_kind_of_message_fits(published: Published) -> None:
+    site, kinds = published.site, published.asyncapi["components"]["messages"]
+    wait_until(lambda: site.tag("model.version") > 1, 600, "a re-identification by itself", 1.0)
+
+    async def listen() -> None:
+        address = f"ws://127.0.0.1:{site.port}{published.asyncapi['channels']['stream']['address']}"
+        async with (
+            websockets.connect(
+                address,
+                additional_headers={"X-API-Key": site.key},
+                max_size=None,
+                open_timeout=60,
+            ) as stream,
+            asyncio.timeout(MESSAGES_S),
+        ):
+            acting = asyncio.create_task(asyncio.to_thread(act_on_jobs_and_alarms, published))
+            while not (acting.done() and published.received >= kinds.keys()):
+                message = json.loads(await stream.recv())
+                assert message["type"] in kinds, message["type"]
+                payload = kinds[message["type"]]["payload"]
+                published.hold(payload, message, published.asyncapi, message["type"])
+                published.received.add(message["type"])
+            await acting
+
+    asyncio.run(listen())
+
+
+def act_on_jobs_and_alarms(published: Published) -> None:
+    """Do what the stream tells of, and hold the answers against their schemas."""
+    call = published.call
+    for running in published.site.get(f"{A}/identifications")["items"]:
+        if running["status"] in ("queued", "running"):
+            call("DELETE", f"{A}/identifications/{running['id']}", 200)
+    job = call("POST", f"{A}/identifications", 202, json=ENDLESS)
+    one = f"{A}/identifications/{job['id']}"
+    call("POST", f"{A}/identifications", 409, json={"method": "refine"})
+    wait_until(lambda: call("GET", one, 200)["convergence"], 120, "progress", 0.5)
+    call("GET", f"{A}/identifications", 200)
+    call("DELETE", one, 200)
+    call("DELETE", one, 200)
+    # A channel that is pushed once and then gets nothing is stale: an alarm that stays.
+    once = [{"channel": PUSHED, "time": published.site.get(f"{A}/state")["time"], "value": 39.0}]
+    call("POST", f"{A}/measurements", 200, json={"samples": once})
+    alarm = wait_until(
+        lambda: next(
+            (alarm for alarm in call("GET", ALARMS, 200)["items"] if alarm["channel"] == PUSHED),
+            None,
+        ),
+        60,
+        "the alarm of a channel without data",
+    )
+    path = f"{ALARMS}/{alarm['id']}"
+    call("POST", f"{path}/comment", 200, json={"comment": "a look is taken"})
+    call("POST", f"{path}/acknowledge", 200, json={"comment": "seen"})
+    call("POST", f"{path}/unshelve", 409)
+    call("POST", f"{path}/shelve", 200, json={"duration_s": 600})
+    call("POST", f"{path}/unshelve", 200)
+    call("POST", f"{path}/out-of-service", 200, json={"comment": "sensor is away"})
+    call("POST", f"{path}/return-to-service", 200)
+    call("POST", f"{path}/reset", 409)
+    call("POST", f"{ALARMS}/acknowledge", 200, json={"ids": [alarm["id"], "nothing"]})
+    wait_until(lambda: reset_what_is_gone(published, alarm["id"]), 60, "a reset", 0.5)
+
+
+def reset_what_is_gone(published: Published, alarm_id: str) -> bool:
+    """Push a value, so that the latched alarm is gone, and reset it as soon as that is seen."""
+    site, call = published.site, published.call
+    value = {"channel": PUSHED, "time": site.get(f"{A}/state")["time"], "value": 39.0}
+    call("POST", f"{A}/measurements", 200, json={"samples": [value]})
+    state = next(one["state"] for one in site.get(ALARMS)["items"] if one["id"] == alarm_id)
+    if state != "LATCH":
+        return False
+    call("POST", f"{ALARMS}/{alarm_id}/reset", 200)
+    return True
+
+
+def test_every_other_route_answers_as_published(published: Published) -> None:
+    site, call = published.site, published.call
+    call("GET", "/api/v1/assets", 200)
+    for part in ("", "/snapshot", "/state", "/verdict", "/forecast", "/envelope", "/windows"):
+        call("GET", A + part, 200)
+    call("GET", f"{A}/advice", 200, params={"speed_rpm": 6200, "load_n": 5500})
+    call("POST", f"{A}/forecasts", 200, json={"profile": [STEP], "nodes": ["t_node_7_c"]})
+    call("POST", f"{A}/forecasts", 200, json={"profile": [STEP | {"ambient_c": 24}]})
+    far = {"profile": [STEP], "nodes": ["t_wall_c"]}
+    call("POST", f"{A}/forecasts", 422, json=far)
+    now = site.get(f"{A}/state")["time"]
+    samples = [
+        {"channel": PUSHED, "time": now, "value": 40.0},
+        {"channel": "t_wall_c", "time": now, "value": 1.0},
+    ]
+    call("POST", f"{A}/measurements", 200, json={"samples": samples})
+    wired = [{"channel": "speed_rpm", "time": now, "value": 1.0}]
+    call("POST", f"{A}/measurements", 409, json={"samples": wired})
+    for query in ({"limit": 5}, {"limit": 5, "resolution": "1min"}, {"limit": 5, "format": "csv"}):
+        call("GET", f"{A}/measurements", 200, params=query)
+    call("GET", f"{A}/measurements", 422, params={"channel": "t_wall_c"})
+    newest = call("GET", f"{A}/models", 200)["items"][0]["version"]
+    call("GET", f"{A}/models/{newest}", 200)
+    call("GET", f"{A}/drift", 200)
+    call("POST", f"{A}/models/1/activate", 200, json={"comment": "back to the priors"})
+    call("GET", f"{A}/models/activations", 200)
+    call("POST", f"{A}/grease-renewed", 200, json={"comment": "regreased"})
+    call("GET", f"{ALARMS}/statistics", 200)
+    call("GET", f"{ALARMS}/journal", 200)
+    call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})
+    call("GET", "/readyz", 200)
+    call("GET", "/metrics", 200)
+    call("GET", "/api/v1/stream", 426)
+    for role in ("viewer", "gateway"):
+        made = call("POST", "/api/v1/keys", 201, json={"role": role, "label": "test"})
+        published.keys[role] = made["key"]
+    spare = call("POST", "/api/v1/keys", 201, json={"role": "viewer", "label": "spare"})
+    call("GET", "/api/v1/keys", 200)
+    call("DELETE", f"/api/v1/keys/{spare['id']}", 200)
+    mine = next(key["id"] for key in site.get("/api/v1/keys")["items"] if key["role"] == "admin")
+    call("DELETE", f"/api/v1/keys/{mine}", 409)
+    call("GET", "/api/v1/audit", 200)
+    with published.as_role(None) as browser:
+        login = {"key": published.keys["viewer"]}
+        answer = browser.post("/api/v1/session", json=login)
+        published.check("POST", "/api/v1/session", 200, answer)
+        answer = browser.get("/api/v1/session", headers={"Sec-Fetch-Site": "same-origin"})
+        published.check("GET", "/api/v1/session", 200, answer)
+        answer = browser.delete("/api/v1/session", headers={"Sec-Fetch-Site": "same-origin"})
+        published.check("DELETE", "/api/v1/session", 204, answer)
+
+
+def test_every_refusal_is_a_problem_as_published(published: Published) -> None:
+    refusals: list[tuple[int, str | None, Callable[[dict[str, Any]], bool]]] = [
+        (401, None, lambda operation: bool(operation["security"])),
+        *((403, role, refuses(role)) for role in STRANGERS),
+    ]
+    for status, role, applies in refusals:
+        with published.as_role(role) as client:
+            for name, operation in published.operations.items():
+                method, path = name.split()
+                if path == "/metrics" or not applies(operation):
+                    continue  # the metrics are free on the machine itself
+                address = re.sub(r"\{\w+\}", "1", path.replace("{asset_id}", ASSET))
+                answer = client.request(method, address, json=None)
+                published.check(method, address, status, answer)
+    for name, operation in published.operations.items():
+        method, path = name.split()
+        here = path.replace("{asset_id}", ASSET)
+        if "404" in operation["responses"]:
+            away = re.sub(r"\{\w+\}", "9999", path)
+            published.call(method, away, 404, **fitting(method, path))
+        if "requestBody" in operation and "422" in operation["responses"]:
+            address = re.sub(r"\{\w+\}", "9999", here)
+            published.call(method, address, 422, json={"no such member": 1})
+
+
+def refuses(role: str) -> Callable[[dict[str, Any]], bool]:
+    return lambda operation: role not in operation.get("x-roles", [role])
+
+
+def fitting(method: str, path: str) -> dict[str, Any]:
+    """Parameters and a body that pass, so that only the name in the path is wrong."""
+    bodies: dict[str, Any] = {
+        "forecasts": {"profile": [STEP]},
+        "measurements": {"samples": []},
+        "identifications": {},
+        "shelve": {"duration_s": 60},
+        "comment": {"comment": "x"},
+        "out-of-service": {"comment": "x"},
+    }
+    last = path.rpartition("/")[2]
+    if last == "advice":
+        return {"params": {"speed_rpm": 6200, "load_n": 5500}}
+    return {"json": bodies[last]} if method == "POST" and last in bodies else {}
+
+
+def test_no_route_and_no_kind_of_message_was_left_out(published: Published) -> None:
+    """Runs last: what was called above is all there is."""
+    missed = []
+    for name, operation in published.operations.items():
+        statuses = {status for called, status in published.answered if called == name}
+        wanted = {401, 403, 404} & {int(status) for status in operation["responses"]}
+        if name.endswith(("/metrics", " /api/v1/session")):
+            wanted -= {401, 403}
+        everybody = set(STRANGERS) <= set(operation.get("x-roles", STRANGERS))
+        missed += [(name, status) for status in wanted - statuses - ({403} if everybody else set())]
+        if not any(status < 300 or status == 426 for status in statuses):
+            missed.append((name, 200))
+    assert not missed
+    assert published.received == set(published.asyncapi["components"]["messages"])
