@@ -336,14 +336,14 @@ def test_audit_lines_of_a_killed_web_side_are_there_once(site: Site) -> None:
             headers={"X-API-Key": site.keys["admin"]},
         )
         assert answer.status_code == 201
-        made.append(answer.json()["id"])
+        made.append(answer.json()["prefix"])
     site.client.post("/api/v1/session", json={"key": site.keys["operator"]}).raise_for_status()
     site.web.end()
     site.web.start()
     wait_until(site.answers, PATIENCE_S, "the web side answers again")
     lines = site.get("/api/v1/audit?limit=100", "admin").json()["items"]
-    for key_id in made:
-        assert sum(key_id in line["target"] for line in lines) == 1
+    for prefix in made:
+        assert sum(prefix in line["target"] for line in lines) == 1
     assert sum(line["action"] == "session.begin" for line in lines) == 1
 
 
