@@ -60,6 +60,9 @@ async def serve(
         )
 
 
-async def serve_side(side: SideName, settings: Settings, *, stop: asyncio.Event) -> None:
+async def serve_side(
+    side: SideName, settings: Settings, *, announce: Callable[[str], None], stop: asyncio.Event
+) -> None:
     """Run one side until ``stop`` is set; another program starts and watches the others."""
-    await run_side(side, settings, stop)
+    with contextlib.suppress(StoppedError):
+        await run_side(side, settings, stop, on_ready=lambda: announce(f"{side} is ready"))

@@ -20,6 +20,7 @@ import structlog
 
 from service.domain.errors import ServiceError, TemporaryError
 from service.logs import configure_logging
+from service.plant.publishers import any_enabled
 from service.security.tls import tls_context
 from service.service_manager import ServiceManager
 from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
@@ -37,14 +38,16 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 
 def sides_of(settings: Settings) -> tuple[SideName, ...]:
     """Return the sides that a configuration needs; the plant side only with something enabled."""
-    plant: tuple[SideName, ...] = ()
-    if settings.opcua.enabled or settings.mqtt.enabled:
-        plant = ("plant",)
+    plant: tuple[SideName, ...] = ("plant",) if any_enabled(settings) else ()
     return ("cell", "web", *plant)
 
 
 async def run_side(
-    side: SideName, settings: Settings, stop: asyncio.Event, listener: socket.socket | None = None
+    side: SideName,
+    settings: Settings,
+    stop: asyncio.Event,
+    listener: socket.socket | None = None,
+    on_ready: Callable[[], None] = lambda: None,
 ) -> None:
     """Run one side until ``stop`` is set.
 
@@ -58,6 +61,8 @@ async def run_side(
         Set it to end the side cleanly.
     listener : socket.socket, optional
         Bound socket of the web side; without it the web side binds its own.
+    on_ready : callable
+        Called when the side does its work.
 
     Raises
     ------
@@ -65,26 +70,27 @@ async def run_side(
         If the side cannot start.
     """
     manager = ServiceManager()
+
+    def ready() -> None:
+        manager.ready()
+        on_ready()
+
     # Each side loads its own libraries only: the compiled twin belongs to the cell.
     if side == "cell":
         from service.cell.start import run_cell
 
-        await run_cell(
-            settings, stop=stop, ready=manager.ready, status=manager.status, alive=manager.alive
-        )
+        await run_cell(settings, stop=stop, ready=ready, status=manager.status, alive=manager.alive)
         return
     async with background(manager.watch(lambda: True), "signs of life", stop):
         if side == "web":
             from service.web.start import run_web
 
             listener = listener or await listen(settings, stop)
-            await run_web(
-                settings, listener=listener, tls=_tls(settings), stop=stop, ready=manager.ready
-            )
+            await run_web(settings, listener=listener, tls=_tls(settings), stop=stop, ready=ready)
         else:
             from service.plant.start import run_plant
 
-            await run_plant(settings, stop=stop, ready=manager.ready)
+            await run_plant(settings, stop=stop, ready=ready)
 
 
 async def listen(

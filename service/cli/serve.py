@@ -66,7 +66,7 @@ async def _serve(settings: Settings, warnings: Sequence[str], only: SideName | N
         if only is None:
             await serve(settings, announce=announce, stop=stop)
         else:
-            await serve_side(only, settings, stop=stop)
+            await serve_side(only, settings, announce=announce, stop=stop)
     except SideEndedError as error:
         return error.status
     await leave_tasks_behind()

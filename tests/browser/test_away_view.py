@@ -1,5 +1,6 @@
 """A service that no longer answers: the whole page says so and takes no orders."""
 
+import os
 import re
 import signal
 from collections.abc import Callable
@@ -20,7 +21,8 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
     now = page.locator('.ans[aria-label="Is it safe now"] .word')
     expect(now).to_have_text(re.compile("Safe"))
     assert plant.service is not None
-    plant.service.process.send_signal(signal.SIGSTOP)
+    web = plant.service.side("web")
+    os.kill(web, signal.SIGSTOP)
     try:
         expect(page.locator("#lost")).to_contain_text("Connection lost")
         expect(page.locator("body")).to_have_class(re.compile("away"))
@@ -33,9 +35,26 @@ def test_a_frozen_service_is_noticed_and_its_return_too(
         assert page.evaluate("document.activeElement === document.body")
         expect(page.locator("#lost")).to_contain_text(re.compile("next try in|Retrying"))
     finally:
-        plant.service.process.send_signal(signal.SIGCONT)
+        os.kill(web, signal.SIGCONT)
     page.evaluate("document.querySelector('#lost .btn')?.click()")  # it may be back by itself
     expect(page.locator("#lost")).to_be_empty()
     expect(page.locator("#banner")).not_to_contain_text(re.compile("unknown:|LAST KNOWN"))
     expect(now).to_have_text(re.compile("Safe"))
     assert not page.locator("main").evaluate("(main) => main.inert")
+
+
+def test_a_frozen_cell_leaves_no_verdict_on_the_page(
+    screen: Callable[..., Page], plant: Plant
+) -> None:
+    """The web side still answers, but what it knows of the machine is old."""
+    page = screen(f"operator/{BEARING}")
+    now = page.locator('.ans[aria-label="Is it safe now"] .word')
+    expect(now).to_have_text(re.compile("Safe"))
+    assert plant.service is not None
+    cell = plant.service.side("cell")
+    os.kill(cell, signal.SIGSTOP)
+    try:
+        expect(now).to_have_text("Unknown")
+    finally:
+        os.kill(cell, signal.SIGCONT)
+    expect(now).to_have_text(re.compile("Safe"))

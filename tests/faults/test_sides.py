@@ -30,6 +30,14 @@ CHANNELS = ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c", "t_outer_ring_
 STARTED_S = 600.0
 PATIENCE_S = 60.0
 
+#: The command, which says at its end whether the compiled twin was loaded.
+_SERVE = """
+import atexit, sys
+from service.cli import main
+atexit.register(lambda: print("numba" if "numba" in sys.modules else "no numba", flush=True))
+main()
+"""
+
 _CONFIGURATION = """\
 [service]
 port = {port}
@@ -65,11 +73,10 @@ class Side:
         self.process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        script = str(Path(__file__).parents[1] / "sides.py")
-        arguments = [self.name, str(self.folder / "site.toml"), str(self.port)]
+        configuration = str(self.folder / "site.toml")
         with (self.folder / f"{self.name}.log").open("ab") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, script, *arguments],
+                [sys.executable, "-c", _SERVE, "serve", "--only", self.name, "-c", configuration],
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
@@ -80,7 +87,7 @@ class Side:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         log = (self.folder / f"{self.name}.log").read_text()
-        assert line == "ready\n", f"{self.name}: {log[-2000:]}"
+        assert line == f"{self.name} is ready\n", f"{self.name}: {log[-2000:]}"
 
     def send(self, number: signal.Signals) -> None:
         assert self.process is not None
@@ -343,7 +350,7 @@ def test_audit_lines_of_a_killed_web_side_are_there_once(site: Site) -> None:
     wait_until(site.answers, PATIENCE_S, "the web side answers again")
     lines = site.get("/api/v1/audit?limit=100", "admin").json()["items"]
     for prefix in made:
-        assert sum(prefix in line["target"] for line in lines) == 1
+        assert sum(prefix in line["target"] for line in lines) == 1, lines
     assert sum(line["action"] == "session.begin" for line in lines) == 1
 
 
