@@ -7,10 +7,12 @@ from collections.abc import Callable
 
 from service.app.sides import SideName, listen, run_side
 from service.app.supervisor import supervise
+from service.domain.errors import TemporaryError
 from service.plant.publishers import check_extras
 from service.service_manager import ServiceManager
 from service.site.settings import Settings
 from service.waiting import StoppedError
+from service.web.listening import bind
 
 
 async def serve(
@@ -40,11 +42,16 @@ async def serve(
     manager = ServiceManager()
     address = ""
 
-    async def listening() -> socket.socket:
+    async def listening(cell_is_ready: asyncio.Event) -> socket.socket:
         nonlocal address
-        listener = await listen(
-            settings, stop, lambda what, why: manager.status(f"waits for {what}: {why}")
-        )
+        try:
+            listener = bind(settings.service.host, settings.service.port)
+        except TemporaryError:
+            # If another service has the port it has the data directory too, and that says more.
+            await cell_is_ready.wait()
+            listener = await listen(
+                settings, stop, lambda what, why: manager.status(f"waits for {what}: {why}")
+            )
         scheme = "http" if settings.tls is None else "https"
         host, port = settings.service.host, listener.getsockname()[1]
         address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
@@ -53,7 +60,7 @@ async def serve(
     with contextlib.suppress(StoppedError):
         await supervise(
             settings,
-            listen=listening(),
+            listen=listening,
             manager=manager,
             on_ready=lambda: announce(address),
             stop=stop,

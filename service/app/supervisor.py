@@ -223,7 +223,7 @@ class Side:
 async def supervise(
     settings: Settings,
     *,
-    listen: Coroutine[Any, Any, socket.socket],
+    listen: Callable[[asyncio.Event], Coroutine[Any, Any, socket.socket]],
     manager: ServiceManager,
     on_ready: Callable[[], None],
     stop: asyncio.Event,
@@ -234,8 +234,9 @@ async def supervise(
     ----------
     settings : Settings
         The configuration.
-    listen : coroutine
-        Gives the bound socket for the web side; the others do not wait for it.
+    listen : callable
+        Gives the bound socket for the web side, which alone waits for it; is called with the event
+        that the cell is ready.
     manager : ServiceManager
         Hears of the service as a whole.
     on_ready : callable
@@ -255,12 +256,12 @@ async def supervise(
     context.set_forkserver_preload([*extras, *PRELOADED])
     # Many small matrices: threads would only wait for each other. Also for those to come.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    listening = asyncio.ensure_future(listen)
     with tempfile.TemporaryDirectory(prefix="bearing-twin-") as folder:
-        sides = [
-            Side(name, settings, context, Path(folder), listening if name == "web" else None)
-            for name in sides_of(settings)
-        ]
+        cell, web, *plant = sides_of(settings)
+        sides = [Side(cell, settings, context, Path(folder))]
+        listening = asyncio.ensure_future(listen(sides[0].is_ready))
+        sides.append(Side(web, settings, context, Path(folder), listening))
+        sides += [Side(name, settings, context, Path(folder)) for name in plant]
         try:
             await run_sides(sides, manager=manager, on_ready=on_ready, stop=stop)
         finally:
