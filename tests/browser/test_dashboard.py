@@ -14,7 +14,8 @@ pytestmark = [pytest.mark.browser, pytest.mark.wires]
 RATE = 60.0
 WAIT_MS = 60_000  # on a busy machine a service takes its time to start
 # What the browser itself says of a connection that broke off, whatever was on its way.
-BROKEN = "WebSocket|ERR_CONNECTION|ERR_INCOMPLETE_CHUNKED_ENCODING"
+#: What the browser logs of a service that is gone, or that starts and answers 503.
+BROKEN = r"WebSocket|ERR_CONNECTION|ERR_INCOMPLETE_CHUNKED_ENCODING|status of 503"
 
 expect.set_options(timeout=WAIT_MS)
 

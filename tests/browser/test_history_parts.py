@@ -56,19 +56,38 @@ def test_alarms_and_events_stand_at_their_time(parts: Page) -> None:
         const span = {{ fromMs: {NOON_MS}, toMs: {NOON_MS} + 3600e3 }};
         await ribbon.load('bench-1', span);
         ribbon.show(span, {{ left: 40, width: 400 }});
-        return [...ribbon.element.children].map((one) =>
-          [one.className, one.style.left, one.textContent,
-            one.firstChild.getAttribute("href")]);""",
+        const left = ribbon.element.getBoundingClientRect().left;
+        return [...ribbon.element.querySelectorAll('i')].map((one) =>
+          [one.className, Math.round(one.getBoundingClientRect().left + 2 - left),
+            one.closest('a').textContent, one.closest('a').getAttribute("href")]);""",
     )
     query = parse_qs(urlsplit(asked[0]).query)
     assert query["asset"] == ["bench-1"]
     assert query["start"] == ["2025-11-25T12:00:00.000Z"]
     assert [(look, left, href) for look, left, _, href in marks] == [
-        ("p2", "50%", "#alarms"),
-        ("event", "75%", "#alarms"),
+        ("p2", 200, "#alarms"),
+        ("event", 300, "#alarms"),
     ]
     assert "Inner ring over warning 70 °C raised" in marks[0][2]
     assert "Model version 3 activated, passed its gates" in marks[1][2]
+
+
+def test_marks_that_lie_close_together_share_a_link(parts: Page) -> None:
+    journal = [{**JOURNAL[0], "time": f"2025-11-25T12:30:{second:02}.000Z"} for second in range(8)]
+    parts.route("**/api/v1/alarms/journal*", lambda route: route.fulfill(json={"items": journal}))
+    links = run(
+        parts,
+        f"""const {{ EventRibbon }} = await import('/js/event_ribbon.js');
+        const ribbon = new EventRibbon('#alarms');
+        document.body.append(ribbon.element);
+        const span = {{ fromMs: {NOON_MS}, toMs: {NOON_MS} + 3600e3 }};
+        await ribbon.load('bench-1', span);
+        ribbon.show(span, {{ left: 40, width: 400 }});
+        return [...ribbon.element.querySelectorAll('a')].map((one) =>
+          [one.querySelectorAll('i').length, one.title]);""",
+    )
+    assert [count for count, _ in links] == [8]
+    assert links[0][1].endswith("3 more")
 
 
 def test_a_measured_node_opens_its_history_and_no_other(parts: Page) -> None:

@@ -5,6 +5,8 @@ import { dayTimeSecond, milliseconds } from './format.js';
 import { transitionText } from './journal.js';
 
 const MOST_LINES = 1000; // of the journal within a range
+const LINK_PX = 24; // wide enough for a finger; what lies closer together shares a link
+const MOST_TEXTS = 5; // of a link, in words
 
 const isMark = (line) => line.class === 'event' || line.to === 'UNACK';
 const textOf = (line) => [dayTimeSecond(milliseconds(line.time)), line.class === 'event'
@@ -33,12 +35,23 @@ export class EventRibbon {
     if (!area) return;
     this.element.style.marginLeft = `${area.left}px`;
     this.element.style.width = `${area.width}px`;
-    put(this.element, this.marks.map((line) => {
-      const share = (milliseconds(line.time) - fromMs) / (toMs - fromMs);
-      if (!(share >= 0 && share <= 1)) return null;
-      const look = line.class === 'event' ? 'event' : `p${line.priority}`;
-      return h('li', { class: look, style: { left: `${share * 100}%` } },
-        h('a', { href: this.href, title: textOf(line) }, h('span', { class: 'vh' }, textOf(line))));
+    const links = new Map();
+    for (const line of this.marks) {
+      const x = area.width * (milliseconds(line.time) - fromMs) / (toMs - fromMs);
+      if (!(x >= 0 && x <= area.width)) continue;
+      const slot = Math.floor(x / LINK_PX);
+      if (!links.has(slot)) links.set(slot, []);
+      links.get(slot).push({ line, left: x - slot * LINK_PX });
+    }
+    put(this.element, [...links].map(([slot, marks]) => {
+      const texts = marks.slice(0, MOST_TEXTS).map(({ line }) => textOf(line));
+      if (marks.length > MOST_TEXTS) texts.push(`${marks.length - MOST_TEXTS} more`);
+      return h('li', { style: { left: `${slot * LINK_PX}px` } },
+        h('a', { href: this.href, title: texts.join('\n') },
+          h('span', { class: 'vh' }, texts.join('; ')),
+          marks.map(({ line, left }) => h('i', {
+            class: line.class === 'event' ? 'event' : `p${line.priority}`,
+            style: { left: `${left}px` } }))));
     }));
   }
 }
