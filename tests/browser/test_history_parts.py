@@ -56,9 +56,8 @@ def test_alarms_and_events_stand_at_their_time(parts: Page) -> None:
         const span = {{ fromMs: {NOON_MS}, toMs: {NOON_MS} + 3600e3 }};
         await ribbon.load('bench-1', span);
         ribbon.show(span, {{ left: 40, width: 400 }});
-        const left = ribbon.element.getBoundingClientRect().left;
         return [...ribbon.element.querySelectorAll('i')].map((one) =>
-          [one.className, Math.round(one.getBoundingClientRect().left + 2 - left),
+          [one.className, parseFloat(one.closest('li').style.left) + parseFloat(one.style.left),
             one.closest('a').textContent, one.closest('a').getAttribute("href")]);""",
     )
     query = parse_qs(urlsplit(asked[0]).query)
