@@ -182,10 +182,11 @@ export class OperatorView {
     const { history } = this.page.store.state;
     if (!history) return null;
     const { columns } = history.columns(nowMs - HOUR_MS, nowMs, 0);
-    const squares = this.sensors.flatMap((sensor) => columns[sensor].map((measured, i) => {
-      const twin = columns[`${sensor}.twin`][i];
-      return measured === null || twin === null ? null : (measured - twin) ** 2;
-    })).filter((square) => square !== null);
+    const squares = this.sensors.flatMap((sensor) => {
+      const twins = columns[`${sensor}.twin`] ?? []; // of a sensor without data there is none
+      return (columns[sensor] ?? []).map((measured, i) =>
+        isNumber(measured) && isNumber(twins[i]) ? (measured - twins[i]) ** 2 : null);
+    }).filter((square) => square !== null);
     if (squares.length < 10) return null;
     return Math.sqrt(squares.reduce((sum, square) => sum + square, 0) / squares.length);
   }
