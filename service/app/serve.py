@@ -5,9 +5,10 @@ import contextlib
 import socket
 from collections.abc import Callable
 
-from service.app.sides import SideName, listen, run_side
+from service.app.sides import listen, run_side
 from service.app.supervisor import supervise
 from service.domain.errors import TemporaryError
+from service.domain.sides import SideName
 from service.plant.publishers import check_extras
 from service.service_manager import ServiceManager
 from service.site.settings import Settings

@@ -14,11 +14,11 @@ import ssl
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Literal
 
 import structlog
 
 from service.domain.errors import ServiceError, TemporaryError
+from service.domain.sides import SideName
 from service.logs import configure_logging
 from service.plant.publishers import any_enabled
 from service.security.tls import tls_context
@@ -29,7 +29,6 @@ from service.tasks import background
 from service.waiting import LEAVE_S, Waiting
 from service.web.listening import bind
 
-SideName = Literal["cell", "web", "plant"]
 #: Something that a person must correct, and trouble that passes by itself (EX_TEMPFAIL).
 STATUS_REFUSED, STATUS_TEMPORARY = 2, os.EX_TEMPFAIL
 

@@ -23,7 +23,8 @@ from typing import Any
 
 import structlog
 
-from service.app.sides import STATUS_REFUSED, STATUS_TEMPORARY, SideName, side_process, sides_of
+from service.app.sides import STATUS_REFUSED, STATUS_TEMPORARY, side_process, sides_of
+from service.domain.sides import SideName
 from service.service_manager import ServiceManager
 from service.site.settings import Settings
 

@@ -72,6 +72,7 @@ class _Copy:
     right_s: float = -1e9
     data: Any = None
     asking: "asyncio.Task[None] | None" = None
+    asked_s: float = -1e9
 
     @property
     def age_s(self) -> float:
@@ -111,8 +112,22 @@ class AssetReplica:
         self._fresh_s = fresh_s
         self._copies: dict[DocumentKind, _Copy] = {}
         self._doubtful: tuple[Snapshot | None, Snapshot] = (None, {"tags": {}})
+        self._changed_s = -1e9
 
     # ------------------------------------------------------------------ copies
+    def changed(self) -> None:
+        """Take no copy from before this moment for fresh: a caller has changed something.
+
+        Whoever activates a model, acknowledges an alarm or pushes a sample sees it in what it
+        reads next.
+        """
+        self._changed_s = time.monotonic()
+
+    def is_due(self, kind: DocumentKind) -> bool:
+        """Tell whether a copy is to be asked for again."""
+        copy = self._copies.setdefault(kind, _Copy())
+        return copy.age_s > self._fresh_s or copy.right_s <= self._changed_s
+
     async def refresh(self, *kinds: DocumentKind) -> None:
         """Bring copies up to date; where the cell does not answer the old ones stay.
 
@@ -126,13 +141,15 @@ class AssetReplica:
         due = []
         for kind in kinds:
             copy = self._copies.setdefault(kind, _Copy())
-            if copy.age_s <= self._fresh_s:
+            if not self.is_due(kind):
                 continue
-            if copy.asking is None:
-                copy.asking = asyncio.create_task(self._ask(kind, copy))
+            outdated = copy.right_s <= self._changed_s
+            if copy.asking is None or copy.asked_s <= self._changed_s:
+                copy.asked_s = time.monotonic()
+                copy.asking = asyncio.create_task(self._ask(kind, copy, copy.asked_s))
                 # Also where nobody waits for it.
                 copy.asking.add_done_callback(lambda done: done.cancelled() or done.exception())
-            if copy.age_s > max(SOON_S, self._fresh_s) or not self._fresh_s:
+            if outdated or copy.age_s > max(SOON_S, self._fresh_s) or not self._fresh_s:
                 due.append(copy.asking)
         for asking in due:
             await asyncio.shield(asking)
@@ -140,8 +157,7 @@ class AssetReplica:
             if not self._copies[kind].text:
                 raise CellUnavailableError("the cell has not answered yet")
 
-    async def _ask(self, kind: DocumentKind, copy: _Copy) -> None:
-        asked_s = time.monotonic()
+    async def _ask(self, kind: DocumentKind, copy: _Copy, asked_s: float) -> None:
         try:
             wanted = Wanted(self.id, kind, copy.tag)
             (document,) = await self._reader.ask(GetDocuments([wanted]), PATIENCE_S)
@@ -149,7 +165,8 @@ class AssetReplica:
         except CellUnavailableError:
             pass  # the copy that is there gets older, and says so
         finally:
-            copy.asking = None
+            if copy.asking is asyncio.current_task():
+                copy.asking = None
 
     def known_tag(self, kind: DocumentKind) -> bytes:
         """Tag of the copy that is there; empty where there is none."""
@@ -158,6 +175,8 @@ class AssetReplica:
     def take(self, kind: DocumentKind, document: Document, asked_s: float) -> None:
         """Take what the cell answered to a question of this monotonic time."""
         copy = self._copies.setdefault(kind, _Copy())
+        if asked_s < copy.right_s:  # a later question was answered sooner
+            return
         if document.text is not None:
             copy.tag, copy.text, copy.data = document.tag, document.text, None
         copy.right_s = asked_s
@@ -356,14 +375,16 @@ class Replicas:
                 self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
         await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
 
+    def changed(self) -> None:
+        """Take no copy from before this moment for fresh."""
+        for asset in self.assets.values():
+            asset.changed()
+
     async def refresh(self, *kinds: DocumentKind) -> None:
         """Bring the documents of all assets up to date with one question."""
         asked_s = time.monotonic()
         due = [
-            (asset, kind)
-            for asset in self.assets.values()
-            for kind in kinds
-            if asset.age_s(kind) > self.fresh_s
+            (asset, kind) for asset in self.assets.values() for kind in kinds if asset.is_due(kind)
         ]
         if not due:
             return

@@ -9,7 +9,7 @@ from typing import Annotated
 import structlog
 import typer
 
-from service.app.sides import SideName
+from service.domain.sides import SideName
 from service.logs import configure_logging
 from service.signals import leave_tasks_behind, leave_threads_behind, stop_on_signals
 from service.site.settings import Settings

@@ -37,6 +37,12 @@ class Shared:
         self._known: TTLCache[Command[Any], Any] = TTLCache(MOST_SHARED, fresh_s)
         self._asking: dict[Command[Any], asyncio.Task[Any]] = {}
 
+    def forget(self) -> None:
+        """Give nobody an answer from before this moment: a caller has changed something."""
+        self._known.clear()
+        # Who asks from now on does not wait for questions that are under way.
+        self._asking = {}
+
     async def ask(self, command: Command[AnswerT], patience_s: float = SOON_S) -> AnswerT:
         """Give the answer to a command that changes nothing."""
         answer: AnswerT | None = self._known.get(command)
@@ -44,17 +50,25 @@ class Shared:
             return answer
         asking = self._asking.get(command)
         if asking is None:
-            asking = self._asking[command] = asyncio.create_task(self._ask(command, patience_s))
+            asking = asyncio.create_task(self._ask(self._asking, command, patience_s))
+            self._asking[command] = asking
             asking.add_done_callback(lambda done: done.cancelled() or done.exception())
         found: AnswerT = await asyncio.shield(asking)
         return found
 
-    async def _ask(self, command: Command[Any], patience_s: float) -> Any:
+    async def _ask(
+        self,
+        among: dict[Command[Any], "asyncio.Task[Any]"],
+        command: Command[Any],
+        patience_s: float,
+    ) -> Any:
         try:
-            answer = self._known[command] = await self._reader.ask(command, patience_s)
+            answer = await self._reader.ask(command, patience_s)
+            if among is self._asking:
+                self._known[command] = answer
             return answer
         finally:
-            del self._asking[command]
+            del among[command]
 
 
 class CellAlarms:

@@ -116,6 +116,11 @@ class _Start:
             replicas = Replicas(reader, questions)
             await self._until_known(replicas, following)
             shared = Shared(reader)
+
+            def changed() -> None:
+                replicas.changed()
+                shared.forget()
+
             kept_from_us = await until("the store", store.samples.raw_kept_from_us)
             app = create_app(
                 ServiceContext(
@@ -130,6 +135,7 @@ class _Start:
                     jobs=CellJobs(reader, shared),
                     health=CellHealth(shared),
                     refresh_summaries=partial(replicas.refresh_known, "summary"),
+                    changed=changed,
                 )
             )
             for name, work in (

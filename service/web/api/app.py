@@ -25,6 +25,7 @@ from service.web.api.middleware import (
     Packing,
     SecurityHeaders,
 )
+from service.web.api.own_writes import OwnWrites
 from service.web.api.page import page_route
 from service.web.api.problems import install_handlers
 from service.web.api.proxies import KnownProxies
@@ -83,6 +84,7 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(BodyLimit),  # of what comes over the wire
             Middleware(Gunzip),
             Middleware(BodyLimit),
+            Middleware(OwnWrites, changed=context.changed),
             Middleware(Trail, trail=trail),
         ],
     )

@@ -35,6 +35,8 @@ class ServiceContext:
         By id.
     refresh_summaries
         Brings the summaries of all assets up to date.
+    changed
+        Makes all copies of what the cell knows old ones; to be called after a change.
     registry
         Metrics of the web side itself.
     """
@@ -50,4 +52,5 @@ class ServiceContext:
     jobs: JobManager
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
+    changed: Callable[[], None] = lambda: None
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

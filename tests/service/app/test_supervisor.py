@@ -13,8 +13,9 @@ import pytest
 import small_sides
 
 from service.app import supervisor
-from service.app.sides import SideName, sides_of
+from service.app.sides import sides_of
 from service.app.supervisor import Side, SideEndedError, run_sides
+from service.domain.sides import SideName
 from service.service_manager import ServiceManager
 from service.site.settings import MqttSection, ServiceSection, Settings
 
