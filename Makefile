@@ -9,11 +9,11 @@ DEMO_ARGS ?=
 demo: $(VENV)/.installed-run
 	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
 
-# The types are checked on one core while the kernels are compiled on another. Tests wait for other
-# processes half of their time: there are more workers than the two cores of a small machine.
+# The types are checked on one core while the kernels are compiled on another. Each worker runs services
+# of several processes: more workers than cores make tests of faults and attacks wait for each other.
 test: $(VENV)/.installed-test
 	@$(MAKE) --no-print-directory --jobs=2 lint kernels
-	$(BIN)/python -m pytest --numprocesses=4
+	$(BIN)/python -m pytest --numprocesses=2
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
