@@ -11,13 +11,12 @@ import os
 import signal
 import socket
 import ssl
-import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
 import structlog
 
-from service.domain.errors import ServiceError, TemporaryError
+from service.app.exits import refusals
 from service.domain.sides import SideName
 from service.logs import configure_logging
 from service.plant.publishers import any_enabled
@@ -28,9 +27,6 @@ from service.site.settings import Settings
 from service.tasks import background
 from service.waiting import LEAVE_S, Waiting
 from service.web.listening import bind
-
-#: Something that a person must correct, and trouble that passes by itself (EX_TEMPFAIL).
-STATUS_REFUSED, STATUS_TEMPORARY = 2, os.EX_TEMPFAIL
 
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 
@@ -129,25 +125,17 @@ def side_process(
 ) -> None:
     """Be the process of one side; called in it by the supervisor.
 
-    It ends with status 0 when it was asked to, 2 where a person must correct something, 75 for
-    trouble that passes, and 1 for a fault of ours.
+    It ends with status 0 when it was asked to, else as `service.app.exits` says.
     """
     _introduce(side)
-    os.environ.update(environment)
+    # systemd expects signs of life of the supervisor, and the supervisor of its sides.
+    os.environ.update(environment, WATCHDOG_PID=str(os.getpid()))
     # The terminal sends Ctrl-C to all processes; the supervisor ends its sides in their order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     configure_logging()
     structlog.contextvars.bind_contextvars(process=side)
-    try:
+    with refusals():
         asyncio.run(_until_stopped(side, settings, listener))
-    except ServiceError as error:
-        temporary = isinstance(error, TemporaryError) and error.passes
-        _refuse(str(error), status=STATUS_TEMPORARY if temporary else STATUS_REFUSED)
-    except ValueError as error:
-        lines = getattr(error, "lines", None)
-        if lines is None:
-            raise
-        _refuse(*lines, status=STATUS_REFUSED)
     leave_threads_behind()
 
 
@@ -166,10 +154,3 @@ def _introduce(side: SideName) -> None:
     prctl(_PR_SET_NAME, f"twin-{side}".encode(), 0, 0, 0)
     # Also where the parent was killed: the side then ends as if it were asked to.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-
-
-def _refuse(*messages: str, status: int) -> None:
-    for message in messages:
-        sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
-    sys.stderr.flush()
-    sys.exit(status)

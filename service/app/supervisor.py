@@ -23,7 +23,8 @@ from typing import Any
 
 import structlog
 
-from service.app.sides import STATUS_REFUSED, STATUS_TEMPORARY, side_process, sides_of
+from service.app.exits import STATUS_REFUSED, STATUS_TEMPORARY
+from service.app.sides import side_process, sides_of
 from service.domain.sides import SideName
 from service.service_manager import ServiceManager
 from service.site.settings import Settings
@@ -108,11 +109,6 @@ class Side:
         self._gone = asyncio.Event()
         self._gone.set()
         self._signed_s = time.monotonic()
-
-    @property
-    def pid(self) -> int | None:
-        """Of its present process."""
-        return None if self._process is None else self._process.pid
 
     async def run(self, on_report: Callable[[SideName, str], None]) -> None:
         """Keep the side running, until it is stopped.

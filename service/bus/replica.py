@@ -375,10 +375,11 @@ class Replicas:
                 self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
         await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
 
-    def changed(self) -> None:
-        """Take no copy from before this moment for fresh."""
-        for asset in self.assets.values():
-            asset.changed()
+    def changed(self, asset: str | None = None) -> None:
+        """Take no copy of an asset, or of any, from before this moment for fresh."""
+        for id, replica in self.assets.items():
+            if asset in (None, id):
+                replica.changed()
 
     async def refresh(self, *kinds: DocumentKind) -> None:
         """Bring the documents of all assets up to date with one question."""

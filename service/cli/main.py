@@ -1,13 +1,13 @@
 """Commands and how they end: 0 done, 1 failure, 2 something the user can mend, 75 try again."""
 
-import os
 import sys
 from importlib.metadata import version
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
 
+from service.app.exits import refusals, refuse
 from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
 from service.cli.benchmark import benchmark
@@ -23,9 +23,6 @@ from service.cli.serve import serve
 from service.cli.study import study
 from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
-from service.domain.errors import ServiceError, TemporaryError
-
-_OURS = ("service", "adapters", "twin_core")
 
 app = typer.Typer(
     name="bearing-twin",
@@ -73,30 +70,15 @@ def _options(
 def main() -> None:
     """Run the command line.
 
-    Our own kinds of ValueError, a store that cannot be used and options that do not fit are what a
-    user can mend: they end with one line per error on standard error and exit status 2. Trouble
-    that passes by itself ends with one line and status 75 (EX_TEMPFAIL of sysexits.h): whoever
-    started the command may start it again. Any other exception is a fault of ours and keeps its
-    traceback.
+    What a user can correct ends as `service.app.exits` says; options that do not fit end with
+    status 2.
     """
-    try:
-        status = app(standalone_mode=False)
-    except TyperException as error:
-        message = str(getattr(error, "format_message", error.__str__)())
-        if message:
-            _refuse(message)
-        sys.exit(2)  # called without arguments: the help has been shown
-    except ServiceError as error:
-        passes = isinstance(error, TemporaryError) and error.passes
-        _refuse(str(error), status=os.EX_TEMPFAIL if passes else 2)
-    except ValueError as error:
-        if type(error).__module__.partition(".")[0] not in _OURS:
-            raise
-        _refuse(*getattr(error, "lines", (str(error),)))
+    with refusals():
+        try:
+            status = app(standalone_mode=False)
+        except TyperException as error:
+            message = str(getattr(error, "format_message", error.__str__)())
+            if message:
+                refuse(message)
+            sys.exit(2)  # called without arguments: the help has been shown
     sys.exit(status if isinstance(status, int) else 0)
-
-
-def _refuse(*messages: str, status: int = 2) -> NoReturn:
-    for message in messages:
-        sys.stderr.write(f"bearing-twin: {' '.join(message.split())}\n")
-    sys.exit(status)

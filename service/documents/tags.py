@@ -1,6 +1,6 @@
 """Flat tags for SCADA systems, and the snapshot of them.
 
-Typed dictionaries and no models: every asset's tags are made anew ten times a second, and compared
+Typed dictionaries and no models: every asset's tags are made again ten times a second, and compared
 with those before.
 """
 

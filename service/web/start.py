@@ -117,8 +117,8 @@ class _Start:
             await self._until_known(replicas, following)
             shared = Shared(reader)
 
-            def changed() -> None:
-                replicas.changed()
+            def changed(asset: str | None) -> None:
+                replicas.changed(asset)
                 shared.forget()
 
             kept_from_us = await until("the store", store.samples.raw_kept_from_us)

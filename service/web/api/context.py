@@ -36,7 +36,8 @@ class ServiceContext:
     refresh_summaries
         Brings the summaries of all assets up to date.
     changed
-        Makes all copies of what the cell knows old ones; to be called after a change.
+        Makes the copies of what the cell knows of an asset, or of all, old ones; to be called after
+        a change.
     registry
         Metrics of the web side itself.
     """
@@ -52,5 +53,5 @@ class ServiceContext:
     jobs: JobManager
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
-    changed: Callable[[], None] = lambda: None
+    changed: Callable[[str | None], None] = lambda asset: None
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

@@ -15,10 +15,10 @@ class OwnWrites:
     app
         What lies behind.
     changed : callable
-        Makes every copy from before now an old one.
+        Makes the copies of an asset from before now old ones; without a name those of all assets.
     """
 
-    def __init__(self, app: ASGIApp, changed: Callable[[], None]) -> None:
+    def __init__(self, app: ASGIApp, changed: Callable[[str | None], None]) -> None:
         self.app = app
         self.changed = changed
 
@@ -29,8 +29,8 @@ class OwnWrites:
             return
 
         async def note(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                self.changed()
+            if message["type"] == "http.response.start" and 200 <= message["status"] < 300:
+                self.changed(scope.get("path_params", {}).get("asset_id"))
             await send(message)
 
         await self.app(scope, receive, note)

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
@@ -125,6 +126,31 @@ async def test_a_side_that_hangs_is_killed_and_started_again(tmp_path: Path) -> 
         assert both[0] == first[0]
         with pytest.raises(ProcessLookupError):
             os.kill(first[0], 0)
+
+
+async def test_under_systemd_the_sides_give_their_own_signs_of_life(tmp_path: Path) -> None:
+    """The environment of systemd names the supervisor alone as the one whose signs it expects."""
+    script = tmp_path / "serve.py"
+    script.write_text(
+        "import os, small_sides\n"
+        "from service.app import sides\n"
+        "from service.service_manager import ServiceManager\n"
+        "from service.site.settings import Settings\n"
+        "async def signs(side, settings, stop, listener):\n"
+        "    print(ServiceManager()._watchdog_s, flush=True)\n"
+        "sides.run_side = signs\n"
+        "sides.side_process('cell', Settings(), {'WATCHDOG_USEC': '30000000'}, None)\n"
+    )
+    environment = os.environ | {
+        "PYTHONPATH": str(Path(small_sides.__file__).parent),
+        "WATCHDOG_PID": str(os.getpid()),
+    }
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, script, env=environment, stdout=asyncio.subprocess.PIPE
+    )
+    out, _ = await process.communicate()
+    assert process.returncode == 0
+    assert out.decode() == "30.0\n"
 
 
 async def test_at_the_end_the_cell_ends_last(tmp_path: Path) -> None:

@@ -51,12 +51,12 @@ def test_a_parameter_on_its_bound_is_reported(
     assert (film["at_bound"], film["value"]) == ("upper", pytest.approx(6.5))
     assert found["parameters"]["speed"]["at_bound"] is None
     assert film["verdict"] in ("informed", "weak", "prior only")
-    assert any("film = 6.5 W/K lies on its upper bound" in text for text in found["warnings"])
+    assert any("film = 6.5 W/K is on its upper bound" in text for text in found["warnings"])
     assert model.exists()
     text = command(
         "identify", data, "--config", tmp_path / "twin.toml", "--out", model, *OPTIONS[:-1]
     )
-    assert "Warning: film = 6.5 W/K lies on its upper bound" in text
+    assert "Warning: film = 6.5 W/K is on its upper bound" in text
     free = command("identify", data, "--config", block(NETWORK), "--out", model, *OPTIONS)
     assert {row["at_bound"] for row in free["parameters"].values()} == {None}
     assert free["warnings"] == []
