@@ -266,20 +266,10 @@ class AssetReplica:
         snapshot: Snapshot = self._data("snapshot")
         return snapshot
 
-    def state(self) -> State:
-        """See `AssetTwin`."""
-        state: State = self._data("state")
-        return state
-
     def verdict(self) -> VerdictDocument:
         """See `AssetTwin`."""
         verdict: VerdictDocument = self._data("verdict")
         return verdict
-
-    def forecast(self) -> LiveForecast | None:
-        """See `AssetTwin`."""
-        forecast: LiveForecast | None = self._data("forecast")
-        return forecast
 
     async def what_if(
         self,

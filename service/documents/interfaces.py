@@ -4,10 +4,10 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Literal, Protocol
 
 from service.documents.advice import AdviceDocument
-from service.documents.assets import AssetDocument, GreaseRenewed, State
+from service.documents.assets import AssetDocument, GreaseRenewed
 from service.documents.base import Document
 from service.documents.envelope import EnvelopeDocument
-from service.documents.forecasts import LiveForecast, WhatIf
+from service.documents.forecasts import WhatIf
 from service.documents.identification import JobDocument, WindowDocument
 from service.documents.messages import MessageType
 from service.documents.models import ModelDocument
@@ -86,14 +86,8 @@ class AssetTwin(Protocol):
     def snapshot(self) -> Snapshot:
         """Return the flat tags; the same object until one of them changes."""
 
-    def state(self) -> State:
-        """Return the estimated node temperatures."""
-
     def verdict(self) -> VerdictDocument:
         """Return the verdict, as `GET /assets/{id}/verdict` shows it."""
-
-    def forecast(self) -> LiveForecast | None:
-        """Return the latest live forecast; None before the first."""
 
     async def what_if(
         self,

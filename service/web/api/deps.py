@@ -8,7 +8,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from service.documents.base import Document
-from service.documents.interfaces import AssetTwin
+from service.documents.interfaces import AssetTwin, DocumentKind
 from service.security import AuditTrail, Authenticator
 from service.web.api.context import ServiceContext
 from service.web.api.problems import parameter_problem
@@ -52,6 +52,12 @@ async def get_asset(
 
 
 Asset = Annotated[AssetTwin, Depends(get_asset)]
+
+
+def copy_response(asset: AssetTwin, kind: DocumentKind) -> Response:
+    """Answer with a document of the cell, as it came."""
+    text, _ = asset.text(kind)
+    return Response(text, media_type="application/json")
 
 
 def json_response(

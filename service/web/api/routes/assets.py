@@ -14,7 +14,7 @@ from service.documents.verdicts import VerdictDocument
 from service.domain.requests import GreaseRenewedRequest
 from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
 from service.web.api.access import Caller, secured
-from service.web.api.deps import Asset, Context, json_response
+from service.web.api.deps import Asset, Context, copy_response, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.web.api.snapshots import snapshot_response
 
@@ -66,7 +66,7 @@ async def get_snapshot(asset: Asset, if_none_match: IfNoneMatch = None) -> Respo
 async def get_state(asset: Asset) -> Response:
     """Mean and standard deviation of every node, null before the first data."""
     await asset.refresh("state")
-    return json_response(asset.state())
+    return copy_response(asset, "state")
 
 
 @router.get(
@@ -78,7 +78,7 @@ async def get_state(asset: Asset) -> Response:
 async def get_verdict(asset: Asset) -> Response:
     """Give one word each, with reasons; without an input it is `unknown`, and named."""
     await asset.refresh("verdict")
-    return json_response(asset.verdict())
+    return copy_response(asset, "verdict")
 
 
 @router.post(

@@ -12,7 +12,7 @@ from service.domain.errors import NotReadyError, RequestRefusedError
 from service.domain.requests import ForecastRequest
 from service.domain.roles import OPERATOR, VIEWER
 from service.web.api.access import secured
-from service.web.api.deps import Asset, json_response
+from service.web.api.deps import Asset, copy_response
 from service.web.api.turns import caller_of, pieces_in_turn, turns_of, while_there
 
 _PIECE_BYTES: Final = 1 << 16
@@ -29,10 +29,10 @@ router = APIRouter(prefix="/assets/{asset_id}", tags=["forecasts"])
 async def get_forecast(asset: Asset) -> Response:
     """Follow the controller's plan where it tells one, else hold the present point."""
     await asset.refresh("forecast")
-    forecast = asset.forecast()
-    if forecast is None:
+    answer = copy_response(asset, "forecast")
+    if answer.body == b"null":
         raise NotReadyError("there is no forecast yet: the twin waits for its first data")
-    return json_response(forecast)
+    return answer
 
 
 @router.post(
