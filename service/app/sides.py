@@ -7,10 +7,13 @@ A side is started by the supervisor (`service.app.supervisor`), or by itself wit
 import asyncio
 import ctypes
 import gc
+import multiprocessing
 import os
 import signal
 import socket
 import ssl
+import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -28,7 +31,9 @@ from service.tasks import background
 from service.waiting import LEAVE_S, Waiting
 from service.web.listening import bind
 
-_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
+_PR_SET_NAME = 15
+#: Wall seconds for a clean end without a supervisor.
+_LAST_S = 15.0
 
 
 def sides_of(settings: Settings) -> tuple[SideName, ...]:
@@ -127,7 +132,8 @@ def side_process(
 
     It ends with status 0 when it was asked to, else as `service.app.exits` says.
     """
-    _introduce(side)
+    _name(side)
+    _end_with_supervisor()
     # systemd expects signs of life of the supervisor, and the supervisor of its sides.
     os.environ.update(environment, WATCHDOG_PID=str(os.getpid()))
     # The terminal sends Ctrl-C to all processes; the supervisor ends its sides in their order.
@@ -148,9 +154,25 @@ async def _until_stopped(
     await leave_tasks_behind()
 
 
-def _introduce(side: SideName) -> None:
-    """Give the process a name that `ps` shows, and have it end when its parent has died."""
-    prctl = ctypes.CDLL(None).prctl
-    prctl(_PR_SET_NAME, f"twin-{side}".encode(), 0, 0, 0)
-    # Also where the parent was killed: the side then ends as if it were asked to.
-    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+def _name(side: SideName) -> None:
+    """Give the process a name that `ps` shows."""
+    ctypes.CDLL(None).prctl(_PR_SET_NAME, f"twin-{side}".encode(), 0, 0, 0)
+
+
+def _end_with_supervisor() -> None:
+    """End as if asked to when the supervisor has died, so that a new service finds all free.
+
+    The kernel's signal for the death of a parent does not do: the parent of this process is the
+    fork server, which lives as long as any process that it made.
+    """
+    supervisor = multiprocessing.parent_process()
+    if supervisor is None:
+        return
+
+    def follow() -> None:
+        supervisor.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(_LAST_S)
+        os._exit(1)
+
+    threading.Thread(target=follow, name="follows the supervisor", daemon=True).start()

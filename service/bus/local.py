@@ -61,14 +61,17 @@ class LocalCellBus:
         self._changes: zmq.Socket[bytes] = zmq.Context(self._context).socket(zmq.PUB)
         self._commands = self._context.socket(zmq.ROUTER)
         self._lock = threading.Lock()
-        for socket, name in ((self._changes, CHANGES), (self._commands, COMMANDS)):
-            socket.linger = 0
-            socket.sndhwm = socket.rcvhwm = QUEUE
-            socket.maxmsgsize = LONGEST_MESSAGE
-            path = folder / name
-            path.unlink(missing_ok=True)
-            socket.bind(f"ipc://{path}")
-            path.chmod(0o600)
+        with contextlib.ExitStack() as failing:
+            failing.callback(self.close)
+            for socket, name in ((self._changes, CHANGES), (self._commands, COMMANDS)):
+                socket.linger = 0
+                socket.sndhwm = socket.rcvhwm = QUEUE
+                socket.maxmsgsize = LONGEST_MESSAGE
+                path = folder / name
+                path.unlink(missing_ok=True)
+                socket.bind(f"ipc://{path}")
+                path.chmod(0o600)
+            failing.pop_all()
 
     def close(self) -> None:
         """Close the sockets."""

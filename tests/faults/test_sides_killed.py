@@ -145,3 +145,16 @@ def test_a_killed_plant_side_serves_its_clients_again_and_costs_no_poll(stand: S
 
     assert answers()
     assert skipped_while(stand, lambda: killed(stand, "plant", answers)) < SHARE
+
+
+def test_the_sides_of_a_killed_supervisor_end_and_leave_the_data_to_the_next(stand: Stand) -> None:
+    """It comes last: the others need the service."""
+    service = stand.service
+    assert service is not None
+    os.kill(service.process.pid, signal.SIGKILL)
+    service.process.wait(PATIENCE_S)
+    wait_until(lambda: not service.processes(), PATIENCE_S, "the end of all its processes")
+    service.end()
+    polls = stand.state.sent
+    stand.start_service()
+    wait_until(lambda: stand.state.sent > polls, PATIENCE_S, "a poll by the next one")
