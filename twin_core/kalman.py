@@ -279,6 +279,7 @@ def predict_range(  # type: ignore[no-untyped-def]
             turned,
             heat,
             0.0,
+            2,
             path,
         )
         if bad >= 0:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from twin_core.forecasting.draws import paired_draws
 from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
+from twin_core.forecasting.limits import first_crossings
 from twin_core.forecasting.members import (
     beyond_load,
     draw_members,
@@ -25,7 +26,7 @@ from twin_core.forecasting.members import (
     member_paths,
     stands,
 )
-from twin_core.forecasting.paths import add_deviations, gather_members, shift_between
+from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
@@ -143,7 +144,7 @@ class Forecast:
         if rows.size == 0:
             raise ValueError(f"no row of the forecast lies between {start_s} and {end_s} s")
         paths = self.members_c[:, rows, self._index(self.sensors, name)]
-        times = np.sort(_first_crossings(self.time_s[rows], paths, limit_c))
+        times = np.sort(first_crossings(self.time_s[rows], paths, limit_c))
         crossed = int(np.count_nonzero(np.isfinite(times)))
         return Exceedance(
             probability=crossed / times.size,
@@ -203,7 +204,7 @@ def forecast(
     failed = ~np.all(np.isfinite(temperatures), axis=(1, 2))
     temperatures[failed] = _CEILING_C
     sensors = model.sensor_names
-    readings = _lagging(
+    readings = delayed(
         temperatures @ model.sensor_matrix(sensors).T, profile.time_s, posterior.sensor_lag_s
     )
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
@@ -327,16 +328,6 @@ def _hidden_growth(time_s: FloatArray, rise_c: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(faded) * np.maximum(rise_c, 0.0))
 
 
-def _lagging(paths: FloatArray, time_s: FloatArray, lag_s: float) -> FloatArray:
-    """Paths (members, n, k) as they were ``lag_s`` before each row; before the first, as there."""
-    then_s = np.maximum(time_s - lag_s, time_s[0])
-    before = np.searchsorted(time_s, then_s, side="right") - 1
-    after = np.minimum(before + 1, time_s.size - 1)
-    step_s = np.maximum(time_s[after] - time_s[before], 1e-9)
-    share = ((then_s - time_s[before]) / step_s)[:, None]
-    return np.asarray((1.0 - share) * paths[:, before] + share * paths[:, after])
-
-
 def _quantiles(values: FloatArray) -> FloatArray:
     """Quantiles (5, ...) of values (..., members), which end up sorted; linear in between."""
     ordered = values
@@ -347,19 +338,6 @@ def _quantiles(values: FloatArray) -> FloatArray:
     above = np.minimum(below + 1, ordered.shape[-1] - 1)
     quantiles = (1.0 - weight) * ordered[..., below] + weight * ordered[..., above]
     return np.ascontiguousarray(quantiles.transpose(2, 0, 1))
-
-
-def _first_crossings(time_s: FloatArray, paths: FloatArray, limit_c: float) -> FloatArray:
-    """Time (members,) at which each path (members, n) first reaches the limit; inf if never."""
-    over = paths >= limit_c
-    first = np.argmax(over, axis=1)
-    member = np.arange(len(paths))
-    before = np.maximum(first - 1, 0)
-    low, high = paths[member, before], paths[member, first]
-    rise = np.where(high > low, high - low, 1.0)
-    share = np.where(first > 0, np.clip((limit_c - low) / rise, 0.0, 1.0), 0.0)
-    times = time_s[before] + share * (time_s[first] - time_s[before])
-    return np.where(np.any(over, axis=1), times, np.inf)
 
 
 def _time_of_share(ordered_times: FloatArray, share: float) -> float | None:

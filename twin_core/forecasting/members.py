@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.draws import normal_draws, parameter_draws
 from twin_core.forecasting.paths import net_heat_range
@@ -13,7 +13,13 @@ from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import STANDING_RPM
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import OperatingProfile, heat_balance_w, kernels, simulate_batch
+from twin_core.simulation import (
+    OperatingProfile,
+    OperatingProfiles,
+    heat_balance_w,
+    kernels,
+    simulate_batch,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -114,9 +120,9 @@ def beyond_load(load_n: FloatArray, trained_n: float) -> FloatArray:
 def member_paths(
     model: ThermalModel,
     values: FloatArray,
-    profile: OperatingProfile,
+    ahead: OperatingProfile | OperatingProfiles,
     start_c: FloatArray,
-    revolutions: float,
+    revolutions: ArrayLike,
     heat_w: FloatArray,
 ) -> FloatArray:
     """Temperatures (members, n, nodes) of members that begin with heats beyond their model's.
@@ -128,42 +134,26 @@ def member_paths(
     ----------
     model, values
         The model and the members' parameters (members, p).
-    profile
-        n rows.
+    ahead
+        n rows for all, or each member's own.
     start_c, heat_w
         (members, nodes) temperatures in degC and heats in W at the first row.
     revolutions
-        Revolutions since the grease was fresh.
+        Revolutions since the grease was fresh, for all or (members,).
     """
-    standing = stands(profile)
-    change = int(np.argmax(standing != standing[0])) or profile.size - 1
-    first = simulate_batch(
+    standing = np.abs(ahead.speed_rpm) < STANDING_RPM
+    changed = standing != standing[..., :1]
+    change = np.where(changed.any(axis=-1), changed.argmax(axis=-1), changed.shape[-1])
+    return simulate_batch(
         model,
         values,
-        _rows(profile, 0, change),
+        ahead,
         start_c,
         revolutions,
         disturbance_w=heat_w,
         disturbance_time_s=DISTURBANCE_TIME_S,
+        disturbance_rows=change,
     )
-    if change == profile.size - 1:
-        return first
-    steps_s = np.diff(profile.time_s[: change + 1])
-    turned = float(np.sum(np.abs(profile.speed_rpm[:change]) * steps_s)) / 60.0
-    lost = ~np.all(np.isfinite(first), axis=(1, 2))
-    rest = simulate_batch(
-        model,
-        values,
-        _rows(profile, change, profile.size - 1),
-        np.where(lost[:, np.newaxis], start_c, first[:, -1]),
-        revolutions + turned,
-    )
-    rest[lost] = np.nan
-    return np.concatenate((first, rest[:, 1:]), axis=1)
-
-
-def _rows(profile: OperatingProfile, first: int, last: int) -> OperatingProfile:
-    return profile.rows(slice(first, last + 1))
 
 
 def imbalance_w(

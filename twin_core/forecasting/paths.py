@@ -1,10 +1,12 @@
 """What is added to the paths of an ensemble, in one pass over them."""
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.simulation.assembly import bind_network, heat_balance
-from twin_core.simulation.compiling import compiled
+from twin_core.simulation.compiling import compiled, kernel_array
 
 FloatArray = NDArray[np.float64]
 
@@ -41,6 +43,30 @@ def add_deviations(
                 paths[member, row, k] += (
                     widening[row, k] * state[k] + growth[row] * lasting[member, k]
                 )
+
+
+@compiled
+def delay_paths(paths, time, lag, out):  # type: ignore[no-untyped-def]
+    """Fill out with paths (members, n, k) as they were lag (members,) >= 0 before each row.
+
+    time (1 or members, n). Before its first row a path stays as it is there. Where a path is not
+    finite, it stays so.
+    """
+    rows, count = paths.shape[1:]
+    for member in range(paths.shape[0]):
+        at = time[member if time.shape[0] > 1 else 0]
+        before = 0
+        for row in range(rows):
+            then = max(at[row] - lag[member], at[0])
+            while before + 1 < rows and at[before + 1] <= then:
+                before += 1
+            after = min(before + 1, row)
+            share = (then - at[before]) / max(at[after] - at[before], 1e-9)
+            for k in range(count):
+                out[member, row, k] = paths[member, row, k]
+                if math.isfinite(paths[member, row, k]):
+                    early, late = paths[member, before, k], paths[member, after, k]
+                    out[member, row, k] = (1.0 - share) * early + share * late
 
 
 @compiled
@@ -85,3 +111,21 @@ def gather_members(paths: FloatArray, columns: NDArray[np.int64], out: FloatArra
         for member in range(paths.shape[0]):
             for place in range(columns.size):
                 out[row, place, member] = paths[member, row, columns[place]]
+
+
+def delayed(paths: FloatArray, time_s: FloatArray, lag_s: ArrayLike) -> FloatArray:
+    """Paths (members, n, k) as lagging sensors show them.
+
+    Parameters
+    ----------
+    paths
+        As they are.
+    time_s
+        (n,) times of the rows, or (members, n) each path's own.
+    lag_s
+        The lag, or (members,) each path's own.
+    """
+    out = np.empty(paths.shape)
+    lags = kernel_array(np.broadcast_to(np.asarray(lag_s, np.float64), paths.shape[:1]))
+    delay_paths(kernel_array(paths), kernel_array(np.atleast_2d(time_s)), lags, out)
+    return out

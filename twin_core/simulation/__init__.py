@@ -2,6 +2,7 @@
 
 from twin_core.simulation.profile import (
     OperatingProfile,
+    OperatingProfiles,
     SimulationError,
     Trajectory,
     hold_operating_point,
@@ -17,6 +18,7 @@ from twin_core.simulation.simulate import (
 
 __all__ = [
     "OperatingProfile",
+    "OperatingProfiles",
     "Sensitivities",
     "SimulationError",
     "Trajectory",

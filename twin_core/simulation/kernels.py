@@ -169,13 +169,25 @@ def drives_differ(net, given, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def simulate_kernel(  # type: ignore[no-untyped-def]
-    net, values, time, speed, load, ambient, given, initial, revolutions, disturbance, fading, out
+    net,
+    values,
+    time,
+    speed,
+    load,
+    ambient,
+    given,
+    initial,
+    revolutions,
+    disturbance,
+    fading,
+    ends,
+    out,
 ):
     """Simulate one candidate; fill out (n, nodes) with temperatures at the rows' instants.
 
     `given` (n, k) are the network's inputs. `disturbance` (nodes,) is an extra heat in W at the
-    first row that fades at the rate `fading` in 1/s. Returns the row from which on the result is
-    unusable (the rest of `out` is NaN), or -1.
+    first row that fades at the rate `fading` in 1/s and ends at the row `ends`. Returns the row
+    from which on the result is unusable (the rest of `out` is NaN), or -1.
 
     Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
     lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
@@ -267,7 +279,9 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
             heat[active + 1 + b] = given[row, net.boundary_input[b]]
         if losses:
             heat[active + outer - 1] = 1.0
-        if fading > 0.0:
+        if row >= ends:
+            heat[disturbed] = 0.0
+        elif fading > 0.0:
             heat[disturbed] = math.exp(-fading * (time[row] + 0.5 * duration - time[0]))
         else:
             heat[disturbed] = 1.0
@@ -303,36 +317,34 @@ def simulate_kernel(  # type: ignore[no-untyped-def]
 
 @compiled
 def simulate_range(  # type: ignore[no-untyped-def]
-    net,
-    values,
-    time,
-    speed,
-    load,
-    ambient,
-    given,
-    initial,
-    revolutions,
-    disturbance,
-    fading,
-    start,
-    stop,
-    out,
+    net, values, ahead, initial, revolutions, disturbance, fading, ends, start, stop, out
 ):
-    """Simulate candidates start..stop-1 of a batch, each independent of all others."""
+    """Simulate members start..stop-1 of a batch, each independent of all others.
+
+    `ahead` are `twin_core.simulation.profile.OperatingProfiles`: one for each member, or one for
+    all. Of a member that fails all of out (B, n, nodes) is NaN, of others what follows its rows.
+    """
+    own = ahead.rows.size > 1
     for member in range(start, stop):
+        which = member if own else 0
+        rows = ahead.rows[which]
+        out[member, rows:] = math.nan
+        if rows == 0:
+            continue
         failed = simulate_kernel(
             net,
             values[member],
-            time,
-            speed,
-            load,
-            ambient,
-            given,
+            ahead.time_s[which][:rows],
+            ahead.speed_rpm[which][:rows],
+            ahead.load_n[which][:rows],
+            ahead.ambient_c[which][:rows],
+            ahead.inputs[which][:rows],
             initial[member],
             revolutions[member],
             disturbance[member],
             fading,
-            out[member],
+            ends[member],
+            out[member][:rows],
         )
         if failed >= 0:
             out[member] = math.nan

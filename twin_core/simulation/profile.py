@@ -1,10 +1,11 @@
 """What a machine is asked to do over time, and what comes out of simulating it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation.compiling import kernel_array
@@ -97,6 +98,117 @@ class OperatingProfile:
         )
 
 
+class OperatingProfiles(NamedTuple):
+    """Profiles of many machines: every array has one row of rows per machine.
+
+    Nothing is checked here: a machine without finite numbers has no result, and harms no other.
+
+    Attributes
+    ----------
+    time_s, speed_rpm, load_n, ambient_c
+        (machines, n) as in `OperatingProfile`.
+    inputs
+        (machines, n, k) the inputs of a network that has any.
+    rows
+        (machines,) how many of the rows are the machine's; what follows them does not count.
+    """
+
+    time_s: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+    load_n: NDArray[np.float64]
+    ambient_c: NDArray[np.float64]
+    inputs: NDArray[np.float64]
+    rows: NDArray[np.int64]
+
+    @property
+    def size(self) -> int:
+        """Number of machines."""
+        return int(self.rows.size)
+
+    @classmethod
+    def of(cls, profiles: Sequence[OperatingProfile]) -> "OperatingProfiles":
+        """Put profiles together, of any lengths, all with the same inputs.
+
+        Raises
+        ------
+        ValueError
+            If there is none, or their numbers of inputs differ.
+        """
+        if len(profiles) == 1:
+            one = profiles[0]
+            return cls(
+                one.time_s[np.newaxis],
+                one.speed_rpm[np.newaxis],
+                one.load_n[np.newaxis],
+                one.ambient_c[np.newaxis],
+                one.inputs[np.newaxis],
+                np.array([one.size]),
+            )
+        counts = {profile.inputs.shape[1] for profile in profiles}
+        if len(counts) != 1:
+            raise ValueError(
+                f"profiles: there are {len(profiles)}, their numbers of inputs are "
+                f"{sorted(counts)}; expected at least one, all with the same inputs"
+            )
+        rows = np.array([profile.size for profile in profiles], np.int64)
+        shape = rows.size, int(rows.max())
+        time_s, speed_rpm, load_n, ambient_c = np.full((4, *shape), np.nan)
+        result = cls(time_s, speed_rpm, load_n, ambient_c, np.zeros((*shape, *counts)), rows)
+        for machine, profile in enumerate(profiles):
+            here = machine, slice(profile.size)
+            result.time_s[here], result.speed_rpm[here] = profile.time_s, profile.speed_rpm
+            result.load_n[here], result.ambient_c[here] = profile.load_n, profile.ambient_c
+            result.inputs[here] = profile.inputs
+        return result
+
+    @classmethod
+    def held(
+        cls,
+        speed_rpm: ArrayLike,
+        load_n: ArrayLike,
+        ambient_c: ArrayLike,
+        inputs: ArrayLike | None = None,
+        *,
+        horizon_s: float,
+        row_s: float = 60.0,
+    ) -> "OperatingProfiles":
+        """Hold the operating point of every machine over a horizon.
+
+        Parameters
+        ----------
+        speed_rpm, load_n, ambient_c
+            (machines,) each.
+        inputs
+            (machines, k) the network's inputs, if it has any.
+        horizon_s, row_s
+            How long, and the spacing of the rows in s; the last row is the end of the horizon.
+        """
+        points = np.stack([np.asarray(part, np.float64) for part in (speed_rpm, load_n, ambient_c)])
+        time_s = np.append(np.arange(0.0, horizon_s, row_s), horizon_s)
+        machines, size = points.shape[1], time_s.size
+        speeds, loads, ambients = np.repeat(points[:, :, np.newaxis], size, axis=2)
+        drives = np.empty((machines, 0)) if inputs is None else np.asarray(inputs, np.float64)
+        return cls(
+            np.tile(time_s, (machines, 1)),
+            speeds,
+            loads,
+            ambients,
+            np.repeat(drives[:, np.newaxis], size, axis=1),
+            np.full(machines, size, np.int64),
+        )
+
+    def chosen(self, machines: slice) -> "OperatingProfiles":
+        """Return the profiles of some machines."""
+        return OperatingProfiles(
+            self.time_s[machines],
+            self.speed_rpm[machines],
+            self.load_n[machines],
+            self.ambient_c[machines],
+            self.inputs[machines],
+            self.rows[machines],
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
     """Simulated temperatures of all state nodes.
@@ -175,6 +287,8 @@ def hold_operating_point(
         n rows at the same times, ambient and inputs unchanged.
     """
     speed, load = np.abs(profile.speed_rpm), np.maximum(profile.load_n, 0.0)
+    if (speed == speed[0]).all() and (load == load[0]).all():
+        return OperatingProfile(profile.time_s, speed, load, profile.ambient_c, profile.inputs)
     # The last row marks the end and has no duration; any weight serves it.
     weight = np.append(np.diff(profile.time_s), 1.0)
     held_speed, held_load = speed.copy(), load.copy()

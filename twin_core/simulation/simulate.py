@@ -13,6 +13,7 @@ from twin_core.simulation import kernels
 from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import (
     OperatingProfile,
+    OperatingProfiles,
     SimulationError,
     Trajectory,
     total_revolutions,
@@ -77,6 +78,7 @@ def simulate(
         float(revolutions),
         np.zeros(nodes),
         0.0,
+        profile.size,
         temperatures,
     )
     if failed >= 0:
@@ -91,14 +93,15 @@ def simulate(
 def simulate_batch(
     model: NetworkModel,
     values: ArrayLike,
-    profile: OperatingProfile,
+    profile: OperatingProfile | OperatingProfiles,
     initial_temperatures_c: ArrayLike,
     revolutions: ArrayLike = 0.0,
     *,
     disturbance_w: ArrayLike | None = None,
     disturbance_time_s: float = np.inf,
+    disturbance_rows: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Simulate many parameter vectors over the same profile, in parallel.
+    """Simulate many parameter vectors over one profile, or each over its own, in parallel.
 
     Each candidate is computed on its own by the same code as :func:`simulate`, so the result
     does not depend, to the last bit, on the number of threads or on the other candidates. Safe
@@ -111,7 +114,7 @@ def simulate_batch(
     values
         Shape (B, p).
     profile
-        n rows.
+        n rows, the same for all; or one of B profiles for each.
     initial_temperatures_c
         Shape (nodes,) for all, or (B, nodes).
     revolutions
@@ -121,12 +124,14 @@ def simulate_batch(
         default none.
     disturbance_time_s
         Over which it fades.
+    disturbance_rows
+        Row at which it ends, scalar or shape (B,); default never.
 
     Returns
     -------
     ndarray
         Shape (B, n, nodes). A candidate that runs away, or whose values are not finite, is NaN
-        throughout.
+        throughout; behind the last row of a shorter profile there is NaN.
 
     Raises
     ------
@@ -150,33 +155,38 @@ def simulate_batch(
         raise ValueError(
             f"disturbance_w has shape {heat.shape}, expected ({nodes},) or ({count}, {nodes})"
         )
+    ahead = OperatingProfiles.of([profile]) if isinstance(profile, OperatingProfile) else profile
+    if ahead.size not in (1, count):
+        raise ValueError(f"there are {ahead.size} profiles, expected 1 or {count}")
+    _check_inputs(model, ahead.inputs)
+    length = ahead.time_s.shape[1]
+    ends = np.asarray(length if disturbance_rows is None else disturbance_rows, np.int64)
+    if ends.shape not in ((), (count,)):
+        raise ValueError(f"disturbance_rows has shape {ends.shape}, expected () or ({count},)")
     fading = 1.0 / disturbance_time_s
     starts = kernel_array(np.broadcast_to(initial, (count, nodes)))
     turns = kernel_array(np.broadcast_to(turned, (count,)))
     heats = kernel_array(np.broadcast_to(heat, (count, nodes)))
-    inputs = inputs_of(model, profile)
-    result = np.empty((count, profile.size, nodes))
+    until = np.array(np.broadcast_to(ends, (count,)))
+    result = np.empty((count, length, nodes))
 
     def run(start: int, stop: int) -> None:
         kernels.simulate_range(
             model.compiled,
             parameters,
-            profile.time_s,
-            profile.speed_rpm,
-            profile.load_n,
-            profile.ambient_c,
-            inputs,
+            ahead,
             starts,
             turns,
             heats,
             fading,
+            until,
             start,
             stop,
             result,
         )
 
     threads = min(int(numba_config.NUMBA_NUM_THREADS), count)
-    if threads <= 1 or count * profile.size < 1000:
+    if threads <= 1 or count * length < 1000:
         run(0, count)
         return result
     # Threads of our own around a serial kernel without the GIL, not numba's parallel loops: those
@@ -238,6 +248,7 @@ def steady_state(
         0.0,
         np.zeros(nodes),
         0.0,
+        2,
         path,
     )
     temperatures: NDArray[np.float64] = path[1]
@@ -307,13 +318,17 @@ def inputs_of(model: NetworkModel, profile: OperatingProfile) -> NDArray[np.floa
     ValueError
         If there are more or fewer.
     """
+    _check_inputs(model, profile.inputs)
+    return profile.inputs
+
+
+def _check_inputs(model: NetworkModel, inputs: NDArray[np.float64]) -> None:
     expected = len(model.input_names)
-    if profile.inputs.shape[1] != expected:
+    if inputs.shape[-1] != expected:
         raise ValueError(
-            f"profile: inputs has {profile.inputs.shape[1]} columns, expected {expected} "
+            f"profile: inputs has {inputs.shape[-1]} columns, expected {expected} "
             f"({', '.join(model.input_names) or 'none'})"
         )
-    return profile.inputs
 
 
 def _running_in_held(
