@@ -2,8 +2,29 @@
 
 import logging
 import sys
+from threading import Lock
 
 import structlog
+from cachetools import TTLCache
+
+#: Seconds for which a library's message is left out after it was logged.
+_REPEATED_S = 10.0
+
+
+class _Repeated(logging.Filter):
+    """Log a message once in ten seconds: whoever floods the service does not fill its log."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen: TTLCache[str, logging.LogRecord] = TTLCache(64, _REPEATED_S)
+        self._lock = Lock()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Say whether a record is logged; one with a traceback always is."""
+        if record.exc_info:
+            return True
+        with self._lock:
+            return self._seen.setdefault(f"{record.levelno} {record.msg}", record) is record
 
 
 def configure_logging(level: str = "info") -> None:
@@ -44,5 +65,8 @@ def configure_logging(level: str = "info") -> None:
     # These tell of every connection and poll at level info; what matters we log ourselves.
     for noisy in ("uvicorn.error", "pymodbus", "can", "alembic", "numba"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+    # Their messages about connections that strangers make and break.
+    for stranger in ("uvicorn.error", "asyncio"):
+        logging.getLogger(stranger).filters[:] = [_Repeated()]
     # pymodbus logs an exception reply of a device, which is data for us, as an error.
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)

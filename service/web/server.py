@@ -63,8 +63,8 @@ class Doorway(socket.socket):
     listener : socket.socket
         Bound; of no use afterwards.
     most : int
-        Connections in all. Other machines may have an eighth of them each, this machine three
-        quarters: there a proxy may stand.
+        Connections in all. An address may have as many as it leaves free, so that there is always
+        one for the next; another machine an eighth at most. On this machine a proxy may stand.
     """
 
     def __init__(self, listener: socket.socket, most: int) -> None:
@@ -91,7 +91,7 @@ class Doorway(socket.socket):
                 self._hang_up_on_one()
                 continue
             who = _network_of(str(address[0]))
-            if self._here.total() >= self.most or self._here[who] >= self._most_of(who):
+            if self._here[who] >= self._most_of(who):
                 self._say("too_many_connections", address=who, connections=self._here.total())
                 connection.close()
                 continue
@@ -107,7 +107,8 @@ class Doorway(socket.socket):
             self._spare = -1
 
     def _most_of(self, who: str) -> int:
-        return self.most * 3 // 4 if ipaddress.ip_network(who).is_loopback else self.most // 8
+        free = self.most - self._here.total()
+        return free if ipaddress.ip_network(who).is_loopback else min(free, self.most // 8)
 
     def _leave(self, who: str) -> None:
         self._here[who] -= 1

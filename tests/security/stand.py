@@ -100,6 +100,12 @@ class Course:
         )
 
 
+def metric_in(text: str, name: str) -> float:
+    """A metric by its name and labels, as Prometheus writes them."""
+    start = f"bearing_twin_{name} "
+    return next(float(line[len(start) :]) for line in text.splitlines() if line.startswith(start))
+
+
 class Stand(Station):
     """The service, its device, and whoever disturbs."""
 
@@ -157,12 +163,6 @@ class Stand(Station):
             )
         except httpx2.TransportError:
             return False
-
-    def metric(self, name: str) -> float:
-        """A metric by its name and labels, as Prometheus writes them."""
-        lines = self.client.get("/metrics").text.splitlines()
-        start = f"bearing_twin_{name} "
-        return next(float(line[len(start) :]) for line in lines if line.startswith(start))
 
     # ------------------------------------------------------------------ watching
     def watch(self, seconds: float) -> Course:

@@ -1,13 +1,18 @@
 """Nobody may disturb acquisition: polls of a device while callers take all they can get."""
 
+import contextlib
 import json
+import os
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 
+import httpx2
 import pytest
 from security.attackers import ASSET
-from security.stand import Stand
+from security.stand import Course, Stand, metric_in
 
 from service.domain.roles import Role
 
@@ -18,6 +23,9 @@ WINDOW_S = 8.0
 SHARE = 0.05
 #: A machine that other programs keep busy loses polls by itself: one quiet round is enough.
 ROUNDS = 5
+AGE = f'forecast_age_seconds{{asset="{ASSET}"}}'
+#: Half the time of all attacks at once. A longer run: ``BEARING_TWIN_ATTACKS_S=30 pytest -s ...``.
+ALL_S = float(os.environ.get("BEARING_TWIN_ATTACKS_S", "10"))
 
 
 @pytest.fixture(scope="module")
@@ -44,23 +52,24 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[float, str]:
     return min(rounds)
 
 
-@pytest.mark.parametrize(
-    ("name", "role"),
-    [
-        ("gzip_tail_without_key", "viewer"),
-        ("gzip_tail_with_key", "gateway"),
-        ("drip", "gateway"),
-        ("idle_connections", "viewer"),
-        ("pushes", "gateway"),
-        ("rejected_pushes", "gateway"),
-        ("large_reads", "viewer"),
-        ("downloads", "viewer"),
-        ("what_ifs", "operator"),
-        ("assets", "viewer"),
-        ("cookies", "viewer"),
-        ("opcua_frame", "viewer"),
-    ],
-)
+#: Attackers and the role of the key that each has.
+ATTACKS: dict[str, Role] = {
+    "gzip_tail_without_key": "viewer",
+    "gzip_tail_with_key": "gateway",
+    "drip": "gateway",
+    "idle_connections": "viewer",
+    "pushes": "gateway",
+    "rejected_pushes": "gateway",
+    "large_reads": "viewer",
+    "downloads": "viewer",
+    "what_ifs": "operator",
+    "assets": "viewer",
+    "cookies": "viewer",
+    "opcua_frame": "viewer",
+}
+
+
+@pytest.mark.parametrize(("name", "role"), ATTACKS.items())
 def test_no_caller_makes_a_poll_late(stand: Stand, name: str, role: Role) -> None:
     share, courses = measured(stand, name, role)
     assert share < SHARE, courses
@@ -72,7 +81,7 @@ def test_forty_what_ifs_leave_the_live_forecast_fresh(stand: Stand) -> None:
         while attacker.poll() is None:
             made_at = stand.get(f"/api/v1/assets/{ASSET}/forecast")["made_at"]
             shown_s.append(time.time() - datetime.fromisoformat(made_at).timestamp())
-            told_s.append(stand.metric(f'forecast_age_seconds{{asset="{ASSET}"}}'))
+            told_s.append(metric_in(stand.client.get("/metrics").text, AGE))
             time.sleep(0.5)
         assert attacker.stdout is not None
         answers = json.loads(attacker.stdout.read().removeprefix("attacking\n"))
@@ -87,3 +96,58 @@ def test_forty_what_ifs_leave_the_live_forecast_fresh(stand: Stand) -> None:
     answer = stand.client.post(f"/api/v1/assets/{ASSET}/forecasts", json={"profile": profile})
     assert answer.status_code == 200, answer.text
     assert time.monotonic() - began_s < 15.0, "it stood behind those of clients that have left"
+
+
+def test_all_attacks_at_once_cost_no_poll_and_leave_the_live_forecast_fresh(stand: Stand) -> None:
+    # Not from the address that an attacker fills with connections.
+    elsewhere = httpx2.Client(
+        base_url=stand.client.base_url,
+        headers=stand.client.headers,
+        timeout=60,
+        transport=httpx2.HTTPTransport(local_address="127.0.0.2"),
+    )
+    rounds = []
+    with elsewhere:
+        for _ in range(ROUNDS):
+            without = stand.watch(WINDOW_S)
+            first, second, ages_s = all_at_once(stand, elsewhere)
+            course = f"without: {without}; {first}; {second}; forecast ages {ages_s} s"
+            print(f"\nall at once: {course}")  # noqa: T201 - for -s
+            assert ages_s
+            assert max(ages_s) < 60.0, course
+            assert second.rss_mib < 1.25 * first.rss_mib, f"it grows: {course}"
+            rounds.append((first.skipped + second.skipped) / 2 - without.skipped)
+            if rounds[-1] < SHARE:
+                break
+    assert min(rounds) < SHARE, course
+
+
+def all_at_once(stand: Stand, elsewhere: httpx2.Client) -> tuple[Course, Course, list[float]]:
+    """Both halves of the time of all attacks, and how old the live forecast was in it."""
+    ages_s: list[float] = []
+    over = threading.Event()
+
+    def look() -> None:
+        while not over.wait(0.5):
+            with contextlib.suppress(httpx2.TransportError):
+                answer = elsewhere.get("/metrics")
+                if answer.status_code == 200:
+                    ages_s.append(round(metric_in(answer.text, AGE)))
+
+    with contextlib.ExitStack() as attacks, ThreadPoolExecutor(1) as looking:
+        running = [
+            attacks.enter_context(stand.attack(name, role, 2 * ALL_S))
+            for name, role in (ATTACKS | {"streams": "viewer"}).items()
+        ]
+        for attacker in running:
+            assert attacker.stdout is not None
+            assert attacker.stdout.readline() == "attacking\n"
+        looked = looking.submit(look)
+        first, second = stand.watch(ALL_S), stand.watch(ALL_S)
+        over.set()
+        looked.result(120)
+        for attacker in running:
+            attacker.wait(120)
+            assert attacker.stdout is not None
+            assert json.loads(attacker.stdout.read())
+    return first, second, ages_s

@@ -8,7 +8,7 @@ from typing import Final
 
 import structlog
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
@@ -148,6 +148,8 @@ class LastResort:
 
         try:
             await self.app(scope, receive, send_and_remember)
+        except ClientDisconnect:
+            return  # in the middle of its own body: nobody is left to be answered
         except Exception as error:  # one broken call must not look like anything but status 500
             # As text: a structured traceback shows local variables, and so the caller's key.
             text = "".join(traceback.format_exception(error))

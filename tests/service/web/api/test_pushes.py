@@ -7,6 +7,7 @@ import zlib
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from service.clock import rfc3339
 from service.documents.measurements import Pushed
@@ -246,3 +247,36 @@ async def test_samples_that_were_removed_meanwhile_are_rejected_too(world: Any) 
     answer = await push(world, sample(world, 60 * day_s), sample(world))
     assert (answer.accepted, answer.duplicates) == (1, 0)
     assert [one.index for one in answer.rejected] == [0]
+
+
+async def test_a_client_that_leaves_in_the_middle_of_its_body_leaves_nothing_in_the_log(
+    world: Any,
+) -> None:
+    messages = iter(
+        [
+            {"type": "http.request", "body": b'{"samples": [', "more_body": True},
+            {"type": "http.disconnect"},
+        ]
+    )
+    answer: list[Any] = []
+
+    async def receive() -> Any:
+        return next(messages)
+
+    async def send(message: Any) -> None:
+        answer.append(message)
+
+    scope = {
+        "type": "http", "http_version": "1.1", "method": "POST", "scheme": "http", "path": PATH,
+        "raw_path": PATH.encode(), "query_string": b"", "root_path": "", "asgi": {"version": "3.0"},
+        "client": ("127.0.0.1", 4711), "server": ("127.0.0.1", 80),
+        "headers": [
+            (b"host", b"127.0.0.1"),
+            (b"x-api-key", world.keys["gateway"].encode()),
+            (b"content-type", b"application/json"),
+        ],
+    }  # fmt: skip
+    with capture_logs() as logs:
+        await world.app(scope, receive, send)
+    assert next(messages, None) is None, "the body was read"
+    assert (logs, answer) == ([], [])
