@@ -6,6 +6,7 @@ and none with the drivers.
 
 from adapters.virtual_bench.can_sender import dbc_path
 from adapters.virtual_bench.controller import scenario_profile
+from adapters.virtual_bench.fleet_run import run_fleet
 from adapters.virtual_bench.modbus_server import PortInUseError
 from adapters.virtual_bench.parameters import BenchParameters
 from adapters.virtual_bench.plant import BenchProfile, Condition, Truth, simulate
@@ -37,6 +38,7 @@ __all__ = [
     "list_scenarios",
     "measure",
     "run",
+    "run_fleet",
     "scenario_profile",
     "simulate",
 ]

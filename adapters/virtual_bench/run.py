@@ -1,44 +1,20 @@
 """The virtual bench as a running process: real time, real sockets."""
 
 import asyncio
-import csv
 import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from adapters.virtual_bench.can_sender import BenchCanSender
 from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 from adapters.virtual_bench.modbus_server import BenchModbusServer
 from adapters.virtual_bench.scenarios import Scenario, find_scenario
+from adapters.virtual_bench.truth_file import TruthFile
 
 CAN_PERIOD_S = 0.05  # process time: 20 frames per second and message at rate 1
 _SHORTEST_PERIOD_S = 0.01  # wall time
-
-
-class _TruthFile:
-    """CSV of the true temperatures, one row per 10 s of process time, flushed as it is written."""
-
-    def __init__(self, path: Path) -> None:
-        try:
-            self._file: TextIO = path.open("w", newline="")
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise ValueError(f"truth {str(path)!r}: cannot be written: {reason}") from error
-        self._writer = csv.writer(self._file)
-        self._writer.writerow([*TRUTH_COLUMNS, "wall_time_us"])
-
-    def write(self, rows: list[tuple[float, ...]], wall_start_us: int, rate: float) -> None:
-        if not rows:
-            return
-        for row in rows:
-            wall_us = wall_start_us + round(row[0] / rate * 1e6)
-            self._writer.writerow([*(f"{value:.4f}" for value in row), wall_us])
-        self._file.flush()
-
-    def close(self) -> None:
-        self._file.close()
 
 
 async def run(
@@ -89,7 +65,7 @@ async def run(
     if seed < 0:
         raise ValueError(f"seed {seed!r}: expected a whole number not below 0")
     plan = find_scenario(scenario) if isinstance(scenario, str) else scenario
-    truth_file = None if truth is None else _TruthFile(truth)
+    truth_file = None if truth is None else TruthFile(truth, TRUTH_COLUMNS)
     try:
         # the compiler's first run must not eat process time
         await asyncio.to_thread(LiveBench(plan, seed).advance, 1.0)
@@ -117,7 +93,7 @@ async def _serve(
     host: str,
     modbus_port: int,
     can_port: int,
-    truth_file: _TruthFile | None,
+    truth_file: TruthFile | None,
     wait_for_start: bool,
     announce: Callable[[dict[str, Any]], None],
     stop: asyncio.Event,
@@ -167,13 +143,14 @@ async def _serve(
                     truth_file.write(rows, wall_start_us, rate)
             # after a hiccup the beat goes on from now; the plant has caught up above
             due = max(due + period, time.monotonic() - period)
-            await _wait(stop, due - time.monotonic())
+            await wait(stop, due - time.monotonic())
     finally:
         await can.stop()
         await modbus.stop()
 
 
-async def _wait(stop: asyncio.Event, seconds: float) -> None:
+async def wait(stop: asyncio.Event, seconds: float) -> None:
+    """Wait some wall seconds, or until the end."""
     try:
         async with asyncio.timeout(max(seconds, 0.0)):
             await stop.wait()

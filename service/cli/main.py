@@ -15,6 +15,7 @@ from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.drift import drift
+from service.cli.fleet_bench import virtual_fleet
 from service.cli.forecast import forecast
 from service.cli.grease import grease_renewed
 from service.cli.identify import identify
@@ -35,6 +36,7 @@ app.command()(demo)
 app.command()(serve)
 app.command()(check)
 app.command("virtual-bench")(virtual_bench)
+app.command("virtual-fleet")(virtual_fleet)
 app.command()(identify)
 app.command()(forecast)
 app.command()(drift)

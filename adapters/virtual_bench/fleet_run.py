@@ -1,0 +1,96 @@
+"""A fleet of virtual benches as a running process: real time, real sockets."""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from adapters.virtual_bench.fleet import BEARING, TRUTH_COLUMNS, BenchFleet
+from adapters.virtual_bench.fleet_server import UNITS, FleetModbusServer
+from adapters.virtual_bench.run import wait
+from adapters.virtual_bench.truth_file import TruthFile
+
+#: More would not keep up with real time.
+MOST_BENCHES = 10_000
+_BEAT_S = 0.25  # wall time
+
+
+async def run_fleet(
+    benches: int,
+    *,
+    rate: float = 1.0,
+    seed: int = 0,
+    host: str = "127.0.0.1",
+    modbus_port: int = 5020,
+    truth: Path | None = None,
+    announce: Callable[[dict[str, Any]], None],
+    stop: asyncio.Event,
+) -> None:
+    """Run many benches until told to stop.
+
+    Parameters
+    ----------
+    benches : int
+        How many.
+    rate : float
+        Process seconds per wall second.
+    seed : int
+        Same seed, same run: benches, duties, noise and ambient depend on process time only.
+    host : str
+        Address to listen on.
+    modbus_port : int
+        First port; 0 takes free ones.
+    truth : pathlib.Path, optional
+        CSV file for the true temperatures of all benches, once a minute.
+    announce : callable
+        Called once, when all ports listen, with the addresses.
+    stop : asyncio.Event
+        Ends the run.
+
+    Raises
+    ------
+    ValueError
+        Wrong number of benches, rate that is not positive, port in use, truth file not writable.
+    """
+    if not 1 <= benches <= MOST_BENCHES:
+        raise ValueError(f"benches {benches!r}: expected a whole number from 1 to {MOST_BENCHES}")
+    if not (math.isfinite(rate) and rate > 0.0):
+        raise ValueError(f"rate {rate!r}: expected a positive number")
+    if seed < 0:
+        raise ValueError(f"seed {seed!r}: expected a whole number not below 0")
+    # The compiler's first run must not eat process time.
+    await asyncio.to_thread(BenchFleet(1, seed).advance, 2.0)
+    fleet = await asyncio.to_thread(BenchFleet, benches, seed)
+    truth_file = None if truth is None else TruthFile(truth, TRUTH_COLUMNS)
+    origin, wall_start_us = time.monotonic(), time.time_ns() // 1000
+
+    def now_s() -> float:
+        return (time.monotonic() - origin) * rate
+
+    server = FleetModbusServer(fleet, now_s)
+    try:
+        ports = await server.start(host, modbus_port)
+        announce(
+            {
+                "modbus": [
+                    {"host": at, "port": port, "units": min(UNITS, benches - number * UNITS)}
+                    for number, (at, port) in enumerate(ports)
+                ],
+                "benches": benches,
+                "bearing": BEARING,
+                "rate": rate,
+                "seed": seed,
+            }
+        )
+        while not stop.is_set():
+            fleet.advance(now_s())
+            rows = fleet.take_truth()
+            if truth_file is not None and rows:
+                truth_file.write(rows, wall_start_us, rate)
+            await wait(stop, _BEAT_S)
+    finally:
+        await server.stop()
+        if truth_file is not None:
+            truth_file.close()
