@@ -20,6 +20,7 @@ from service.documents.envelope import EnvelopeDocument
 from service.documents.forecasts import LiveForecast, WhatIf
 from service.documents.identification import WindowDocument
 from service.documents.interfaces import DocumentKind
+from service.documents.machine import AssetFacts, PresentMachine
 from service.documents.tags import Snapshot, Tag
 from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.errors import CellUnavailableError, NotReadyError
@@ -44,18 +45,18 @@ class Questions(Protocol):
     async def what_if(
         self,
         asset: str,
-        machine: Mapping[str, Any],
+        machine: PresentMachine,
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
     ) -> WhatIf:
         """Forecast a profile from the state of a machine."""
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
+    async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         """Give the safe operating envelope."""
 
     async def advice(
-        self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
+        self, asset: str, machine: PresentMachine, target: tuple[float, float, float]
     ) -> AdviceDocument:
         """Rank low-risk steps by what they teach about a point."""
 
@@ -242,19 +243,21 @@ class AssetReplica:
     @property
     def running(self) -> bool:
         """See `AssetTwin`."""
-        return bool(self._data("facts")["running"]) and self.age_s("facts") <= UNCERTAIN_AFTER_S
+        return self._facts().running and self.age_s("facts") <= UNCERTAIN_AFTER_S
 
     @property
     def channels(self) -> Mapping[str, str]:
         """See `AssetTwin`."""
-        channels: Mapping[str, str] = self._data("facts")["channels"]
-        return channels
+        return self._facts().channels
 
     @property
     def temperature_names(self) -> Sequence[str]:
         """See `AssetTwin`."""
-        names: Sequence[str] = self._data("facts")["temperature_names"]
-        return names
+        return self._facts().temperature_names
+
+    def _facts(self) -> AssetFacts:
+        facts: AssetFacts = self._data("facts")
+        return facts
 
     def summary(self) -> AssetDocument:
         """See `AssetTwin`."""
@@ -299,13 +302,13 @@ class AssetReplica:
         text = await self._reader.ask(RenewGrease(self.id, who, comment), 10.0)
         return GreaseRenewed.model_validate_json(text)
 
-    async def _machine(self) -> Mapping[str, Any]:
+    async def _machine(self) -> PresentMachine:
         """The state that answers begin from: of now, or none."""
         await self.refresh("machine")
         if self.age_s("machine") > UNCERTAIN_AFTER_S:
             raise CellUnavailableError("the cell does not answer")
-        machine: Mapping[str, Any] = self._data("machine")
-        if machine["estimate"] is None:
+        machine: PresentMachine = self._data("machine")
+        if machine.estimate is None:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
         return machine
 
@@ -320,11 +323,13 @@ _MODELS: Final[Mapping[DocumentKind, type[Shown]]] = {
     "state": State,
     "verdict": VerdictDocument,
     "forecast": LiveForecast,
+    "facts": AssetFacts,
+    "machine": PresentMachine,
 }
 
 
 def _read(kind: DocumentKind, text: bytes) -> Any:
-    """A document of its text; tags and what has no model as plain JSON types."""
+    """A document of its text; tags as plain JSON types."""
     model = _MODELS.get(kind)
     if model is None or text == b"null":
         return from_json(text)

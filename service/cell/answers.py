@@ -25,6 +25,7 @@ from service.bus.stream import Bus
 from service.documents.assets import AssetDocument, GreaseRenewed, State
 from service.documents.forecasts import LiveForecast
 from service.documents.interfaces import JobManager
+from service.documents.machine import AssetFacts, PresentMachine
 from service.documents.tags import Snapshot
 from service.documents.verdicts import VerdictDocument
 from service.domain.errors import NotKeptError, PushRefusedError
@@ -61,7 +62,7 @@ class Asset(Protocol):
     def channels(self) -> Mapping[str, str]:
         """Every channel of the asset with the name of its source."""
 
-    def description(self) -> Mapping[str, Any]:
+    def description(self) -> AssetFacts:
         """What others must know of the asset before they ask anything."""
 
     def summary(self) -> AssetDocument:
@@ -79,7 +80,7 @@ class Asset(Protocol):
     def forecast(self) -> LiveForecast | None:
         """The latest live forecast."""
 
-    def machine(self) -> Mapping[str, Any]:
+    def machine(self) -> PresentMachine:
         """The present state, which answers to callers are computed from."""
 
     async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:

@@ -3,10 +3,10 @@
 import asyncio
 import contextlib
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import anyio.to_thread
 import structlog
@@ -31,6 +31,7 @@ from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.live.asset import AssetRuntime
+from service.live.kept import KeptState
 from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
 from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
@@ -118,7 +119,9 @@ class Cell:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
-        self._kept_states = {asset: store.states.load(asset) for asset in self.assets}
+        self._kept_states = {
+            asset: cast(KeptState | None, store.states.load(asset)) for asset in self.assets
+        }
         left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
         self._report_unconfigured(left)
         for alarm in left:
@@ -165,7 +168,7 @@ class Cell:
             _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
             active = self._default_version(asset, f"version {active.version}: {foreign}")
 
-        async def save_state(document: Mapping[str, Any]) -> None:
+        async def save_state(document: KeptState) -> None:
             await anyio.to_thread.run_sync(
                 self.store.states.save, asset.id, dict(document), abandon_on_cancel=True
             )
@@ -180,7 +183,6 @@ class Cell:
             executor=self._executor,
             store_samples=self._store_derived,
             save_state=save_state,
-            windows=self.histories[asset.id].window_documents,
             doubt=partial(self._doubt, asset.id),
         )
 

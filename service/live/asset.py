@@ -3,9 +3,8 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any
 
 import structlog
 
@@ -14,7 +13,6 @@ from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
 from service.clock import rfc3339
 from service.documents import assets as documents
-from service.documents.advice import AdviceDocument
 from service.documents.alarms import alarm_summary
 from service.documents.assets import (
     AssetDocument,
@@ -27,29 +25,26 @@ from service.documents.assets import (
     StateMessage,
     VerdictSettings,
 )
-from service.documents.envelope import EnvelopeDocument
-from service.documents.forecasts import LiveForecast, WhatIf
-from service.documents.identification import WindowDocument
+from service.documents.forecasts import LiveForecast
 from service.documents.interfaces import Publisher
 from service.documents.limits import LowRisk
+from service.documents.machine import AssetFacts, PresentMachine
 from service.documents.messages import NewSamples
 from service.documents.tags import Snapshot, Tag, tag
 from service.documents.verdicts import VerdictDocument
 from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, unit_of
 from service.domain.errors import NotReadyError
-from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.guard import Guard
 from service.live.judgement import Judgement
-from service.live.planning import Planning
+from service.live.kept import KeptState, KeptWatch
 from service.live.readings import Readings, allowed_age_s
 from service.live.watch import AlarmWatch
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
-from twin_core.forecasting.design import Level
 
 STEP_S = 5.0
 # With the step of the twin and the time that computing takes a forecast is never a minute old.
@@ -67,7 +62,7 @@ TWIN_SOURCE = "twin"
 _log = structlog.get_logger(__name__)
 
 Store = Callable[[Sequence[Sample]], object]
-SaveState = Callable[[Mapping[str, Any]], Awaitable[None]]
+SaveState = Callable[[KeptState], Awaitable[None]]
 
 
 class AssetRuntime:
@@ -91,8 +86,6 @@ class AssetRuntime:
         Takes the twin's own estimates for the store.
     save_state : callable
         Keeps the estimate, so that a restart goes on from it.
-    windows : callable
-        Finds the low-risk windows in the store.
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source can tell.
     """
@@ -109,7 +102,6 @@ class AssetRuntime:
         executor: Executor,
         store_samples: Store,
         save_state: SaveState,
-        windows: Callable[[], Awaitable[Sequence[WindowDocument]]],
         doubt: Callable[[str], str] = lambda channel: "",
     ) -> None:
         self.settings = settings
@@ -136,7 +128,6 @@ class AssetRuntime:
         self._alarms = alarms
         self._store_samples = store_samples
         self._save_state = save_state
-        self._windows = windows
         self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
         self._judgement = Judgement(
@@ -148,7 +139,6 @@ class AssetRuntime:
         self._unsent: dict[str, Sample] = {}
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
-        self._planning = Planning(settings, self.estimate.state, channels)
         self._watching = Guard("watch", settings.id)
         self._saving = Guard("saving_the_estimate", settings.id)
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
@@ -303,59 +293,34 @@ class AssetRuntime:
             return None
         return latest.model_copy(update={"missing": self._judgement.blind})
 
-    def description(self) -> dict[str, Any]:
+    def description(self) -> AssetFacts:
         """What others must know of the asset before they ask anything."""
-        return {
-            "running": self.running,
-            "channels": dict(self.channels),
-            "temperature_names": list(self.temperature_names),
-        }
+        return AssetFacts(
+            running=self.running,
+            channels=dict(self.channels),
+            temperature_names=list(self.temperature_names),
+        )
 
-    def machine(self) -> dict[str, Any]:
-        """The present state as plain JSON types: what answers to callers are computed from."""
+    def machine(self) -> PresentMachine:
+        """The present state: what answers to callers are computed from."""
         now_us = self._clock.now_us()
         state = self.estimate.state()
-        estimate = None if state is None else state.to_dict()
         ahead = self._forecasting.steps_ahead(now_us)
-        return {
-            "version": self.active.version,
-            "estimate": estimate,
-            "planned": [(step.speed_rpm, step.load_n) for step in ahead],
-            "missing": self._judgement.blind,
-            "measured_c": {
+        return PresentMachine(
+            version=self.active.version,
+            estimate=None if state is None else state.document(),
+            planned=[(step.speed_rpm, step.load_n) for step in ahead],
+            missing=self._judgement.blind,
+            measured_c={
                 name: self.readings.good_value(name, now_us)
                 for name in self.active.model.sensor_names
                 if name in self.facts
             },
-        }
+        )
 
     def forecast_age_s(self) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
         return self._forecasting.age_s(self._clock.now_us())
-
-    async def what_if(
-        self,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> WhatIf:
-        """Forecast a profile from the present state."""
-        return await self._forecasting.what_if(
-            profile, step_s, nodes, lambda: self._judgement.blind
-        )
-
-    async def envelope(self) -> EnvelopeDocument:
-        """Return the safe operating envelope, recently or computed now."""
-        machine = self.machine()
-        return await self._planning.envelope(machine["planned"], machine["measured_c"])
-
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
-        """Rank low-risk steps by what they would teach about a point."""
-        return await self._planning.advice(Level(speed_rpm, load_n, duration_s))
-
-    async def windows(self) -> Sequence[WindowDocument]:
-        """Low-risk windows in the store."""
-        return await self._windows()
 
     # ------------------------------------------------------------------ what comes in
     def take(self, samples: Sequence[Sample], plans: Sequence[PlannedProfile]) -> None:
@@ -409,7 +374,7 @@ class AssetRuntime:
         self._changed()
 
     # ------------------------------------------------------------------ the running twin
-    async def run(self, kept_state: Mapping[str, Any] | None) -> None:
+    async def run(self, kept_state: KeptState | None) -> None:
         """Follow the machine until cancelled."""
         if AMBIENT not in self.facts:
             _log.warning(
@@ -434,8 +399,8 @@ class AssetRuntime:
                 async with asyncio.timeout(LAST_SAVE_WALL_S):
                     await self._save()
 
-    def _restore(self, kept_state: Mapping[str, Any]) -> None:
-        watched = kept_state.get("watch") or {}
+    def _restore(self, kept_state: KeptState) -> None:
+        watched: KeptWatch = kept_state.get("watch") or {}
         self._watch.restore_sources(watched)
         try:
             self.estimate.restore(kept_state)
@@ -536,5 +501,5 @@ class AssetRuntime:
             with self._saving():
                 await self._save_state(self._kept())
 
-    def _kept(self) -> dict[str, Any]:
-        return (self.estimate.to_dict() or {}) | {"watch": self._watch.to_dict()}
+    def _kept(self) -> KeptState:
+        return {**(self.estimate.to_dict() or {}), "watch": self._watch.to_dict()}

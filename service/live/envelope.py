@@ -1,6 +1,5 @@
 """The safe operating envelope of a running machine, computed when asked for and kept a while."""
 
-import asyncio
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -48,9 +47,7 @@ class _Kept:
 
 
 class EnvelopeKeeper:
-    """Computes an asset's envelope in a thread and keeps it until the machine has changed.
-
-    Two callers at a time get one computation.
+    """Computes an asset's envelope and keeps it until the machine has changed.
 
     Parameters
     ----------
@@ -61,12 +58,14 @@ class EnvelopeKeeper:
     def __init__(self, settings: AssetSection) -> None:
         self._settings = settings
         self._kept: _Kept | None = None
-        self._computing = asyncio.Lock()
 
-    async def maps(
-        self, state: EstimatedState, planned: Sequence[tuple[float, float]]
-    ) -> EnvelopeMaps:
-        """Give the maps, kept or computed now.
+    def document(
+        self,
+        state: EstimatedState,
+        planned: Sequence[tuple[float, float]],
+        measured_c: Mapping[str, float | None],
+    ) -> EnvelopeDocument:
+        """Give the envelope, with maps that are kept or computed now.
 
         Parameters
         ----------
@@ -74,16 +73,16 @@ class EnvelopeKeeper:
             The machine at this moment.
         planned : sequence of (float, float)
             Speeds in rpm and loads in N that the grid must hold: of the plan ahead.
+        measured_c : mapping of str to float or None
+            Good and fresh readings by sensor.
         """
-        async with self._computing:
-            point = state.point
-            axes = grid(self._settings, [*planned, (point.speed_rpm, point.load_n)])
-            kept = self._kept
-            if kept is None or not self._holds(kept, state, axes):
-                begun_s = time.monotonic()
-                maps = await asyncio.to_thread(self._compute, state, axes)
-                kept = self._kept = _Kept(state, axes, begun_s, maps)
-        return kept.maps
+        point = state.point
+        axes = grid(self._settings, [*planned, (point.speed_rpm, point.load_n)])
+        kept = self._kept
+        if kept is None or not self._holds(kept, state, axes):
+            begun_s = time.monotonic()
+            kept = self._kept = _Kept(state, axes, begun_s, self._compute(state, axes))
+        return with_present(kept.maps, point, measured_c)
 
     @staticmethod
     def _holds(

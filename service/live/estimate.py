@@ -3,13 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.samples import Quality, Sample
+from service.documents.machine import Estimate, Point
 from service.domain.channels import AMBIENT, LOAD, SPEED
+from service.live.kept import KeptEstimate
 from twin_core.filtering import begin
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
@@ -65,24 +66,16 @@ class EstimatedState:
     point: OperatingPoint
     time_us: int
 
-    def to_dict(self) -> dict[str, Any]:
-        """The state as plain numbers and lists, without the model."""
-        return {
-            "machine": self.machine.to_dict(),
-            "point": asdict(self.point),
-            "time_us": self.time_us,
-        }
+    def document(self) -> Estimate:
+        """The state without the model, for other processes."""
+        point = Point(**asdict(self.point))
+        return Estimate(machine=self.machine.to_dict(), point=point, time_us=self.time_us)
 
     @classmethod
-    def from_dict(cls, active: ActiveModel, document: Mapping[str, Any]) -> "EstimatedState":
-        """Restore what `to_dict` gave, of a twin that ran on this model."""
-        point = document["point"]
-        return cls(
-            active,
-            MachineState.from_dict(document["machine"]),
-            OperatingPoint(**point | {"inputs": tuple(point["inputs"])}),
-            document["time_us"],
-        )
+    def read(cls, active: ActiveModel, shown: Estimate) -> "EstimatedState":
+        """Restore what `document` gave, of a twin that ran on this model."""
+        machine = MachineState.from_dict(shown.machine)
+        return cls(active, machine, OperatingPoint(**dict(shown.point)), shown.time_us)
 
 
 class LiveEstimate:
@@ -270,9 +263,9 @@ class LiveEstimate:
             for sensor in model.sensor_names
         ]
 
-    def to_dict(self) -> dict[str, Any] | None:
+    def to_dict(self) -> KeptEstimate | None:
         """The estimate as plain JSON types, or None before it has started."""
-        if self._observer is None or self.point is None:
+        if self._observer is None or self.point is None or self.time_us is None:
             return None
         return {
             "bearing": self.active.model.machine,
@@ -286,7 +279,7 @@ class LiveEstimate:
             "followed_s": self.followed_s,
         }
 
-    def restore(self, kept: Mapping[str, Any]) -> None:
+    def restore(self, kept: KeptEstimate) -> None:
         """Take up an estimate that was kept by `to_dict`.
 
         Raises

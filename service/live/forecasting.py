@@ -1,8 +1,8 @@
-"""The live forecast of one asset, and what-if forecasts from its present state."""
+"""The live forecast of one asset, and what-if forecasts from a state of it."""
 
 import asyncio
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
@@ -16,7 +16,6 @@ from service.documents.forecasts import (
     forecast_document,
 )
 from service.domain.channels import OPERATING_CHANNELS
-from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.ahead import Step, held, operating_profile, planned
@@ -131,24 +130,6 @@ class Forecasting:
             outlooks = step_outlooks(result, steps, self._limits)
             self.outlook = Outlook(made_us, version, outlooks, summary.crossings)
         return self.latest
-
-    async def what_if(
-        self,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-        missing: Callable[[], Sequence[str]],
-    ) -> WhatIf:
-        """Forecast a profile; see `service.documents.interfaces.AssetTwin`."""
-        state = self._estimate.state()
-        if state is None:
-            raise NotReadyError("the twin waits for the first good temperatures, speed and load")
-        loop = asyncio.get_running_loop()
-        wanted = list(nodes) if nodes else None
-        document = await loop.run_in_executor(
-            self._executor, what_if_document, state, self._limits, list(profile), step_s, wanted
-        )
-        return document.model_copy(update={"missing": list(missing())})
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""

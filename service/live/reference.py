@@ -4,13 +4,11 @@ The observer learns what its model lacks and stays on the measurements; next to 
 how far the machine has moved away from its model.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from service.live.estimate import ActiveModel
+from service.live.kept import KeptReference
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
 from twin_core.profiles import OperatingPoint
@@ -65,7 +63,7 @@ class Reference:
             return None
         return float(model.sensor_row(channel) @ self._temperatures_c)
 
-    def to_dict(self) -> dict[str, Any] | None:
+    def to_dict(self) -> KeptReference | None:
         """The state as plain JSON types; None before the start."""
         if self._temperatures_c is None:
             return None
@@ -74,7 +72,7 @@ class Reference:
             "revolutions": self._revolutions,
         }
 
-    def restore(self, model: ThermalModel, kept: Mapping[str, Any]) -> None:
+    def restore(self, model: ThermalModel, kept: KeptReference) -> None:
         """Take up what `to_dict` gave; a state of another kind of model is left aside."""
         try:
             temperatures = np.asarray(kept["temperatures_c"], dtype=np.float64)

@@ -11,8 +11,8 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
 
+from service.live.kept import KeptChart
 from twin_core.cusum import Cusum, threshold_for
 from twin_core.observer import Innovation
 
@@ -116,7 +116,7 @@ class Residuals:
         """Forget everything: another model has other residuals."""
         self.charts = {channel: self._new() for channel in self.charts}
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, KeptChart]:
         """Return the whole state as plain JSON types."""
         return {
             channel: {
@@ -127,7 +127,7 @@ class Residuals:
             for channel, chart in self.charts.items()
         }
 
-    def restore(self, kept: Mapping[str, Any]) -> None:
+    def restore(self, kept: Mapping[str, KeptChart]) -> None:
         """Take up what `to_dict` gave; what does not fit is left aside."""
         for channel, one in kept.items():
             chart = self._new()

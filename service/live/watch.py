@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
 
 from service.alarm_kinds import KINDS, rate_of_rise, twin_residual
 from service.alarms import AlarmBook, AlarmCondition
 from service.domain.alarm_kind import AlarmContext
 from service.domain.channels import SPEED
 from service.live.estimate import LiveEstimate
+from service.live.kept import KeptWatch
 from service.live.presentation import LimitCrossings
 from service.live.rates import RatesOfRise
 from service.live.readings import Readings
@@ -145,7 +145,7 @@ class AlarmWatch:
         """Let the model alone start again from the estimate, with fresh grease."""
         self._reference.stop()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> KeptWatch:
         """Return what the rules have learnt, as plain JSON types."""
         return {
             "version": self._version,
@@ -154,13 +154,13 @@ class AlarmWatch:
             "residuals": self._residuals.to_dict(),
         }
 
-    def restore_sources(self, kept: Mapping[str, Any]) -> None:
+    def restore_sources(self, kept: KeptWatch) -> None:
         """Take up which channels had sent something, from what `to_dict` gave."""
         spoken = kept.get("spoken")
         if isinstance(spoken, list):
             self._sources.restore([str(channel) for channel in spoken])
 
-    def restore(self, kept: Mapping[str, Any]) -> None:
+    def restore(self, kept: KeptWatch) -> None:
         """Take up what `to_dict` gave; what was learned of a model, if it is the same version."""
         self.restore_sources(kept)
         if kept.get("version") != self._version:

@@ -5,7 +5,7 @@ import contextlib
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Final, TypeVar
@@ -17,6 +17,7 @@ from service.documents.advice import AdviceDocument
 from service.documents.envelope import EnvelopeDocument
 from service.documents.forecasts import WhatIf
 from service.documents.identification import WindowDocument
+from service.documents.machine import PresentMachine
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.site.settings import Settings
@@ -81,29 +82,28 @@ class WorkerQuestions:
     async def what_if(
         self,
         asset: str,
-        machine: Mapping[str, Any],
+        machine: PresentMachine,
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
     ) -> WhatIf:
         """Forecast a profile from the state of a machine."""
-        model = await self._model(asset, machine["version"])
-        steps = [step.model_dump() for step in profile]
-        wanted = list(nodes) if nodes else None
+        model = await self._model(asset, machine.version)
+        steps, wanted = list(profile), list(nodes) if nodes else None
         return await self._compute(
             self._what_ifs, worker.what_if, model, machine, steps, step_s, wanted
         )
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
+    async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         """Give the safe operating envelope."""
-        model = await self._model(asset, machine["version"])
+        model = await self._model(asset, machine.version)
         return await self._study(worker.envelope, model, machine)
 
     async def advice(
-        self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
+        self, asset: str, machine: PresentMachine, target: tuple[float, float, float]
     ) -> AdviceDocument:
         """Rank low-risk steps by what they teach about a point."""
-        model = await self._model(asset, machine["version"])
+        model = await self._model(asset, machine.version)
         return await self._study(worker.advice, model, machine, target)
 
     async def windows(self, asset: str) -> Sequence[WindowDocument]:
@@ -112,16 +112,13 @@ class WorkerQuestions:
 
     async def _model(self, asset: str, version: int) -> worker.Model:
         known = self._models.get(asset)
-        if known is None or known["version"] != version:
+        if known is None or known.version != version:
             found = await to_thread.run_sync(self._store.models.version, asset, version)
             if found is None:
                 raise NotReadyError(f"model version {version} is not in the store")
-            known = self._models[asset] = {
-                "asset": asset,
-                "version": version,
-                "posterior": to_json(found.document["posterior"]),
-                "created_at_us": found.created_at_us,
-            }
+            posterior = to_json(found.document["posterior"])
+            known = worker.Model(asset, version, posterior, found.created_at_us)
+            self._models[asset] = known
         return known
 
     async def _study(self, work: Callable[..., Result], *arguments: Any) -> Result:

@@ -5,11 +5,14 @@ The functions name what they need where they need it: the web side itself only h
 
 import asyncio
 import functools
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pydantic_core import from_json
 
+from service.documents.machine import PresentMachine
+from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 
 if TYPE_CHECKING:
@@ -18,12 +21,20 @@ if TYPE_CHECKING:
     from service.documents.forecasts import WhatIf
     from service.documents.identification import WindowDocument
     from service.jobs.history import AssetHistory
+    from service.live.envelope import EnvelopeKeeper
     from service.live.estimate import ActiveModel, EstimatedState
-    from service.live.planning import Planning
     from service.site.settings import AssetSection, Settings
 
-Model = Mapping[str, Any]
-"""A model version: asset, version, posterior as JSON text, and when it was stored."""
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A model version of an asset, its posterior as JSON text."""
+
+    asset: str
+    version: int
+    posterior: bytes
+    created_at_us: int
+
 
 _settings: "Settings | None" = None
 
@@ -46,37 +57,34 @@ def warm_up() -> None:
 
 def what_if(
     model: Model,
-    machine: Mapping[str, Any],
-    profile: Sequence[Mapping[str, Any]],
+    machine: PresentMachine,
+    profile: Sequence[ProfileStep],
     step_s: float | None,
     nodes: Sequence[str] | None,
 ) -> "WhatIf":
     """Forecast a profile from the state of a machine."""
     from service.live.forecasting import what_if_document
 
-    steps = [ProfileStep.model_construct(**step) for step in profile]
-    state = _state(model, machine)
-    limits = _asset(model["asset"]).limits
-    return what_if_document(state, limits, steps, step_s, nodes, machine["missing"])
+    limits = _asset(model.asset).limits
+    return what_if_document(_state(model, machine), limits, profile, step_s, nodes, machine.missing)
 
 
-def envelope(model: Model, machine: Mapping[str, Any]) -> "EnvelopeDocument":
+def envelope(model: Model, machine: PresentMachine) -> "EnvelopeDocument":
     """Give the safe operating envelope; one that still holds is not computed again."""
-    planning, present = _planning(model["asset"])
-    present[:] = [_state(model, machine)]
-    planned = [tuple(one) for one in machine["planned"]]
-    return asyncio.run(planning.envelope(planned, machine["measured_c"]))
+    kept = _envelopes(model.asset)
+    return kept.document(_state(model, machine), machine.planned, machine.measured_c)
 
 
 def advice(
-    model: Model, machine: Mapping[str, Any], target: tuple[float, float, float]
+    model: Model, machine: PresentMachine, target: tuple[float, float, float]
 ) -> "AdviceDocument":
     """Rank low-risk steps by what they teach about a point."""
+    from service.live.advice import give_advice
     from twin_core.forecasting.design import Level
 
-    planning, present = _planning(model["asset"])
-    present[:] = [_state(model, machine)]
-    return asyncio.run(planning.advice(Level(*target)))
+    settings = _asset(model.asset)
+    state = _state(model, machine)
+    return give_advice(settings, state, list(settings.channels), Level(*target))
 
 
 def windows(asset: str) -> "Sequence[WindowDocument]":
@@ -90,10 +98,12 @@ def _asset(name: str) -> "AssetSection":
     return next(asset for asset in _settings.assets if asset.id == name)
 
 
-def _state(model: Model, machine: Mapping[str, Any]) -> "EstimatedState":
+def _state(model: Model, machine: PresentMachine) -> "EstimatedState":
     from service.live.estimate import EstimatedState
 
-    return EstimatedState.from_dict(_active(model), machine["estimate"])
+    if machine.estimate is None:
+        raise NotReadyError("the twin waits for the first good temperatures, speed and load")
+    return EstimatedState.read(_active(model), machine.estimate)
 
 
 _models: dict[str, "ActiveModel"] = {}
@@ -105,27 +115,24 @@ def _active(model: Model) -> "ActiveModel":
     from service.live.estimate import ActiveModel
     from twin_core.identification.posterior import Posterior
 
-    asset = model["asset"]
+    asset = model.asset
     known = _models.get(asset)
-    if known is None or known.version != model["version"]:
-        posterior = Posterior.from_dict(from_json(model["posterior"]))
+    if known is None or known.version != model.version:
+        posterior = Posterior.from_dict(from_json(model.posterior))
         known = _models[asset] = ActiveModel(
-            model["version"],
+            model.version,
             thermal_model(_asset(asset)),
             posterior,
-            model["created_at_us"] if posterior.identified else None,
+            model.created_at_us if posterior.identified else None,
         )
     return known
 
 
 @functools.cache
-def _planning(asset: str) -> "tuple[Planning, list[EstimatedState]]":
-    """What plans on an asset, and the place of the state that it begins from."""
-    from service.live.planning import Planning
+def _envelopes(asset: str) -> "EnvelopeKeeper":
+    from service.live.envelope import EnvelopeKeeper
 
-    settings = _asset(asset)
-    present: list[EstimatedState] = []
-    return Planning(settings, lambda: present[0], list(settings.channels)), present
+    return EnvelopeKeeper(_asset(asset))
 
 
 @functools.cache

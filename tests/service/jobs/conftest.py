@@ -173,7 +173,6 @@ async def shop(
                 executor=executor,
                 store_samples=lambda _: None,
                 save_state=nothing,  # type: ignore[arg-type]
-                windows=nothing,
             )
             histories[asset_id] = AssetHistory(settings, run_store, clock)
         shop = Shop(run_store, outbox, clock, tmp_path / "jobs", assets, histories, bus, alarms)

@@ -14,13 +14,22 @@ from jumping import LoopClock, pytest_asyncio_loop_factories, seen_threads
 from adapters.samples import PlannedProfile, PlanStep, Quality, Sample
 from service.alarms import AlarmBook
 from service.bus.stream import Bus, Subscription
+from service.documents.advice import AdviceDocument
 from service.documents.alarms import alarm_document
+from service.documents.envelope import EnvelopeDocument
+from service.documents.forecasts import WhatIf
+from service.documents.machine import PresentMachine
+from service.domain.requests import ProfileStep
+from service.live.advice import give_advice
 from service.live.asset import AssetRuntime
-from service.live.estimate import ActiveModel
+from service.live.envelope import EnvelopeKeeper
+from service.live.estimate import ActiveModel, EstimatedState
+from service.live.forecasting import what_if_document
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
 from twin_core.bearings import bearing
+from twin_core.forecasting.design import Level
 from twin_core.identification.posterior import prior_posterior
 from twin_core.models import build_model
 
@@ -71,6 +80,9 @@ class Live:
     refused: int = 0
     task: asyncio.Task[None] | None = None
 
+    def __post_init__(self) -> None:
+        self.envelopes = EnvelopeKeeper(self.runtime.settings)
+
     def start(self, kept: Mapping[str, Any] | None = None) -> None:
         self.task = asyncio.create_task(self.runtime.run(kept))
 
@@ -110,6 +122,33 @@ class Live:
     def tag(self, name: str) -> dict[str, Any]:
         tag: dict[str, Any] = self.runtime.snapshot()["tags"][name]
         return tag
+
+    def what_if(
+        self,
+        profile: Sequence[ProfileStep],
+        step_s: float | None = None,
+        nodes: Sequence[str] | None = None,
+    ) -> WhatIf:
+        machine, state = self._shown()
+        limits = self.runtime.settings.limits
+        return what_if_document(state, limits, profile, step_s, nodes, machine.missing)
+
+    def envelope(self) -> EnvelopeDocument:
+        machine, state = self._shown()
+        return self.envelopes.document(state, machine.planned, machine.measured_c)
+
+    def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
+        settings = self.runtime.settings
+        _, state = self._shown()
+        return give_advice(
+            settings, state, list(settings.channels), Level(speed_rpm, load_n, duration_s)
+        )
+
+    def _shown(self) -> tuple[PresentMachine, EstimatedState]:
+        """What a worker of the web side reads of what the cell sends."""
+        machine = PresentMachine.model_validate_json(self.runtime.machine().to_bytes())
+        assert machine.estimate is not None
+        return machine, EstimatedState.read(self.runtime.active, machine.estimate)
 
     def subscribe(self) -> Subscription:
         return self.bus.subscribe()
@@ -163,9 +202,6 @@ async def make_live(
                 raise OSError("no space left on device")
             live.saved.append(document)
 
-        async def windows() -> Sequence[Mapping[str, Any]]:
-            return []
-
         runtime = AssetRuntime(
             section,
             {name: ChannelFacts("push", max_age_s) for name in section.channels},
@@ -176,7 +212,6 @@ async def make_live(
             executor=executor,
             store_samples=lambda samples: live.stored.extend(samples),
             save_state=save_state,
-            windows=windows,
         )
         live = Live(runtime, clock, store, bus, book)
         made.append(live)

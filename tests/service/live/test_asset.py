@@ -40,8 +40,7 @@ async def test_it_starts_with_the_first_good_values_and_forecasts(
         "known": False,
     }
     assert live.runtime.forecast() is None
-    with pytest.raises(NotReadyError):
-        await live.runtime.what_if(STEPS, None, None)
+    assert live.runtime.machine().estimate is None
     forecast = await live.until(live.runtime.forecast, "a forecast", machine_at_rest)
     assert forecast.model_version == 1
     assert forecast.planned is False
@@ -244,7 +243,7 @@ async def test_estimates_go_to_the_store_once_a_minute(make_live: Callable[..., 
 async def test_what_if_answers_from_the_present_state(make_live: Callable[..., Any]) -> None:
     live = make_live()
     await running(live, WARM)
-    answer = await live.runtime.what_if(STEPS, 600.0, ["t_node_7_c", "t_inner_ring_c"])
+    answer = live.what_if(STEPS, 600.0, ["t_node_7_c", "t_inner_ring_c"])
     assert answer.time_s == [0.0, 600.0, 1200.0, 1800.0]
     assert list(answer.nodes) == ["t_node_7_c", "t_inner_ring_c"]
     assert answer.nodes["t_inner_ring_c"].q50[0] == pytest.approx(55.0, abs=1.5)

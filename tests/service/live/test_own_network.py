@@ -60,7 +60,7 @@ async def test_its_nodes_and_sensors_are_in_every_answer(make_live: Callable[...
     assert (shown.bearing, shown.network) == (None, "gearbox")
     await live.until(lambda: live.stored, "an estimate for the store", WARM)
     assert {sample.channel for sample in live.stored} == {"t_bearing_c.twin", "t_wall_c.twin"}
-    answer = await live.runtime.what_if(
+    answer = live.what_if(
         [ProfileStep(duration_s=3600.0, speed_rpm=2000.0, load_n=4000.0)], 600.0, ["t_oil_c"]
     )
     assert set(answer.nodes) == {"t_oil_c"}
@@ -131,7 +131,7 @@ async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[
     again = make_live(settings, active_model(settings, stored(settings)))
     again.runtime.estimate.restore(json.loads(json.dumps(kept)))
     assert again.runtime.estimate.point == estimate.point
-    answer = await live.runtime.what_if(
+    answer = live.what_if(
         [ProfileStep(duration_s=4 * 3600.0, speed_rpm=0.0, load_n=0.0)], 600.0, None
     )
     assert answer.nodes["t_winding_c"].q50[-1] == pytest.approx(last, abs=5.0)

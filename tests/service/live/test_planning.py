@@ -1,7 +1,5 @@
-"""Envelope and advice of a running asset: their documents, what is kept, what is not delayed."""
+"""Envelope and advice of a running asset: their documents, and what is kept."""
 
-import asyncio
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -19,7 +17,7 @@ from service.documents.envelope import (
     SteadyMap,
 )
 from service.documents.limits import LowRisk
-from service.domain.errors import NotIdentifiedError, NotReadyError
+from service.domain.errors import NotIdentifiedError
 from service.live.envelope import grid, with_present
 from service.live.estimate import ActiveModel
 from twin_core import profiles
@@ -66,7 +64,7 @@ async def live(make_live: Callable[..., Any], make_version: Callable[..., Active
 
 # ---------------------------------------------------------------------------- envelope
 async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
-    document = await live.runtime.envelope()
+    document = live.envelope()
     shown = EnvelopeDocument.model_validate_json(document.to_bytes())
     shape = (len(shown.load_n), len(shown.speed_rpm))
     assert shape == (3, 4)
@@ -100,30 +98,25 @@ async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
 async def test_envelope_is_kept_until_the_model_changes(
     live: Any, make_version: Callable[..., ActiveModel]
 ) -> None:
-    first, second = await live.runtime.envelope(), await live.runtime.envelope()
+    first, second = live.envelope(), live.envelope()
     assert second.sensors[RING] is first.sensors[RING]
     live.runtime.switch(identified(make_version(4, z=0.3)))
-    third = await live.runtime.envelope()
+    third = live.envelope()
     assert third.model_version == 4
     assert third.sensors != first.sensors
 
 
 async def test_envelope_follows_the_machine(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.live.envelope.LEAST_WALL_S", 0.0)
-    first = await live.runtime.envelope()
+    first = live.envelope()
     hot = RUNNING | {"t_inner_ring_c": 63.0, "t_outer_ring_c": 52.0}
     row = live.runtime.active.model.sensor_row("t_inner_ring_c")
     await live.until(
         lambda: row @ live.runtime.estimate.observer.temperatures_c > 60.0, "a hot machine", hot
     )
-    second = await live.runtime.envelope()
+    second = live.envelope()
     assert second.sensors[RING] is not first.sensors[RING]
     assert second.made_at > first.made_at
-
-
-async def test_two_callers_share_one_computation(live: Any) -> None:
-    first, second = await asyncio.gather(live.runtime.envelope(), live.runtime.envelope())
-    assert first.sensors[RING] is second.sensors[RING]
 
 
 async def test_an_envelope_from_priors_says_so(
@@ -132,18 +125,10 @@ async def test_an_envelope_from_priors_says_so(
     live = make_live(active=make_version(1))
     live.start()
     await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
-    document = await live.runtime.envelope()
+    document = live.envelope()
     assert document.labels == ["not identified yet: prior parameters only"]
     with pytest.raises(NotIdentifiedError, match="identify first"):
-        await live.runtime.advice(6200.0, 5500.0, 7200.0)
-
-
-async def test_neither_without_an_estimate(make_live: Callable[..., Any]) -> None:
-    runtime = make_live().runtime
-    with pytest.raises(NotReadyError, match="waits for the first good"):
-        await runtime.envelope()
-    with pytest.raises(NotReadyError, match="waits for the first good"):
-        await runtime.advice(6200.0, 5500.0, 7200.0)
+        live.advice(6200.0, 5500.0, 7200.0)
 
 
 async def test_the_grid_reaches_beyond_region_and_plan(
@@ -158,14 +143,14 @@ async def test_the_grid_reaches_beyond_region_and_plan(
     assert np.all(speed_rpm % 50.0 == 0.0)
     assert np.all(load_n % 50.0 == 0.0)
     live.plan((3600.0, 9000.0, 2650.0))
-    document = await live.runtime.envelope()
+    document = live.envelope()
     assert np.shape(document.runaway.probability) == (15, 20)
     assert document.speed_rpm[-1] >= 9900.0
 
 
 # ---------------------------------------------------------------------------- advice
 async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
-    document = await live.runtime.advice(6200.0, 5500.0, 3600.0)
+    document = live.advice(6200.0, 5500.0, 3600.0)
     shown = AdviceDocument.model_validate_json(document.to_bytes())
     assert shown.model_version == 3
     assert (shown.target.speed_rpm, shown.target.load_n) == (6200.0, 5500.0)
@@ -182,34 +167,8 @@ async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
     assert (last.speed_rpm, last.load_n) == (6200.0, 5500.0)
     assert set(last.stop_above_c) == SENSORS
     assert len(shown.stop_rule.rules) >= 4
-    inside = await live.runtime.advice(4200.0, 3000.0, 3600.0)
+    inside = live.advice(4200.0, 3000.0, 3600.0)
     assert inside.target.inside_low_risk
-
-
-async def test_the_event_loop_goes_on_while_they_are_computed(
-    live: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Snapshots taken meanwhile are not late by more than a switch between threads takes."""
-    await live.runtime.envelope()  # everything is compiled now
-    monkeypatch.undo()  # the whole map
-    shares = []
-    for version in range(5, 10):  # another program may take the processor away in some of them
-        live.runtime.switch(replace(live.runtime.active, version=version))
-        computing = asyncio.gather(
-            live.runtime.envelope(), live.runtime.advice(6200.0, 5500.0, 3600.0)
-        )
-        late_s = []
-        while not computing.done():
-            begun = time.perf_counter()
-            await asyncio.sleep(0.002)
-            live.runtime.snapshot()
-            late_s.append(time.perf_counter() - begun)
-        await computing
-        assert len(late_s) > 20
-        shares.append(max(late_s) / sum(late_s))
-        if shares[-1] < 0.5:
-            break
-    assert min(shares) < 0.5
 
 
 def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:

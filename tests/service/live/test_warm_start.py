@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from service.clock import ProcessClock
+from service.live.envelope import EnvelopeKeeper
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
-from service.live.planning import Planning
 from service.live.readings import Readings
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
@@ -183,7 +183,7 @@ async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start
     assert doubtful or moment != "full load"
 
 
-async def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
+def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
     motor: ActiveModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its members are on no course that was seen for seconds only, either."""
@@ -195,8 +195,9 @@ async def test_no_limit_is_reached_before_the_earliest_time_of_the_envelope(
     for second in range(BEFORE_S - 10, now + 1, STEP_S):
         estimate.step(START_US + second * 1_000_000, means(speed, load, truth, second))
     settings = motor_section(tmp_path)
-    planning = Planning(settings, estimate.state, list(settings.channels))
-    document = await planning.envelope([], {})
+    state = estimate.state()
+    assert state is not None
+    document = EnvelopeKeeper(settings).document(state, [], {})
     maps = document.sensors["t_winding_c"].limits
     time_s = np.arange(0.0, 4.0 * HOUR_S)
     reached = 0

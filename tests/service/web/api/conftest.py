@@ -40,6 +40,7 @@ from service.documents.envelope import EnvelopeDocument, PresentPoint, RunawayMa
 from service.documents.forecasts import LiveForecast, Quantiles, WhatIf
 from service.documents.identification import JobDocument, WindowDocument, job_document
 from service.documents.limits import Crossing, Limits, LowRisk
+from service.documents.machine import AssetFacts, Estimate, Point, PresentMachine
 from service.documents.models import ModelDocument, model_document
 from service.documents.profiles import ForecastStep, StepLevel
 from service.documents.tags import Snapshot, Tag
@@ -88,15 +89,23 @@ class MemoryTwin:
         }
         self.asked: list[tuple[float, str]] = []
 
-    def description(self) -> Mapping[str, Any]:
-        return {
-            "running": self.running,
-            "channels": dict(self.channels),
-            "temperature_names": self.temperature_names,
-        }
+    def description(self) -> AssetFacts:
+        return AssetFacts(
+            running=self.running,
+            channels=dict(self.channels),
+            temperature_names=list(self.temperature_names),
+        )
 
-    def machine(self) -> Mapping[str, Any]:
-        return {"version": 1, "estimate": {} if self.ready else None, "missing": []}
+    def machine(self) -> PresentMachine:
+        point = Point(speed_rpm=1000.0, load_n=2000.0, ambient_c=23.0, inputs=())
+        estimate = Estimate(machine={}, point=point, time_us=self.time_us)
+        return PresentMachine(
+            version=1,
+            estimate=estimate if self.ready else None,
+            planned=[],
+            missing=[],
+            measured_c={},
+        )
 
     def summary(self) -> AssetDocument:
         return AssetDocument(
@@ -201,14 +210,14 @@ class MemoryQuestions:
     async def what_if(
         self,
         asset: str,
-        machine: Mapping[str, Any],
+        machine: PresentMachine,
         profile: Sequence[ProfileStep],
         step_s: float | None,
         nodes: Collection[str] | None,
     ) -> WhatIf:
         return self.twins[asset].what_if(profile, step_s, nodes)
 
-    async def envelope(self, asset: str, machine: Mapping[str, Any]) -> EnvelopeDocument:
+    async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         return EnvelopeDocument(
             made_at=rfc3339(self.twins[asset].time_us),
             model_version=1,
@@ -225,7 +234,7 @@ class MemoryQuestions:
         )
 
     async def advice(
-        self, asset: str, machine: Mapping[str, Any], target: tuple[float, float, float]
+        self, asset: str, machine: PresentMachine, target: tuple[float, float, float]
     ) -> AdviceDocument:
         if not self.twins[asset].identified:
             raise NotIdentifiedError("no identified model yet")
