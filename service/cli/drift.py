@@ -1,8 +1,7 @@
 """``bearing-twin drift``: has a machine changed between the data of several model files."""
 
-import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -10,6 +9,9 @@ from rich.table import Table
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.offline.interruption import exit_on_signals
+
+if TYPE_CHECKING:
+    from service.offline.drift import DriftOfFiles
 
 
 def drift(
@@ -38,27 +40,25 @@ def drift(
 
         document = compare_models(load_models(models))
     if as_json:
-        typer.echo(json.dumps(document, allow_nan=False))
+        typer.echo(document.model_dump_json())
     else:
         _print(document)
 
 
-def _print(document: dict[str, Any]) -> None:
+def _print(found: "DriftOfFiles") -> None:
     console = make_console()
-    for one in document["models"]:
-        when = f" ({one['start']} to {one['end']})" if one["start"] else ""
-        console.print(f"{one['file']}{when}", soft_wrap=True, markup=False)
-        against = f", compared with {one['against']}" if one["against"] else ""
-        console.print(f"  {one['text']}{against}", soft_wrap=True, markup=False)
-    table = Table("quantity", *(str(k + 1) for k in range(len(document["models"]))), "unit")
-    described = {name: row for one in document["models"] for name, row in one["quantities"].items()}
+    for one in found.models:
+        when = f" ({one.start} to {one.end})" if one.start else ""
+        console.print(f"{one.file}{when}", soft_wrap=True, markup=False)
+        against = f", compared with {one.against}" if one.against else ""
+        console.print(f"  {one.text}{against}", soft_wrap=True, markup=False)
+    table = Table("quantity", *(str(k + 1) for k in range(len(found.models))), "unit")
+    described = {name: row for one in found.models for name, row in one.quantities.items()}
     for name, row in described.items():
-        cells = [one["quantities"].get(name) for one in document["models"]]
+        cells = [one.quantities.get(name) for one in found.models]
         table.add_row(
-            row["text"],
-            *("–" if cell is None else f"{cell['value']:.3g}" for cell in cells),
-            row["unit"],
+            row.text, *("–" if cell is None else f"{cell.value:.3g}" for cell in cells), row.unit
         )
     console.print(table)
-    said = {True: "Changed", False: "Not changed", None: "Not compared"}[document["changed"]]
-    console.print(f"{said}: {document['text']}", soft_wrap=True, markup=False)
+    said = {True: "Changed", False: "Not changed", None: "Not compared"}[found.changed]
+    console.print(f"{said}: {found.text}", soft_wrap=True, markup=False)

@@ -5,12 +5,20 @@ changes are summed up over all versions that share no data. Versions from before
 reported and then made active no longer count: the machine is what it is now.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 
 import structlog
 
+from service.documents.drift import (
+    NOT_COMPARED,
+    DriftComparison,
+    DriftDocument,
+    DriftMove,
+    DriftQuantity,
+    DriftReference,
+)
 from service.store.records import ModelVersion
 from twin_core.drift import Drift, compare, usual_point
 from twin_core.drift_series import follow, values_of
@@ -29,19 +37,19 @@ _MINUTE_S = 60.0
 _log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class EarlierVersion:
-    """What is needed of a stored version; plain types, as it travels to the worker.
+    """What is needed of a stored version.
 
     Attributes
     ----------
     version : int
         Its number.
-    posterior : dict
-        Its posterior.
-    window_records : list of dict
+    posterior : Posterior
+        What is known of the parameters.
+    windows : sequence of Window
         The windows it was identified from.
-    point : dict or None
+    point : ReferencePoint or None
         Where its quantities are stated.
     reported : bool
         Whether a change was reported at it.
@@ -50,28 +58,35 @@ class EarlierVersion:
     """
 
     version: int
-    posterior: dict[str, Any]
-    window_records: list[dict[str, Any]]
-    point: dict[str, float] | None
+    posterior: Posterior
+    windows: Sequence[Window]
+    point: ReferencePoint | None
     reported: bool
     was_active: bool
 
 
 def earlier_versions(versions: Sequence[ModelVersion]) -> list[EarlierVersion]:
-    """Take from stored versions what `drift_document` needs, oldest first."""
+    """Take from stored versions what `drift_document` needs, oldest first.
+
+    What cannot be read is left out: it is of another machine, or of a release with other
+    parameters.
+    """
     found = []
     for version in versions:
         drift = version.document.get("drift") or {}
-        found.append(
-            EarlierVersion(
+        point = drift.get("point")
+        try:
+            known = EarlierVersion(
                 version.version,
-                version.document["posterior"],
-                version.document["window_records"],
-                drift.get("point"),
+                Posterior.from_dict(version.document["posterior"]),
+                [Window.from_dict(one) for one in version.document["window_records"]],
+                None if point is None else ReferencePoint(**point),
                 bool(drift.get("changed")),
                 version.status in ("active", "retired"),
             )
-        )
+        except (KeyError, TypeError, ValueError):
+            continue
+        found.append(known)
     return found
 
 
@@ -80,7 +95,7 @@ def drift_document(
     posterior: Posterior,
     windows: Sequence[Window],
     earlier: Sequence[EarlierVersion],
-) -> dict[str, Any]:
+) -> DriftDocument:
     """Compare a newly identified posterior with stored versions.
 
     Parameters
@@ -94,8 +109,8 @@ def drift_document(
 
     Returns
     -------
-    dict
-        Plain JSON types. ``changed`` is None where nothing could be compared; ``text`` says why.
+    DriftDocument
+        ``changed`` is None where nothing could be compared; ``text`` says why.
     """
     problem = fit_problem(posterior, model.errors)
     if problem:
@@ -103,53 +118,44 @@ def drift_document(
             f"not compared: the fit failed ({problem}), possibly by a change within the data"
         )
     known = _comparable(model, earlier)
-    points = [version.point for version, _ in known if version.point is not None]
-    point = ReferencePoint(**points[0]) if points else usual_point(model, posterior)
-    document = _nothing("the first version, without an earlier one to compare with") | {
-        "point": {
-            "speed_rpm": point.speed_rpm,
-            "load_n": point.load_n,
-            "temperature_c": point.temperature_c,
-        },
-        "quantities": {
-            one.quantity.name: {
-                "text": one.quantity.text,
-                "group": one.quantity.group,
-                "unit": one.quantity.unit,
-                "value": one.value,
-                "low": one.low,
-                "high": one.high,
-            }
-            for one in values_of(model, posterior, point)
-        },
+    points = [version.point for version in known if version.point is not None]
+    point = points[0] if points else usual_point(model, posterior)
+    document = _nothing("the first version, without an earlier one to compare with")
+    document.point = DriftReference(**asdict(point))
+    document.quantities = {
+        one.quantity.name: DriftQuantity(
+            text=one.quantity.text,
+            group=one.quantity.group,
+            unit=one.quantity.unit,
+            value=one.value,
+            low=one.low,
+            high=one.high,
+        )
+        for one in values_of(model, posterior, point)
     }
     unchanged = _since_the_last_change(known)
-    chosen = most_alike([one for _, one in unchanged], posterior)
+    chosen = most_alike([version.posterior for version in unchanged], posterior)
     if not chosen:
         return document
-    version, reference = unchanged[chosen[-1]]
-    shared = _shared([Window.from_dict(window) for window in version.window_records], windows)
-    drift = compare(model, reference, posterior, shared=shared, point=point)
-    series = [one for _, one in _without_shared_data(unchanged, windows)]
+    version = unchanged[chosen[-1]]
+    shared = _shared(version.windows, windows)
+    drift = compare(model, version.posterior, posterior, shared=shared, point=point)
+    series = [one.posterior for one in _without_shared_data(unchanged, windows)]
     last = follow(model, [*series[-_LONGEST_SERIES:], posterior], point)[-1]
-    text = drift.text
+    document.changed, document.text = drift.changed or bool(last.creeping), drift.text
     if last.creeping and not drift.changed:
-        text = f"creeping change of {', '.join(last.creeping)} over the last versions"
-    return document | {
-        "changed": drift.changed or bool(last.creeping),
-        "text": text,
-        "comparison": _comparison(version.version, shared, drift),
-        "sums": last.sums,
-        "creeping": list(last.creeping),
-    }
+        document.text = f"creeping change of {', '.join(last.creeping)} over the last versions"
+    document.comparison = _comparison(version.version, shared, drift)
+    document.sums, document.creeping = dict(last.sums), list(last.creeping)
+    return document
 
 
-def with_drift(reason: str, drift: Mapping[str, Any]) -> str:
+def with_drift(reason: str, drift: DriftDocument) -> str:
     """Reason of a version's status, with the change that it reports.
 
     It becomes the comment in the journal of activations when the version is activated by itself.
     """
-    return f"{reason}; drift: {drift['text']}" if drift.get("changed") else reason
+    return f"{reason}; drift: {drift.text}" if drift.changed else reason
 
 
 def tell(asset_id: str, version: ModelVersion, record: Callable[[str], object]) -> None:
@@ -160,82 +166,60 @@ def tell(asset_id: str, version: ModelVersion, record: Callable[[str], object]) 
         record(f"Model version {version.version}: {drift['text']}")
 
 
-def _nothing(text: str) -> dict[str, Any]:
-    return {
-        "changed": None,
-        "text": text,
-        "point": None,
-        "quantities": {},
-        "comparison": None,
-        "sums": {},
-        "creeping": [],
-    }
+def _nothing(text: str) -> DriftDocument:
+    return NOT_COMPARED.model_copy(update={"text": text})
 
 
-def _comparison(version: int, shared: float, drift: Drift) -> dict[str, Any]:
-    return {
-        "version": version,
-        "shared": shared,
-        "alike": drift.likeness.text,
-        "statistic": drift.statistic,
-        "dimensions": drift.dimensions,
-        "probability": drift.probability,
-        "groups": dict(drift.groups),
-        "moves": [
-            {
-                "quantity": move.quantity.name,
-                "text": move.text,
-                "change": move.change,
-                "low": move.low,
-                "high": move.high,
-            }
+def _comparison(version: int, shared: float, drift: Drift) -> DriftComparison:
+    return DriftComparison(
+        version=version,
+        shared=shared,
+        alike=drift.likeness.text,
+        statistic=drift.statistic,
+        dimensions=drift.dimensions,
+        probability=drift.probability,
+        groups=dict(drift.groups),
+        moves=[
+            DriftMove(
+                quantity=move.quantity.name,
+                text=move.text,
+                change=move.change,
+                low=move.low,
+                high=move.high,
+            )
             for move in drift.moves
         ],
-    }
+    )
 
 
-def _comparable(
-    model: ThermalModel, earlier: Sequence[EarlierVersion]
-) -> list[tuple[EarlierVersion, Posterior]]:
+def _comparable(model: ThermalModel, earlier: Sequence[EarlierVersion]) -> list[EarlierVersion]:
     """Versions of this model that were identified from data and whose fit did not fail."""
     found = []
     for version in earlier:
-        try:
-            posterior = Posterior.from_dict(version.posterior)
+        posterior = version.posterior
+        with contextlib.suppress(ValueError):
             posterior.check(model)
-        except (KeyError, TypeError, ValueError):
-            continue  # of another machine, or of a release with other parameters
-        if posterior.identified and not fit_problem(posterior, model.errors):
-            found.append((version, posterior))
+            if posterior.identified and not fit_problem(posterior, model.errors):
+                found.append(version)
     return found
 
 
-def _since_the_last_change(
-    known: Sequence[tuple[EarlierVersion, Posterior]],
-) -> list[tuple[EarlierVersion, Posterior]]:
+def _since_the_last_change(known: Sequence[EarlierVersion]) -> list[EarlierVersion]:
     """Versions of the machine as it is now."""
-    start = max(
-        (k for k, (version, _) in enumerate(known) if version.reported and version.was_active),
-        default=0,
-    )
-    return [
-        (version, posterior)
-        for version, posterior in known[start:]
-        if version.was_active or not version.reported
-    ]
+    start = max((k for k, one in enumerate(known) if one.reported and one.was_active), default=0)
+    return [one for one in known[start:] if one.was_active or not one.reported]
 
 
 def _without_shared_data(
-    known: Sequence[tuple[EarlierVersion, Posterior]], windows: Sequence[Window]
-) -> list[tuple[EarlierVersion, Posterior]]:
+    known: Sequence[EarlierVersion], windows: Sequence[Window]
+) -> list[EarlierVersion]:
     """Of versions those that share data neither with given windows nor with each other."""
     taken = list(windows)
     found = []
-    for version, posterior in reversed(known):
-        own = [Window.from_dict(window) for window in version.window_records]
-        if _shared(own, taken) == 0.0:
-            taken += own
-            found.append((version, posterior))
+    for version in reversed(known):
+        if _shared(version.windows, taken) == 0.0:
+            taken += version.windows
+            found.append(version)
     return found[::-1]
 
 

@@ -27,7 +27,7 @@ from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
 from service.jobs.documents import ProgressCache, shown
-from service.jobs.drift import earlier_versions, tell, with_drift
+from service.jobs.drift import tell, with_drift
 from service.jobs.executor import (
     STALLED_AFTER_WALL_S,
     WorkerStalledError,
@@ -342,7 +342,7 @@ class IdentificationJobs:
         versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
         return next((one for one in versions if one.document["job"] == job.id), None)
 
-    async def _work(self, job: Job, folder: JobFolder) -> JobResult:
+    async def _work(self, job: Job, folder: JobFolder) -> JobResult | None:
         asset, history = self._assets[job.asset], self._histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
@@ -351,8 +351,8 @@ class IdentificationJobs:
             folder=folder,
             machine=machine_of(asset.settings),
             data=data,
-            active=asset.active.posterior.to_dict(),
-            earlier=earlier_versions(versions),
+            active=asset.active.posterior,
+            earlier=versions,
             method=job.request["method"],
             seed=job.request["seed"],
             budget=job.request["budget"],
@@ -390,12 +390,12 @@ class IdentificationJobs:
         if changed is not None:
             self._publish(changed)
 
-    async def _finish(self, job: Job, result: JobResult) -> None:
-        if result.cancelled:
+    async def _finish(self, job: Job, result: JobResult | None) -> None:
+        if result is None:
             await self._end(job.id, "cancel", "cancelled")
             return
         document = identified_document(job, result, self._assets[job.asset].settings)
-        status: ModelStatus = "candidate" if result.accepted else "rejected"
+        status: ModelStatus = "candidate" if result.gates.accepted else "rejected"
         async with self._deciding:
             still_wanted = await self._change(
                 job.id,
@@ -409,7 +409,7 @@ class IdentificationJobs:
                 self._store.models.add,
                 job.asset,
                 status,
-                with_drift(result.reason, result.drift),
+                with_drift(result.gates.reason, result.drift),
                 document,
                 self._clock.now_us(),
             )

@@ -1,12 +1,10 @@
 """Model versions: what is kept of one, and how the live twin takes it up."""
 
-from typing import Any
-
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
 from service.site.machines.machine import Machine
 from service.site.settings import AssetSection
-from service.store.records import Job, ModelVersion
+from service.store.records import Job, JsonDocument, ModelVersion
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
@@ -22,7 +20,7 @@ def thermal_model(asset: AssetSection) -> ThermalModel:
     return machine_of(asset).build()
 
 
-def first_model(asset: AssetSection) -> dict[str, Any]:
+def first_model(asset: AssetSection) -> JsonDocument:
     """Document of the twin before any identification: the priors themselves."""
     model = thermal_model(asset)
     posterior = prior_posterior(model)
@@ -42,26 +40,30 @@ def first_model(asset: AssetSection) -> dict[str, Any]:
     }
 
 
-def identified_document(job: Job, result: JobResult, asset: AssetSection) -> dict[str, Any]:
+def identified_document(job: Job, result: JobResult, asset: AssetSection) -> JsonDocument:
     """Document of a model that a job brought."""
-    model = thermal_model(asset)
-    posterior = Posterior.from_dict(result.posterior)
+    model, posterior = thermal_model(asset), result.posterior
     return {
         "model": model.name,
         "machine": machine_of(asset).to_dict(),
-        "posterior": result.posterior,
+        "posterior": posterior.to_dict(),
         "parameters": posterior.parameters(model),
         "identifiability": posterior.identifiability_document(model),
         "paper_view": paper_view(model, posterior),
         "windows": [
-            {"start": window["start"], "end": window["end"]} | extra
-            for window, extra in zip(job.request["windows"], result.windows, strict=True)
+            {
+                "start": asked["start"],
+                "end": asked["end"],
+                "speed_rpm_max": window.speed_rpm_max,
+                "load_n_max": window.load_n_max,
+            }
+            for asked, window in zip(job.request["windows"], result.windows, strict=True)
         ],
-        "window_records": result.window_records,
-        "scores": result.scores,
-        "naive": result.naive,
-        "gates": result.gates,
-        "drift": result.drift,
+        "window_records": [window.to_dict() for window in result.windows],
+        "scores": dict(result.gates.scores),
+        "naive": dict(result.gates.naive),
+        "gates": result.gates.to_dict(),
+        "drift": result.drift.model_dump(),
         "job": job.id,
         "method": job.request["method"],
         "seed": job.request["seed"],

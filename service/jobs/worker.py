@@ -3,17 +3,19 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from service.jobs.drift import EarlierVersion, drift_document
+from service.documents.drift import DriftDocument
+from service.jobs.drift import drift_document, earlier_versions
 from service.jobs.workspace import Convergence, JobFolder, Progress
 from service.site.machines.machine import Machine
+from service.store.records import ModelVersion
 from twin_core.identification.checkpoint import CheckpointMismatchError
 from twin_core.identification.data import IdentificationData
-from twin_core.identification.gates import judge
+from twin_core.identification.gates import GateReport, judge
 from twin_core.identification.identify import (
     IdentificationResult,
     Method,
@@ -24,7 +26,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
-from twin_core.windows import window_of
+from twin_core.windows import Window, window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
 CHECKPOINT_EVERY_WALL_S = 0.5
@@ -43,55 +45,68 @@ class JobOrder:
         What the model to identify is built of.
     data : IdentificationData
         Low-risk windows.
-    active : dict
-        Posterior of the active model, against which the gates compare.
+    active : Posterior
+        Of the active model, against which the gates compare.
     method : str
         noa+refine, refine or noa.
     seed : int
         Of the search.
     budget : int or None
         Most evaluations; None takes the method's own.
-    earlier : sequence of EarlierVersion
+    earlier : sequence of ModelVersion
         Versions that the result is compared with, oldest first.
     """
 
     folder: JobFolder
     machine: Machine
     data: IdentificationData
-    active: dict[str, Any]
+    active: Posterior
     method: Method
     seed: int
     budget: int | None
-    earlier: Sequence[EarlierVersion] = ()
+    earlier: Sequence[ModelVersion] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class JobResult:
-    """What a worker found; plain JSON types where they go into a model's document."""
+    """What a worker found.
 
-    cancelled: bool = False
-    accepted: bool = False
-    reason: str = ""
-    best_fitness: float | None = None
-    evaluations: int = 0
-    posterior: dict[str, Any] = field(default_factory=dict)
-    windows: list[dict[str, Any]] = field(default_factory=list)
-    window_records: list[dict[str, Any]] = field(default_factory=list)
-    scores: dict[str, Any] = field(default_factory=dict)
-    naive: dict[str, Any] = field(default_factory=dict)
-    gates: dict[str, Any] = field(default_factory=dict)
-    drift: dict[str, Any] = field(default_factory=dict)
-    active_fitness: float | None = None
-    convergence: list[list[float]] = field(default_factory=list)
+    Attributes
+    ----------
+    posterior : Posterior
+        What is known of the parameters now.
+    best_fitness, active_fitness : float or None
+        Sum of squared residuals, and that of the active model.
+    evaluations : int
+        Simulations of the data.
+    convergence : list of [evaluations, fitness]
+        How the best fitness fell.
+    windows : sequence of Window
+        What it was identified from.
+    gates : GateReport
+        Whether it may become the active model, and why.
+    drift : DriftDocument
+        Comparison with earlier versions.
+    """
+
+    posterior: Posterior
+    best_fitness: float
+    active_fitness: float | None
+    evaluations: int
+    convergence: list[list[float]]
+    windows: Sequence[Window]
+    gates: GateReport
+    drift: DriftDocument
 
 
-def run_identification(order: JobOrder) -> JobResult:
+def run_identification(order: JobOrder) -> JobResult | None:
     """Identify, then let the gates decide whether the result may become active.
 
-    Goes on from the checkpoint that a worker left which was killed with the same order.
+    Goes on from the checkpoint that a worker left which was killed with the same order. None when
+    the job was cancelled.
     """
     model = order.machine.build()
-    active_fitness = _fitness_of(model, order.data, Posterior.from_dict(order.active))
+    active_fitness = _fitness_of(model, order.data, order.active)
     try:
         try:
             fit = _fit(order, model, active_fitness, order.folder.read_checkpoint())
@@ -102,29 +117,21 @@ def run_identification(order: JobOrder) -> JobResult:
             model,
             order.data,
             fit,
-            active=Posterior.from_dict(order.active),
+            active=order.active,
             cancelled=lambda: _is_stopped(order.folder),
         )
     except IdentificationCancelled:
-        return JobResult(cancelled=True)
+        return None
     windows = [window_of(window.minutes) for window in order.data.windows]
     return JobResult(
-        accepted=report.accepted,
-        reason=report.reason,
+        posterior=fit.posterior,
         best_fitness=fit.best_fitness,
-        evaluations=fit.evaluations,
-        posterior=fit.posterior.to_dict(),
-        windows=[
-            {"speed_rpm_max": window.speed_rpm_max, "load_n_max": window.load_n_max}
-            for window in windows
-        ],
-        window_records=[window.to_dict() for window in windows],
-        scores=dict(report.scores),
-        naive=dict(report.naive),
-        gates=report.to_dict(),
-        drift=drift_document(model, fit.posterior, windows, order.earlier),
         active_fitness=active_fitness,
+        evaluations=fit.evaluations,
         convergence=Convergence([*fit.history, (fit.evaluations, fit.best_fitness)]).points,
+        windows=windows,
+        gates=report,
+        drift=drift_document(model, fit.posterior, windows, earlier_versions(order.earlier)),
     )
 
 

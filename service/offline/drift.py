@@ -3,14 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from service.clock import rfc3339
+from service.documents.base import Document, Time
+from service.documents.drift import DriftDocument
 from service.jobs.drift import EarlierVersion, drift_document
 from service.offline.model_file import IdentifiedModel, ModelFileError
 from service.site.machines.machine import Machine
+from twin_core.quantities import ReferencePoint
 from twin_core.windows import Window
 
 # Rows of a model file's own summary are this much further apart than usual where data are missing.
@@ -86,7 +89,7 @@ def load_models(files: Sequence[Path]) -> list[ModelOfSpan]:
     return models
 
 
-def _priors(machine: Machine) -> dict[str, Any]:
+def _priors(machine: Machine) -> object:
     """All of a machine that two comparable models share; what bands allow for may differ."""
     document = machine.to_dict()
     if document["network"] is not None:
@@ -98,7 +101,24 @@ def _priors(machine: Machine) -> dict[str, Any]:
     return document
 
 
-def compare_models(models: Sequence[ModelOfSpan]) -> dict[str, Any]:
+class FileDrift(DriftDocument):
+    """One model file, compared with an earlier one."""
+
+    file: str
+    start: Time | None
+    end: Time | None
+    against: str | None = Field(description="The file that it was compared with.")
+
+
+class DriftOfFiles(Document):
+    """Whether a machine has changed over model files."""
+
+    changed: bool | None
+    text: str
+    models: list[FileDrift]
+
+
+def compare_models(models: Sequence[ModelOfSpan]) -> DriftOfFiles:
     """Compare every model with those before it.
 
     A model is compared with earlier ones of the same state of the machine whose operation was most
@@ -106,35 +126,30 @@ def compare_models(models: Sequence[ModelOfSpan]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        Plain JSON types: ``changed`` and ``text`` over all, and per model what the service's model
-        versions carry as ``drift``.
+    DriftOfFiles
+        ``changed`` and ``text`` over all, and per model what the service's model versions carry as
+        ``drift``.
     """
     earlier: list[EarlierVersion] = []
-    told: list[dict[str, Any]] = []
+    found: list[FileDrift] = []
     for number, one in enumerate(models, start=1):
         posterior, windows = one.identified.posterior, one.windows
         drift = drift_document(one.identified.model, posterior, windows, earlier)
         earlier.append(
             EarlierVersion(
                 number,
-                posterior.to_dict(),
-                [window.to_dict() for window in windows],
-                drift["point"],
-                bool(drift["changed"]),
+                posterior,
+                windows,
+                None if drift.point is None else ReferencePoint(**dict(drift.point)),
+                bool(drift.changed),
                 was_active=True,
             )
         )
-        comparison = drift["comparison"]
-        against = None if comparison is None else str(models[comparison["version"] - 1].file)
-        told.append({"file": str(one.file)} | one.dates | {"against": against} | drift)
-    changes = [document for document in told if document["changed"]]
-    compared = [document for document in told if document["changed"] is not None]
-    text = "nothing could be compared" if not compared else "no change"
+        against = drift.comparison and str(models[drift.comparison.version - 1].file)
+        found.append(FileDrift(file=str(one.file), **one.dates, against=against, **dict(drift)))
+    changes = [one for one in found if one.changed]
+    compared = any(one.changed is not None for one in found)
+    text = "no change" if compared else "nothing could be compared"
     if changes:
-        text = "; ".join(f"{document['file']}: {document['text']}" for document in changes)
-    return {
-        "changed": bool(changes) if compared else None,
-        "text": text,
-        "models": told,
-    }
+        text = "; ".join(f"{one.file}: {one.text}" for one in changes)
+    return DriftOfFiles(changed=bool(changes) if compared else None, text=text, models=found)

@@ -45,7 +45,7 @@ def order(
         folder=folder,
         machine=Machine("default", named_bearing("6311", {}), None),
         data=data,
-        active=prior_posterior(build_model("default", bearing=bearing("6311"))).to_dict(),
+        active=prior_posterior(build_model("default", bearing=bearing("6311"))),
         method="noa",
         seed=1,
         budget=BUDGET,
@@ -58,8 +58,14 @@ def in_folder(order: JobOrder, name: str) -> JobOrder:
     return replace(order, folder=folder)
 
 
+def found_by(order: JobOrder) -> JobResult:
+    result = run_identification(order)
+    assert result is not None
+    return result
+
+
 def assert_same(one: JobResult, other: JobResult) -> None:
-    assert one.posterior == other.posterior
+    assert one.posterior.to_dict() == other.posterior.to_dict()
     assert (one.best_fitness, one.evaluations) == (other.best_fitness, other.evaluations)
     assert one.gates == other.gates
 
@@ -81,18 +87,18 @@ def test_a_killed_worker_is_followed_by_one_that_goes_on_and_ends_the_same(order
     assert checkpoint is not None
     assert 0 < checkpoint["search"]["evaluations"] < BUDGET
     order.folder.make()
-    assert_same(run_identification(order), run_identification(in_folder(order, "uninterrupted")))
+    assert_same(found_by(order), found_by(in_folder(order, "uninterrupted")))
 
 
 def test_the_checkpoint_is_what_the_next_worker_begins_with(order: JobOrder) -> None:
     """A search that is already over is not repeated: what it counted is carried on."""
     short = replace(order, budget=200)
-    whole = run_identification(short)
+    whole = found_by(short)
     again = in_folder(short, "again")
     moved = _checkpoint_of(short)
     moved["evaluations"] += 1_000_000
     again.folder.write_checkpoint(moved)
-    assert run_identification(again).evaluations == whole.evaluations + 1_000_000
+    assert found_by(again).evaluations == whole.evaluations + 1_000_000
 
 
 @pytest.mark.parametrize("change", [{"seed": 2}, {"budget": 201}])
@@ -102,9 +108,9 @@ def test_a_checkpoint_of_another_order_is_left_aside(
     short = replace(order, budget=200)
     checkpoint = json.loads(json.dumps(_checkpoint_of(short)))
     other = replace(in_folder(short, "other"), **change)  # type: ignore[arg-type]
-    fresh = run_identification(other)
+    fresh = found_by(other)
     other.folder.write_checkpoint(checkpoint)
-    assert_same(run_identification(other), fresh)
+    assert_same(found_by(other), fresh)
 
 
 def _checkpoint_of(order: JobOrder) -> dict[str, Any]:
