@@ -6,7 +6,7 @@ import json
 import signal
 import sys
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +14,8 @@ from service.signals import stop_on_signals
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from service.lab.demo.score import Account
 
 
 def demo(
@@ -91,7 +93,7 @@ async def _demo(
     duration_s: float | None,
     seed: int,
     console: "Console",
-) -> dict[str, Any]:
+) -> "Account":
     from rich.text import Text
 
     from service.lab.demo.run import Watch, run
@@ -106,7 +108,7 @@ async def _demo(
         at = Text(f"{minutes:02d}:{seconds:02d}", "dim")
         console.print(at, f" {line}", soft_wrap=True)
 
-    def at_the_end(document: dict[str, Any]) -> None:
+    def at_the_end(document: "Account") -> None:
         print_account(document, console)
 
     return await run(

@@ -2,7 +2,7 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 ASSET = "bench-1"
 
@@ -65,14 +65,30 @@ _TEMPERATURE = (
 )
 
 
-def write_configuration(folder: Path, bench: dict[str, Any], rate: float, port: int) -> Path:
+class _Modbus(TypedDict):
+    host: str
+    port: int
+
+
+class _Can(TypedDict):
+    channel: str
+
+
+class BenchFacts(TypedDict):
+    """What the virtual bench announces: where it listens."""
+
+    modbus: _Modbus
+    can: _Can
+
+
+def write_configuration(folder: Path, bench: BenchFacts, rate: float, port: int) -> Path:
     """Write configuration and DBC for a bench that announced where it listens.
 
     Parameters
     ----------
     folder : pathlib.Path
         Existing directory; the data directory will be below it.
-    bench : dict
+    bench : BenchFacts
         What the virtual bench announced.
     rate : float
         Process seconds per wall second.

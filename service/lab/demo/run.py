@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import tempfile
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,8 +13,9 @@ import httpx2
 from pymodbus.client import AsyncModbusTcpClient
 
 from adapters.virtual_bench import find_scenario
-from service.lab.demo.configuration import write_configuration
+from service.lab.demo.configuration import BenchFacts, write_configuration
 from service.lab.demo.processes import DemoError, Process, running
+from service.lab.demo.score import Account
 from service.lab.demo.story import Story
 from service.security.keys import create_key
 from service.site.settings import load_settings
@@ -96,8 +97,8 @@ async def run(
     wait: bool,
     stay: bool,
     tell: Callable[[str], None],
-    at_the_end: Callable[[dict[str, Any]], None],
-) -> dict[str, Any]:
+    at_the_end: Callable[[Account], None],
+) -> Account:
     """Run the demo and return its document.
 
     Parameters
@@ -164,7 +165,7 @@ async def run(
         return document
 
 
-NOTHING_YET: dict[str, Any] = {
+NOTHING_YET: Account = {
     "model_versions": [],
     "stages": [],
     "samples": {"modbus": 0, "can": 0},
@@ -181,7 +182,7 @@ async def _prepare(folder: Path, tell: Callable[[str], None]) -> None:
 
 async def _start_bench(
     stack: contextlib.AsyncExitStack, folder: Path, rate: float, seed: int, watch: Watch
-) -> tuple[Process, dict[str, Any]]:
+) -> tuple[Process, BenchFacts]:
     """Start the virtual bench; its process and where it listens."""
     arguments = (
         "virtual-bench", "--scenario", SCENARIO, "--rate", f"{rate:g}", "--seed", str(seed),
@@ -198,7 +199,7 @@ async def _start_bench(
 async def _start_service(
     stack: contextlib.AsyncExitStack,
     folder: Path,
-    bench: dict[str, Any],
+    bench: BenchFacts,
     rate: float,
     port: int,
     watch: Watch,
@@ -215,7 +216,7 @@ async def _start_service(
     return process.first_line, key
 
 
-async def set_coil(bench: Mapping[str, Any], coil: int, value: bool) -> None:
+async def set_coil(bench: BenchFacts, coil: int, value: bool) -> None:
     """Set a coil of the bench controller, as a SCADA system would.
 
     Raises

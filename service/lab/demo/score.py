@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339, rfc3339
+from service.documents.forecasts import LiveForecast
 from service.domain.channels import RING_SENSORS
 
 SENSORS = RING_SENSORS
-QUANTILES = ("q025", "q50", "q975")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +36,17 @@ class KeptForecast:
     quantiles: Mapping[str, NDArray[np.float64]]
 
     @classmethod
-    def from_json(cls, body: Mapping[str, Any]) -> "KeptForecast":
+    def of(cls, shown: LiveForecast) -> "KeptForecast":
         """Keep a forecast as the REST interface gives it."""
-        made_at_us = from_rfc3339(body["made_at"])
+        made_at_us = from_rfc3339(shown.made_at)
         return cls(
             made_at_us,
-            int(body["model_version"]),
-            made_at_us + 1e6 * np.array(body["time_s"], dtype=np.float64),
+            shown.model_version,
+            made_at_us + 1e6 * np.array(shown.time_s, dtype=np.float64),
             {
-                sensor: np.array(
-                    [body["nodes"][sensor][quantile] for quantile in QUANTILES], dtype=np.float64
-                )
-                for sensor in SENSORS
+                sensor: np.array([nodes.q025, nodes.q50, nodes.q975], dtype=np.float64)
+                for sensor, nodes in shown.nodes.items()
+                if sensor in SENSORS
             },
         )
 
@@ -92,12 +91,81 @@ def made_before(forecasts: Sequence[KeptForecast], stage: Stage) -> KeptForecast
     return None
 
 
-def stage_json(
+class WarningAccount(TypedDict):
+    """When the limits of a stage were first announced, and when first reached by measurement."""
+
+    forecast_limit_at: str | None
+    measured_limit_at: str | None
+
+
+class SensorAccount(TypedDict):
+    """Forecast and measurement of a sensor at the end of a stage, and over the whole of it."""
+
+    forecast_c: float | None
+    q025: float | None
+    q975: float | None
+    measured_c: float | None
+    error_c: float | None
+    inside_95: bool | None
+    max_error_c: float | None
+    coverage_95: float | None
+
+
+class StageAccount(TypedDict):
+    """One stage in the demo's JSON."""
+
+    name: str
+    risk: str
+    start: str
+    end: str | None
+    speed_rpm: float
+    load_n: float
+    forecast_made_at: str | None
+    forecast_model_version: int | None
+    sensors: dict[str, SensorAccount]
+    warning: WarningAccount
+
+
+class WindowAccount(TypedDict):
+    """What a version was identified from."""
+
+    start: str
+    end: str
+    speed_rpm_max: float | None
+    load_n_max: float | None
+
+
+class VersionAccount(TypedDict):
+    """One identified model version."""
+
+    version: int
+    identified_at: str
+    activated: bool
+    windows: list[WindowAccount]
+
+
+class SampleAccount(TypedDict):
+    """Good samples that were stored, by wire."""
+
+    modbus: int
+    can: int
+
+
+class Account(TypedDict):
+    """The demo's JSON document."""
+
+    model_versions: list[VersionAccount]
+    stages: list[StageAccount]
+    samples: SampleAccount
+    complete: bool
+
+
+def stage_account(
     stage: Stage,
     forecast: KeptForecast | None,
     measured: Mapping[str, Measured],
-    warning: Mapping[str, str | None],
-) -> dict[str, Any]:
+    warning: WarningAccount,
+) -> StageAccount:
     """One stage in the shape of the demo's JSON; without a forecast its figures are null."""
     return {
         "name": stage.name,
@@ -109,18 +177,25 @@ def stage_json(
         "forecast_made_at": rfc3339(forecast.made_at_us) if forecast else None,
         "forecast_model_version": forecast.model_version if forecast else None,
         "sensors": {
-            sensor: _sensor_json(sensor, forecast, measured.get(sensor)) for sensor in SENSORS
+            sensor: _sensor_account(sensor, forecast, measured.get(sensor)) for sensor in SENSORS
         },
-        "warning": dict(warning),
+        "warning": warning,
     }
 
 
-def _sensor_json(
+def _sensor_account(
     sensor: str, forecast: KeptForecast | None, measured: Measured | None
-) -> dict[str, Any]:
-    empty = ("forecast_c", "q025", "q975", "measured_c", "error_c", "inside_95", "max_error_c",
-             "coverage_95")  # fmt: skip
-    row: dict[str, Any] = dict.fromkeys(empty)
+) -> SensorAccount:
+    row: SensorAccount = {
+        "forecast_c": None,
+        "q025": None,
+        "q975": None,
+        "measured_c": None,
+        "error_c": None,
+        "inside_95": None,
+        "max_error_c": None,
+        "coverage_95": None,
+    }
     if measured is None or not measured.time_us.size:
         return row
     row["measured_c"] = round(float(measured.temperature_c[-1]), 2)
@@ -129,7 +204,8 @@ def _sensor_json(
     low, median, high = forecast.at(sensor, measured.time_us)
     error = median - measured.temperature_c
     inside = (low <= measured.temperature_c) & (measured.temperature_c <= high)
-    return row | {
+    return {
+        **row,
         "forecast_c": round(float(median[-1]), 2),
         "q025": round(float(low[-1]), 2),
         "q975": round(float(high[-1]), 2),

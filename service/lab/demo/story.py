@@ -2,25 +2,37 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from typing import TypeVar, cast
 
 import httpx2
 import numpy as np
+from pydantic import TypeAdapter
 
 from adapters.virtual_bench import Scenario
 from service.alarms import SET_ASIDE_STATES
 from service.clock import from_rfc3339, rfc3339
+from service.documents.alarms import AlarmJournalLine, AlarmJournalList, AlarmList
+from service.documents.assets import AssetDocument
+from service.documents.forecasts import LiveForecast
+from service.documents.identification import JobList
+from service.documents.limits import Limits
+from service.documents.measurements import BucketItem, Measurements, SampleItem
+from service.documents.models import ModelList
+from service.documents.tags import Snapshot, Tag
 from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, LOAD, RING_SENSORS, SPEED
 from service.lab.demo.configuration import ASSET
 from service.lab.demo.processes import DemoError
 from service.lab.demo.score import (
     SENSORS,
+    Account,
     KeptForecast,
     Measured,
     Stage,
+    VersionAccount,
+    WarningAccount,
     made_before,
-    stage_json,
+    stage_account,
 )
 
 LOOK_EVERY_WALL_S = 0.4
@@ -30,6 +42,9 @@ HOLD_WALL_S = 600.0
 MODBUS_CHANNELS = (*RING_SENSORS, AMBIENT, *CONTROLLER_CHANNELS)
 CAN_CHANNELS = (SPEED, LOAD)
 MINUTE_US = 60_000_000
+_ASSET_PATH = f"/api/v1/assets/{ASSET}"
+
+Answer = TypeVar("Answer")
 
 
 class Story:
@@ -77,8 +92,8 @@ class Story:
         """
         deadline = time.monotonic() + READY_WALL_S
         while time.monotonic() < deadline:
-            asset = await self._get(f"/api/v1/assets/{ASSET}")
-            if asset["health"]["twin_running"]:
+            asset = await self._get(_ASSET_PATH, AssetDocument)
+            if asset.health.twin_running:
                 return
             await asyncio.sleep(0.1)
         raise DemoError(f"the twin did not start within {READY_WALL_S:g} s")
@@ -94,7 +109,7 @@ class Story:
             await asyncio.sleep(LOOK_EVERY_WALL_S)
 
     async def _look(self) -> int | None:
-        tags = (await self._get(f"/api/v1/assets/{ASSET}/snapshot"))["tags"]
+        tags = (await self._get(f"{_ASSET_PATH}/snapshot", Snapshot))["tags"]
         await self._keep_forecast()
         await self._tell_models_and_jobs()
         await self._tell_alarms()
@@ -106,7 +121,7 @@ class Story:
             await self._enter(phase, tags)
         return phase
 
-    async def _hold_bench(self, tags: Mapping[str, Any]) -> None:
+    async def _hold_bench(self, tags: Mapping[str, Tag]) -> None:
         """Let no high-risk stage begin before the twin has learned from the stages before it."""
         if self._hold is None:
             return
@@ -124,14 +139,14 @@ class Story:
 
     async def _identification_is_due(self) -> bool:
         """Whether a job runs, none has ended yet, or the forecast is of an older version."""
-        jobs = (await self._get(f"/api/v1/assets/{ASSET}/identifications"))["items"]
-        if not jobs or any(job["status"] in ("queued", "running") for job in jobs):
+        jobs = (await self._get(f"{_ASSET_PATH}/identifications", JobList)).items
+        if not jobs or any(job.status in ("queued", "running") for job in jobs):
             return True
-        models = (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]
-        active = [model["version"] for model in models if model["status"] == "active"]
+        models = (await self._get(f"{_ASSET_PATH}/models", ModelList)).items
+        active = [model.version for model in models if model.status == "active"]
         return not self._forecasts or self._forecasts[-1].model_version not in active
 
-    def _waits(self, tags: Mapping[str, Any]) -> bool:
+    def _waits(self, tags: Mapping[str, Tag]) -> bool:
         """Whether a high-risk stage is next and its time has come."""
         phase = self._phase()
         following = self._scenario.steps[phase : phase + 1]
@@ -143,7 +158,7 @@ class Story:
     def _phase(self) -> int:
         return len(self._stages)
 
-    async def _enter(self, phase: int, tags: Mapping[str, Any]) -> None:
+    async def _enter(self, phase: int, tags: Mapping[str, Tag]) -> None:
         """Note the stages between the last look and this one with the times they began."""
         for number in range(self._phase() + 1, phase + 1):
             start_us = await self._phase_start_us(number, tags["phase"]["time"])
@@ -171,71 +186,63 @@ class Story:
     async def _phase_start_us(self, phase: int, seen_at: str) -> int:
         """Time of the first sample that carries the phase."""
         begin_us = self._stages[-1].start_us if self._stages else 0
+        end_us = from_rfc3339(seen_at) + 1000
         cursor: str | None = None
         while True:
-            page = await self._get(
-                f"/api/v1/assets/{ASSET}/measurements",
-                channel="phase",
-                start=rfc3339(begin_us),
-                end=rfc3339(from_rfc3339(seen_at) + 1000),
-                resolution="raw",
-                **({"cursor": cursor} if cursor else {}),
-            )
-            for item in page["items"]:
+            page = await self._measurements("phase", "raw", begin_us, end_us, cursor)
+            for item in cast(list[SampleItem], page.items):
                 if item["value"] is not None and item["value"] >= phase:
                     return from_rfc3339(item["time"])
-            cursor = page["next"]
+            cursor = page.next
             if cursor is None:
                 return from_rfc3339(seen_at)
 
     async def _keep_forecast(self) -> None:
-        answer = await self._client.get(f"/api/v1/assets/{ASSET}/forecast")
+        answer = await self._client.get(f"{_ASSET_PATH}/forecast")
         if answer.status_code != httpx2.codes.OK:
             return
-        forecast = KeptForecast.from_json(answer.json())
+        forecast = KeptForecast.of(LiveForecast.model_validate_json(answer.content))
         if not self._forecasts or forecast.made_at_us > self._forecasts[-1].made_at_us:
             self._forecasts.append(forecast)
 
     async def _tell_models_and_jobs(self) -> None:
-        for job in (await self._get(f"/api/v1/assets/{ASSET}/identifications"))["items"]:
-            if job["id"] not in self._told_jobs:
-                self._told_jobs.add(job["id"])
+        for job in (await self._get(f"{_ASSET_PATH}/identifications", JobList)).items:
+            if job.id not in self._told_jobs:
+                self._told_jobs.add(job.id)
                 self._tell("Re-identification started by itself from low-risk windows.")
-        for model in (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]:
-            if model["version"] in self._told_models or model["status"] == "candidate":
+        for model in (await self._get(f"{_ASSET_PATH}/models", ModelList)).items:
+            if model.version in self._told_models or model.status == "candidate":
                 continue
-            self._told_models.add(model["version"])
-            if model["windows"]:
-                self._tell(
-                    f"Model version {model['version']}: {model['status']}, {model['reason']}"
-                )
+            self._told_models.add(model.version)
+            if model.windows:
+                self._tell(f"Model version {model.version}: {model.status}, {model.reason}")
 
     async def _tell_alarms(self) -> None:
-        for alarm in (await self._get("/api/v1/alarms"))["items"]:
-            if alarm["id"] in self._told_alarms or alarm["state"] in SET_ASIDE_STATES:
+        for alarm in (await self._get("/api/v1/alarms", AlarmList)).items:
+            if alarm.id in self._told_alarms or alarm.state in SET_ASIDE_STATES:
                 continue
-            self._told_alarms.add(alarm["id"])
+            self._told_alarms.add(alarm.id)
             foresight = ""
-            if alarm["predicted"]:
-                lead_min = (alarm["lead_time_s"] or 0) / 60
-                foresight = f", predicted in {lead_min:.0f} min, P {alarm['probability']:.0%}"
-            self._tell(f"Alarm: {alarm['message']} ({alarm['kind']}{foresight})")
+            if alarm.predicted:
+                lead_min = (alarm.lead_time_s or 0) / 60
+                foresight = f", predicted in {lead_min:.0f} min, P {alarm.probability:.0%}"
+            self._tell(f"Alarm: {alarm.message} ({alarm.kind}{foresight})")
 
     # ------------------------------------------------------------------ the account at the end
-    async def account(self) -> dict[str, Any]:
+    async def account(self) -> Account:
         """The demo's JSON document."""
         stages = [stage for stage in self._stages if stage.risk == "high"]
-        journal = await self._alarm_journal()
-        limits = (await self._get(f"/api/v1/assets/{ASSET}"))["limits"]
+        journal = await self._get("/api/v1/alarms/journal", AlarmJournalList, limit="1000")
+        limits = (await self._get(_ASSET_PATH, AssetDocument)).limits
         before = [made_before(self._forecasts, stage) for stage in stages]
         return {
             "model_versions": await self._model_versions(),
             "stages": [
-                stage_json(
+                stage_account(
                     stage,
                     forecast,
                     await self._measured(stage),
-                    _warning(stage, forecast, journal, limits),
+                    _warning(stage, forecast, journal.items, limits),
                 )
                 for stage, forecast in zip(stages, before, strict=True)
             ],
@@ -246,20 +253,25 @@ class Story:
             "complete": self.complete,
         }
 
-    async def _model_versions(self) -> list[dict[str, Any]]:
-        models = (await self._get(f"/api/v1/assets/{ASSET}/models"))["items"]
+    async def _model_versions(self) -> list[VersionAccount]:
+        models = (await self._get(f"{_ASSET_PATH}/models", ModelList)).items
         return [
             {
-                "version": model["version"],
-                "identified_at": model["created_at"],
-                "activated": model["status"] in ("active", "retired"),
+                "version": model.version,
+                "identified_at": model.created_at,
+                "activated": model.status in ("active", "retired"),
                 "windows": [
-                    {name: window[name] for name in ("start", "end", "speed_rpm_max", "load_n_max")}
-                    for window in model["windows"]
+                    {
+                        "start": window.start,
+                        "end": window.end,
+                        "speed_rpm_max": window.speed_rpm_max,
+                        "load_n_max": window.load_n_max,
+                    }
+                    for window in model.windows
                 ],
             }
-            for model in sorted(models, key=lambda model: int(model["version"]))
-            if model["windows"]
+            for model in sorted(models, key=lambda model: model.version)
+            if model.windows
         ]
 
     async def _measured(self, stage: Stage) -> dict[str, Measured]:
@@ -292,40 +304,42 @@ class Story:
 
     async def _rollups(
         self, channel: str, resolution: str, start_us: int, end_us: int
-    ) -> list[dict[str, Any]]:
-        items: list[dict[str, Any]] = []
+    ) -> list[BucketItem]:
+        items: list[BucketItem] = []
         cursor: str | None = None
         while True:
-            page = await self._get(
-                f"/api/v1/assets/{ASSET}/measurements",
-                channel=channel,
-                start=rfc3339(start_us),
-                end=rfc3339(end_us),
-                resolution=resolution,
-                **({"cursor": cursor} if cursor else {}),
-            )
-            items += page["items"]
-            cursor = page["next"]
+            page = await self._measurements(channel, resolution, start_us, end_us, cursor)
+            items += cast(list[BucketItem], page.items)
+            cursor = page.next
             if cursor is None:
                 return items
 
-    async def _alarm_journal(self) -> list[dict[str, Any]]:
-        page = await self._get("/api/v1/alarms/journal", limit="1000")
-        return list(page["items"])
+    async def _measurements(
+        self, channel: str, resolution: str, start_us: int, end_us: int, cursor: str | None
+    ) -> Measurements:
+        return await self._get(
+            f"{_ASSET_PATH}/measurements",
+            Measurements,
+            channel=channel,
+            start=rfc3339(start_us),
+            end=rfc3339(end_us),
+            resolution=resolution,
+            **({"cursor": cursor} if cursor else {}),
+        )
 
-    async def _get(self, path: str, **parameters: str) -> Any:
+    async def _get(self, path: str, kind: type[Answer], **parameters: str) -> Answer:
         answer = await self._client.get(path, params=parameters)
         if answer.status_code != httpx2.codes.OK:
             raise DemoError(f"{path}: HTTP {answer.status_code} {answer.text[:200]}")
-        return answer.json()
+        return TypeAdapter(kind).validate_json(answer.content)
 
 
 def _warning(
     stage: Stage,
     forecast: KeptForecast | None,
-    journal: Sequence[Mapping[str, Any]],
-    limits: Mapping[str, Mapping[str, float]],
-) -> dict[str, str | None]:
+    journal: Iterable[AlarmJournalLine],
+    limits: Mapping[str, Limits],
+) -> WarningAccount:
     """When the limits of a stage were first announced, and when first reached by measurement.
 
     A prediction belongs to a stage if it stood at the stage's start or was raised during it, and
@@ -335,19 +349,20 @@ def _warning(
     standing: dict[str, str] = {}
     measured_at: str | None = None
     end_us = stage.end_us or stage.start_us
-    for entry in sorted(journal, key=lambda entry: str(entry["time"])):
-        time_us = from_rfc3339(entry["time"])
-        raised = entry["to"] == "UNACK"
+    for entry in sorted(journal, key=lambda entry: entry.time):
+        time_us = from_rfc3339(entry.time)
+        raised = entry.to_state == "UNACK"
         if time_us >= end_us:
             break
-        if entry["kind"] == "forecast limit":
-            limit_c = limits[entry["channel"]][entry["limit_level"]]
-            if raised and forecast and forecast.may_pass(entry["channel"], limit_c, stage):
-                standing.setdefault(entry["alarm_id"], entry["time"])
-            elif entry["to"] in ("RTNUN", "NORM") and time_us < stage.start_us:
-                standing.pop(entry["alarm_id"], None)
-        if entry["kind"] == "measured limit" and raised and time_us >= stage.start_us:
-            measured_at = measured_at or entry["time"]
+        alarm_id, channel = entry.alarm_id or "", entry.channel or ""
+        if entry.kind == "forecast limit":
+            limit_c = dict(limits[channel])[entry.limit_level or ""]
+            if raised and forecast and forecast.may_pass(channel, limit_c, stage):
+                standing.setdefault(alarm_id, entry.time)
+            elif entry.to_state in ("RTNUN", "NORM") and time_us < stage.start_us:
+                standing.pop(alarm_id, None)
+        if entry.kind == "measured limit" and raised and time_us >= stage.start_us:
+            measured_at = measured_at or entry.time
     return {
         "forecast_limit_at": min(standing.values(), default=None),
         "measured_limit_at": measured_at,

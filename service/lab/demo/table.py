@@ -1,13 +1,14 @@
 """The demo's account as a table for people."""
 
 from datetime import datetime
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from service.lab.demo.score import Account
 
-def print_account(document: dict[str, Any], console: Console) -> None:
+
+def print_account(document: Account, console: Console) -> None:
     """Print forecast and measurement of every high-risk stage, the warnings and the samples."""
     table = Table(title="Forecast before each high-risk stage and what was measured at its end, °C")
     for heading in ("stage", "ring", "forecast (95 % band)", "measured", "error", "in band"):

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from service.clock import rfc3339
+from service.documents.forecasts import LiveForecast, Quantiles
 from service.lab.demo.score import (
     SENSORS,
     KeptForecast,
     Measured,
     Stage,
     made_before,
-    stage_json,
+    stage_account,
 )
 
 START_US = 1_763_700_000_000_000
@@ -30,16 +31,23 @@ def forecast(
     median = level_c + time_s / 600.0
     quantiles = {"q025": median - 2.0, "q25": median, "q50": median, "q75": median,
                  "q975": median + 2.0}  # fmt: skip
-    return KeptForecast.from_json(
-        {
-            "made_at": rfc3339(made_us),
-            "model_version": version,
-            "time_s": time_s.tolist(),
-            "nodes": {
-                sensor: {name: values.tolist() for name, values in quantiles.items()}
+    return KeptForecast.of(
+        LiveForecast(
+            made_at=rfc3339(made_us),
+            planned=True,
+            model_version=version,
+            time_s=time_s.tolist(),
+            nodes={
+                sensor: Quantiles(**{name: values.tolist() for name, values in quantiles.items()})
                 for sensor in SENSORS
             },
-        }
+            limits={},
+            time_to_limit={},
+            labels=[],
+            runaway_probability=0.0,
+            profile=[],
+            missing=[],
+        )
     )
 
 
@@ -74,7 +82,7 @@ def test_a_stage_under_way_needs_only_its_start() -> None:
 
 def test_point_values_are_those_at_the_end() -> None:
     made = forecast(-10)  # 51.05 °C is forecast for the stage's first half minute
-    shown = stage_json(STAGE, made, measured(51.0, 51.0, 52.0), NO_WARNING)
+    shown = stage_account(STAGE, made, measured(51.0, 51.0, 52.0), NO_WARNING)
     assert (shown["name"], shown["risk"]) == ("6200 rpm", "high")
     assert (shown["speed_rpm"], shown["load_n"]) == (6200.0, 2650.0)
     assert shown["start"] < shown["end"]
@@ -94,20 +102,19 @@ def test_point_values_are_those_at_the_end() -> None:
 
 
 def test_coverage_counts_every_minute_and_the_largest_error_any() -> None:
-    row = stage_json(STAGE, forecast(-10), measured(60.0, 51.0, 51.0, 51.0), NO_WARNING)["sensors"][
-        "t_outer_ring_c"
-    ]
+    row = stage_account(STAGE, forecast(-10), measured(60.0, 51.0, 51.0, 51.0), NO_WARNING)[
+        "sensors"
+    ]["t_outer_ring_c"]
     assert row["coverage_95"] == 0.75
     assert row["max_error_c"] == pytest.approx(60.0 - 51.05, abs=0.006)
     assert row["inside_95"] is True, "that is said of the end alone"
-    row = stage_json(STAGE, forecast(-10), measured(51.0, 60.0), NO_WARNING)["sensors"][
-        "t_outer_ring_c"
-    ]
+    stage = stage_account(STAGE, forecast(-10), measured(51.0, 60.0), NO_WARNING)
+    row = stage["sensors"]["t_outer_ring_c"]
     assert (row["coverage_95"], row["inside_95"]) == (0.5, False)
 
 
 def test_without_a_forecast_its_figures_are_null() -> None:
-    shown = stage_json(STAGE, None, measured(51.0, 52.0), NO_WARNING)
+    shown = stage_account(STAGE, None, measured(51.0, 52.0), NO_WARNING)
     assert shown["forecast_made_at"] is None
     assert shown["forecast_model_version"] is None
     row: dict[str, Any] = shown["sensors"]["t_inner_ring_c"]
@@ -120,11 +127,11 @@ def test_without_a_forecast_its_figures_are_null() -> None:
 
 @pytest.mark.parametrize("nothing", [{}, measured()])
 def test_without_measurements_all_figures_are_null(nothing: dict[str, Measured]) -> None:
-    shown = stage_json(STAGE, forecast(-10), nothing, NO_WARNING)
+    shown = stage_account(STAGE, forecast(-10), nothing, NO_WARNING)
     assert shown["forecast_made_at"] is not None
     assert set(shown["sensors"]["t_inner_ring_c"].values()) == {None}
 
 
 def test_a_stage_under_way_has_no_end() -> None:
     running = Stage("6200 rpm", "high", 6200.0, 2650.0, START_US, None)
-    assert stage_json(running, None, {}, NO_WARNING)["end"] is None
+    assert stage_account(running, None, {}, NO_WARNING)["end"] is None

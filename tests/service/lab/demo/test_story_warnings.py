@@ -3,11 +3,13 @@
 import numpy as np
 
 from service.clock import rfc3339
+from service.documents.alarms import AlarmJournalLine
+from service.documents.limits import Limits
 from service.lab.demo.score import KeptForecast, Stage
 from service.lab.demo.story import _warning
 
 MINUTE_US = 60_000_000
-LIMITS = {"t_inner_ring_c": {"warning": 70.0, "alarm": 95.0}}
+LIMITS = {"t_inner_ring_c": Limits(warning=70.0, alarm=95.0)}
 CALM = Stage("calm", "high", 6200.0, 2650.0, 100 * MINUTE_US, 160 * MINUTE_US)
 HEAVY = Stage("heavy", "high", 6200.0, 5500.0, 160 * MINUTE_US, 220 * MINUTE_US)
 
@@ -21,15 +23,27 @@ def forecast(made_min: int) -> KeptForecast:
     return KeptForecast(made_min * MINUTE_US, 1, time_us, {"t_inner_ring_c": quantiles})
 
 
-def entry(minute: int, kind: str, to: str) -> dict[str, str]:
-    return {
-        "alarm_id": kind,
-        "kind": kind,
-        "channel": "t_inner_ring_c",
-        "limit_level": "warning",
-        "time": rfc3339(minute * MINUTE_US),
-        "to": to,
-    }
+def entry(minute: int, kind: str, to: str) -> AlarmJournalLine:
+    return AlarmJournalLine(
+        line_class="alarm",
+        alarm_id=kind,
+        asset="bench-1",
+        kind=kind,
+        channel="t_inner_ring_c",
+        limit_level="warning",
+        priority=2,
+        time=rfc3339(minute * MINUTE_US),
+        event=None,
+        from_state=None,
+        to_state=to,
+        who="service",
+        comment=None,
+        shelved_until=None,
+        value=None,
+        peak=None,
+        duration_s=None,
+        message="",
+    )
 
 
 JOURNAL = [entry(40, "forecast limit", "UNACK"), entry(175, "measured limit", "UNACK")]
