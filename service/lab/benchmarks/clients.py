@@ -11,13 +11,69 @@ import math
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
-from typing import Any
 
 _MASK = bytes(4)
 _OPEN_AT_ONCE = 50
 _PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calls:
+    """What HTTP clients shall do: each sends a request, waits for its answer, sends the next."""
+
+    port: int
+    path: str
+    seconds: float
+    connections: int
+    method: str = "GET"
+    headers: Mapping[str, str] = field(default_factory=dict)
+    body: str = ""
+    interval_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answered:
+    """How fast HTTP clients were answered, by status, and how many connections were lost."""
+
+    requests: int
+    per_s: float
+    p50_s: float
+    p95_s: float
+    p99_s: float
+    max_s: float
+    statuses: Mapping[str, int]
+    lost: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listening:
+    """What clients of the stream shall do; those that are stalled never read."""
+
+    port: int
+    path: str
+    key: str
+    clients: int
+    stalled: int
+    settle_s: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heard:
+    """How late messages came to the clients that read, and how many of these were cut off."""
+
+    messages: int
+    types: Mapping[str, int]
+    p50_s: float
+    p95_s: float
+    p99_s: float
+    max_s: float
+    lost: int
+    fewest_per_client: int
 
 
 def quantile(values: Sequence[float], probability: float) -> float:
@@ -33,7 +89,7 @@ class _Caller(asyncio.Protocol):
 
     def __init__(self, request: bytes, interval_s: float, phase_s: float) -> None:
         self.latencies_s: list[float] = []
-        self.statuses: dict[int, int] = {}
+        self.statuses: Counter[str] = Counter()
         self.ended = asyncio.get_running_loop().create_future()
         self._request = request
         self._interval_s = interval_s
@@ -78,8 +134,7 @@ class _Caller(asyncio.Protocol):
                 return
             del self._received[: end + 4 + length]
         passed_s = time.perf_counter() - self._sent
-        status = int(head[9:12])
-        self.statuses[status] = self.statuses.get(status, 0) + 1
+        self.statuses[head[9:12].decode()] += 1
         self.latencies_s.append(passed_s)
         if self._interval_s:
             wait_s = max(self._interval_s - passed_s, 0.0)
@@ -88,46 +143,42 @@ class _Caller(asyncio.Protocol):
             self._send()
 
 
-async def _call(given: Mapping[str, Any]) -> dict[str, Any]:
-    body = given.get("body", "").encode()
-    lines = [f"{given.get('method', 'GET')} {given['path']} HTTP/1.1", "Host: 127.0.0.1"]
-    lines += [f"{name}: {value}" for name, value in given.get("headers", {}).items()]
+async def _call(asked: Calls) -> Answered:
+    body = asked.body.encode()
+    lines = [f"{asked.method} {asked.path} HTTP/1.1", "Host: 127.0.0.1"]
+    lines += [f"{name}: {value}" for name, value in asked.headers.items()]
     if body:
         lines += ["Content-Type: application/json", f"Content-Length: {len(body)}"]
     request = "\r\n".join([*lines, "", ""]).encode() + body
     loop = asyncio.get_running_loop()
-    interval_s, count = given.get("interval_s", 0.0), given["connections"]
+    interval_s, count = asked.interval_s, asked.connections
     callers = [
         (
             await loop.create_connection(
                 lambda number=number: _Caller(request, interval_s, interval_s * number / count),  # type: ignore[misc]
                 "127.0.0.1",
-                given["port"],
+                asked.port,
             )
         )[1]
         for number in range(count)
     ]
     began = time.perf_counter()
-    await asyncio.wait([caller.ended for caller in callers], timeout=given["seconds"])
+    await asyncio.wait([caller.ended for caller in callers], timeout=asked.seconds)
     passed_s = time.perf_counter() - began
     lost = sum(caller.ended.done() for caller in callers)
     for caller in callers:
         caller.stop()
     latencies_s = [one for caller in callers for one in caller.latencies_s]
-    statuses: dict[str, int] = {}
-    for caller in callers:
-        for status, number in caller.statuses.items():
-            statuses[str(status)] = statuses.get(str(status), 0) + number
-    return {
-        "requests": len(latencies_s),
-        "per_s": len(latencies_s) / passed_s,
-        "p50_s": quantile(latencies_s, 0.5),
-        "p95_s": quantile(latencies_s, 0.95),
-        "p99_s": quantile(latencies_s, 0.99),
-        "max_s": max(latencies_s, default=math.nan),
-        "statuses": statuses,
-        "lost": lost,
-    }
+    return Answered(
+        requests=len(latencies_s),
+        per_s=len(latencies_s) / passed_s,
+        p50_s=quantile(latencies_s, 0.5),
+        p95_s=quantile(latencies_s, 0.95),
+        p99_s=quantile(latencies_s, 0.99),
+        max_s=max(latencies_s, default=math.nan),
+        statuses=dict(sum((caller.statuses for caller in callers), Counter())),
+        lost=lost,
+    )
 
 
 # ---------------------------------------------------------------------------- WebSocket
@@ -137,7 +188,7 @@ class _Listener(asyncio.Protocol):
     def __init__(self, request: bytes, stalled: bool) -> None:
         self.open = asyncio.get_running_loop().create_future()
         self.delays_s: list[float] = []
-        self.types: dict[str, int] = {}
+        self.types: Counter[str] = Counter()
         self.counting = False
         self.gone = False
         self._request = request
@@ -196,37 +247,37 @@ class _Listener(asyncio.Protocol):
     def _count(self, payload: bytes, now_s: float) -> None:
         head = payload[:300].decode(errors="ignore")
         kind = head.split('"type":"', 1)[1].split('"', 1)[0]
-        self.types[kind] = self.types.get(kind, 0) + 1
+        self.types[kind] += 1
         if kind != "hello":
             sent_at = head.split('"sent_at":"', 1)[1].split('"', 1)[0]
             self.delays_s.append(now_s - datetime.fromisoformat(sent_at).timestamp())
 
 
-async def _listen(given: Mapping[str, Any]) -> dict[str, Any]:
+async def _listen(asked: Listening) -> Heard:
     """Open the stream for many clients, listen for a while, tell how late messages came."""
     request = "\r\n".join(
         [
-            f"GET {given['path']} HTTP/1.1",
+            f"GET {asked.path} HTTP/1.1",
             "Host: 127.0.0.1",
             "Upgrade: websocket",
             "Connection: Upgrade",
             "Sec-WebSocket-Version: 13",
             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
-            f"X-API-Key: {given['key']}",
+            f"X-API-Key: {asked.key}",
             "",
             "",
         ]
     ).encode()
     loop = asyncio.get_running_loop()
     listeners: list[_Listener] = []
-    total = given["clients"] + given["stalled"]
+    total = asked.clients + asked.stalled
     while len(listeners) < total:
         batch = [
             (
                 await loop.create_connection(
-                    lambda stalled=number >= given["clients"]: _Listener(request, stalled),  # type: ignore[misc]
+                    lambda stalled=number >= asked.clients: _Listener(request, stalled),  # type: ignore[misc]
                     "127.0.0.1",
-                    given["port"],
+                    asked.port,
                 )
             )[1]
             for number in range(len(listeners), min(len(listeners) + _OPEN_AT_ONCE, total))
@@ -234,55 +285,50 @@ async def _listen(given: Mapping[str, Any]) -> dict[str, Any]:
         async with asyncio.timeout(_PATIENCE_S):
             await asyncio.gather(*(one.open for one in batch))
         listeners += batch
-    awake = listeners[: given["clients"]]
-    await asyncio.sleep(given["settle_s"])
+    awake = listeners[: asked.clients]
+    await asyncio.sleep(asked.settle_s)
     for one in awake:
         one.counting = True
-    await asyncio.sleep(given["seconds"])
+    await asyncio.sleep(asked.seconds)
     delays_s = [delay for one in awake for delay in one.delays_s]
-    types: dict[str, int] = {}
-    for one in awake:
-        for kind, number in one.types.items():
-            types[kind] = types.get(kind, 0) + number
     lost = sum(one.gone for one in awake)
     for one in listeners:
         one.stop()
-    return {
-        "messages": len(delays_s),
-        "types": types,
-        "p50_s": quantile(delays_s, 0.5),
-        "p95_s": quantile(delays_s, 0.95),
-        "p99_s": quantile(delays_s, 0.99),
-        "max_s": max(delays_s, default=math.nan),
-        "lost": lost,
-        "fewest_per_client": min((len(one.delays_s) for one in awake), default=0),
-    }
+    return Heard(
+        messages=len(delays_s),
+        types=dict(sum((one.types for one in awake), Counter())),
+        p50_s=quantile(delays_s, 0.5),
+        p95_s=quantile(delays_s, 0.95),
+        p99_s=quantile(delays_s, 0.99),
+        max_s=max(delays_s, default=math.nan),
+        lost=lost,
+        fewest_per_client=min((len(one.delays_s) for one in awake), default=0),
+    )
 
 
 # ---------------------------------------------------------------------------- the other side
-def run(what: str, **given: Any) -> dict[str, Any]:
-    """Run clients in a process of their own until they have their results.
+def call(asked: Calls) -> Answered:
+    """Run HTTP clients in a process of their own until they have their results."""
+    return Answered(**json.loads(_said("call", asked)))
 
-    Parameters
-    ----------
-    what
-        ``call`` (HTTP) or ``listen`` (WebSocket).
-    **given
-        Their arguments.
-    """
-    result: dict[str, Any] = {}
-    with started(what, **given) as process:
+
+def listen(asked: Listening) -> Heard:
+    """Run clients of the stream in a process of their own until they have their results."""
+    return Heard(**json.loads(_said("listen", asked)))
+
+
+def _said(what: str, asked: Calls | Listening) -> str:
+    with started(what, json.dumps(asdict(asked))) as process:
         out, _ = process.communicate()
         if process.returncode:
             raise RuntimeError(f"the benchmark's clients ended with status {process.returncode}")
-        result = json.loads(out)
-    return result
+    return out
 
 
 @contextlib.contextmanager
-def started(what: str, **given: Any) -> Iterator["subprocess.Popen[str]"]:
+def started(what: str, asked: str = "") -> Iterator["subprocess.Popen[str]"]:
     """Start such a process; it is cleared away at the end of the context."""
-    command = [sys.executable, "-m", "service.lab.benchmarks.clients", what, json.dumps(given)]
+    command = [sys.executable, "-m", "service.lab.benchmarks.clients", what, asked]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process
@@ -314,5 +360,10 @@ if __name__ == "__main__":
     if sys.argv[1] == "empty":
         _serve_empty()
     else:
-        work = _call if sys.argv[1] == "call" else _listen
-        sys.stdout.write(json.dumps(asyncio.run(work(json.loads(sys.argv[2])))))
+        asked = json.loads(sys.argv[2])
+        found = (
+            asyncio.run(_call(Calls(**asked)))
+            if sys.argv[1] == "call"
+            else asyncio.run(_listen(Listening(**asked)))
+        )
+        sys.stdout.write(json.dumps(asdict(found)))

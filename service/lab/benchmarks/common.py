@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done and a few words."""
@@ -33,14 +32,14 @@ class Measurement:
     unit: str
     reference: float | None = None
     compared_with: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def ratio(self) -> float | None:
         """Value over reference."""
         return None if not self.reference else self.value / self.reference
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON types."""
         return {
             "value": self.value,

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO
 
 REGISTERS = 8
 _HEADER = struct.Struct(">HHHB")
@@ -28,9 +28,9 @@ class Peer:
         self._process, self._stdin, self._stdout = process, stdin, stdout
         self.port = int(self.says()["port"])
 
-    def says(self) -> dict[str, Any]:
+    def says(self) -> dict[str, float]:
         """Wait for the next thing that it says."""
-        document: dict[str, Any] = json.loads(self._stdout.readline())
+        document: dict[str, float] = json.loads(self._stdout.readline())
         return document
 
     def tell(self, line: str) -> None:

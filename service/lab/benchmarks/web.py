@@ -2,9 +2,9 @@
 
 import asyncio
 import json
-import statistics
-from collections.abc import Awaitable, Callable
-from typing import Any
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
+from statistics import median
 
 from service.lab.benchmarks import clients
 from service.lab.benchmarks.common import BenchmarkError, Measurement, Progress
@@ -49,91 +49,93 @@ async def snapshot_at(
         assert process.stdout is not None  # noqa: S101
         port = int(await asyncio.to_thread(process.stdout.readline))
 
-        async def ours() -> dict[str, Any]:
-            return await _call(
-                seconds, port=here.port, path=here.snapshot_path, headers=here.headers
-            )
-
-        async def empty() -> dict[str, Any]:
-            return await _call(seconds, port=port, path="/")
-
-        await ours(), await empty()  # the first calls are not counted
+        ours = clients.Calls(
+            port=here.port,
+            path=here.snapshot_path,
+            headers=here.headers,
+            connections=CONNECTIONS,
+            seconds=seconds,
+        )
+        empty = clients.Calls(port=port, path="/", connections=CONNECTIONS, seconds=seconds)
+        await _in_turn(1, ours, empty)  # the first calls are not counted
         tell(0.2, "no job, snapshot and empty route in turn")
         idle, idle_empty = await _in_turn(rounds, ours, empty)
         async with here.identifying():
             tell(0.6, "a job runs, snapshot and empty route in turn")
             busy, busy_empty = await _in_turn(rounds, ours, empty)
-    p99_s, idle_p99_s = _median(busy, "p99_s"), _median(idle, "p99_s")
+    p99_s, idle_p99_s = _p99_s(busy), _p99_s(idle)
     return Measurement(
-        _median(busy, "per_s"),
+        _per_s(busy),
         "1/s",
-        _median(busy_empty, "per_s"),
+        _per_s(busy_empty),
         "an empty FastAPI route in a process of its own, in turn with it",
         {
             "p99_s": p99_s,
             "idle_p99_s": idle_p99_s,
             "p99_ratio": p99_s / idle_p99_s,
-            "idle": _median(idle, "per_s"),
-            "idle_reference": _median(idle_empty, "per_s"),
-            "reference_p99_s": _median(busy_empty, "p99_s"),
+            "idle": _per_s(idle),
+            "idle_reference": _per_s(idle_empty),
+            "reference_p99_s": _p99_s(busy_empty),
             "connections": CONNECTIONS,
         },
     )
 
 
-async def _in_turn(rounds: int, ours: Any, empty: Any) -> tuple[list[Any], list[Any]]:
-    pairs = [(await ours(), await empty()) for _ in range(rounds)]
+async def _in_turn(
+    rounds: int, ours: clients.Calls, empty: clients.Calls
+) -> tuple[list[clients.Answered], list[clients.Answered]]:
+    pairs = [(await _call(ours), await _call(empty)) for _ in range(rounds)]
     return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
 
 
-async def _call(seconds: float, **given: Any) -> dict[str, Any]:
-    given.setdefault("connections", CONNECTIONS)
-    found = await asyncio.to_thread(clients.run, "call", seconds=seconds, **given)
-    if set(found["statuses"]) != {"200"} or found["lost"]:
-        raise BenchmarkError(f"answers {found['statuses']}, {found['lost']} connections lost")
+async def _call(asked: clients.Calls) -> clients.Answered:
+    found = await asyncio.to_thread(clients.call, asked)
+    if set(found.statuses) != {"200"} or found.lost:
+        raise BenchmarkError(f"answers {found.statuses}, {found.lost} connections lost")
     return found
 
 
-def _median(found: list[dict[str, Any]], name: str) -> float:
-    return statistics.median(float(one[name]) for one in found)
+def _per_s(found: Sequence[clients.Answered]) -> float:
+    return median(one.per_s for one in found)
+
+
+def _p99_s(found: Sequence[clients.Answered]) -> float:
+    return median(one.p99_s for one in found)
 
 
 async def what_if_at(here: Site, tell: Progress, duration_s: float) -> Measurement:
     """Measure what-if forecasts one after the other, without and with a job."""
-    question: dict[str, Any] = {
-        "port": here.port,
-        "path": here.forecasts_path,
-        "headers": here.headers,
-        "method": "POST",
-        "body": json.dumps(WHAT_IF),
-        "connections": 1,
-    }
-
-    async def ask(seconds: float) -> dict[str, Any]:
-        return await _call(seconds, **question)
-
+    question = clients.Calls(
+        port=here.port,
+        path=here.forecasts_path,
+        headers=here.headers,
+        method="POST",
+        body=json.dumps(WHAT_IF),
+        connections=1,
+        seconds=FIRST_ANSWER_S,
+    )
     # The process that computes them may still be starting.
     for _ in range(FIRST_ANSWER_TRIES):
-        found = await asyncio.to_thread(clients.run, "call", seconds=FIRST_ANSWER_S, **question)
-        if found["statuses"]:
+        found = await asyncio.to_thread(clients.call, question)
+        if found.statuses:
             break
     tell(0.3, "no job")
-    idle = await ask(duration_s / 3)
+    idle = await _call(replace(question, seconds=duration_s / 3))
     async with here.identifying():
         tell(0.5, "a job runs")
-        busy = await ask(2 * duration_s / 3)
+        busy = await _call(replace(question, seconds=2 * duration_s / 3))
     return Measurement(
-        busy["p95_s"],
+        busy.p95_s,
         "s",
-        idle["p95_s"],
+        idle.p95_s,
         "the same without a job",
         {
-            "p50_s": busy["p50_s"],
-            "p99_s": busy["p99_s"],
-            "max_s": busy["max_s"],
-            "idle_p50_s": idle["p50_s"],
-            "idle_p99_s": idle["p99_s"],
-            "requests": busy["requests"],
+            "p50_s": busy.p50_s,
+            "p99_s": busy.p99_s,
+            "max_s": busy.max_s,
+            "idle_p50_s": idle.p50_s,
+            "idle_p99_s": idle.p99_s,
+            "requests": busy.requests,
         },
     )
 
@@ -152,31 +154,29 @@ async def websocket_at(
         peak_mib = max(peak_mib, here.memory_mib())
     found = listening.result()
     cpu_s = here.cpu_s() - cpu_s
-    if found["lost"]:
-        raise BenchmarkError(f"{found['lost']} clients that read were cut off")
+    if found.lost:
+        raise BenchmarkError(f"{found.lost} clients that read were cut off")
     return Measurement(
-        found["p99_s"],
+        found.p99_s,
         "s",
-        few["p99_s"],
+        few.p99_s,
         "one client alone",
         {
-            "p50_s": found["p50_s"],
-            "p99_s": found["p99_s"],
-            "max_s": found["max_s"],
+            "p50_s": found.p50_s,
+            "p99_s": found.p99_s,
+            "max_s": found.max_s,
             "clients": listeners,
             "stalled": stalled,
-            "messages_per_client_per_s": found["messages"] / listeners / duration_s,
-            "fewest_per_client": found["fewest_per_client"],
+            "messages_per_client_per_s": found.messages / listeners / duration_s,
+            "fewest_per_client": found.fewest_per_client,
             "memory_growth_mib": peak_mib - before_mib,
             "cpu_share": cpu_s / duration_s,
         },
     )
 
 
-async def _listen(here: Site, seconds: float, count: int, stalled: int) -> dict[str, Any]:
-    return await asyncio.to_thread(
-        clients.run,
-        "listen",
+async def _listen(here: Site, seconds: float, count: int, stalled: int) -> clients.Heard:
+    asked = clients.Listening(
         port=here.port,
         key=here.key,
         path="/api/v1/stream",
@@ -185,3 +185,4 @@ async def _listen(here: Site, seconds: float, count: int, stalled: int) -> dict[
         settle_s=min(2.0, seconds),
         seconds=seconds,
     )
+    return await asyncio.to_thread(clients.listen, asked)
