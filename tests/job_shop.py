@@ -87,7 +87,6 @@ class Shop:
         """Start a manager, as a start of the service would."""
         jobs = IdentificationJobs(
             self.store,
-            self.outbox,
             self.clock,
             self.bus,
             self.assets,

@@ -20,7 +20,7 @@ from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, A
 from service.alarms.timers import Timer
 from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
-from service.store import Alarm, AlarmChange, AlarmTransition, Outbox
+from service.store import Alarm, AlarmChange, AlarmTransition, AuditEntry, Outbox
 
 #: Who the journal names for what happens without a person.
 SERVICE = "service"
@@ -141,8 +141,13 @@ class AlarmBook:
         self._outbox.record(AlarmChange(None, (event,)))
 
     # ------------------------------------------------------------------ what people say
-    def acknowledge(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+    def acknowledge(
+        self, alarm_id: str, who: str, comment: str = "", audit: AuditEntry | None = None
+    ) -> Alarm:
         """Acknowledge an alarm and return it as it is then; one that has returned is over.
+
+        The line of the audit trail, where there is one, is written in one transaction with the
+        alarm's change. So it is by the methods below.
 
         Raises
         ------
@@ -151,13 +156,22 @@ class AlarmBook:
         NotAllowedError
             If the alarm's state does not allow it. So do the methods below.
         """
-        return self._act(alarm_id, AlarmEvent.ACKNOWLEDGE, who, comment)
+        return self._act(alarm_id, AlarmEvent.ACKNOWLEDGE, who, comment, audit=audit)
 
-    def reset(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+    def reset(
+        self, alarm_id: str, who: str, comment: str = "", audit: AuditEntry | None = None
+    ) -> Alarm:
         """Reset a latched alarm that has returned to normal and is acknowledged."""
-        return self._act(alarm_id, AlarmEvent.RESET, who, comment)
+        return self._act(alarm_id, AlarmEvent.RESET, who, comment, audit=audit)
 
-    def shelve(self, alarm_id: str, duration_s: float, who: str, comment: str = "") -> Alarm:
+    def shelve(
+        self,
+        alarm_id: str,
+        duration_s: float,
+        who: str,
+        comment: str = "",
+        audit: AuditEntry | None = None,
+    ) -> Alarm:
         """Set an alarm aside for a while; it comes back by itself.
 
         Parameters
@@ -168,27 +182,37 @@ class AlarmBook:
             Process seconds, at most `LONGEST_SHELVING_S`.
         who, comment : str
             For the journal.
+        audit : AuditEntry, optional
+            See `acknowledge`.
         """
         if not 0 < duration_s <= LONGEST_SHELVING_S:
             raise ValueError(
                 f"duration_s {duration_s:g}: expected more than 0 and at most "
                 f"{LONGEST_SHELVING_S:g} s"
             )
-        return self._act(alarm_id, AlarmEvent.SHELVE, who, comment, duration_s)
+        return self._act(alarm_id, AlarmEvent.SHELVE, who, comment, duration_s, audit)
 
-    def unshelve(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+    def unshelve(
+        self, alarm_id: str, who: str, comment: str = "", audit: AuditEntry | None = None
+    ) -> Alarm:
         """End the shelving of an alarm early."""
-        return self._act(alarm_id, AlarmEvent.UNSHELVE, who, comment)
+        return self._act(alarm_id, AlarmEvent.UNSHELVE, who, comment, audit=audit)
 
-    def take_out_of_service(self, alarm_id: str, who: str, comment: str) -> Alarm:
+    def take_out_of_service(
+        self, alarm_id: str, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> Alarm:
         """Silence an alarm until it is returned to service."""
-        return self._act(alarm_id, AlarmEvent.TAKE_OUT, who, comment)
+        return self._act(alarm_id, AlarmEvent.TAKE_OUT, who, comment, audit=audit)
 
-    def return_to_service(self, alarm_id: str, who: str, comment: str = "") -> Alarm:
+    def return_to_service(
+        self, alarm_id: str, who: str, comment: str = "", audit: AuditEntry | None = None
+    ) -> Alarm:
         """Let an alarm that was out of service work again."""
-        return self._act(alarm_id, AlarmEvent.PUT_BACK, who, comment)
+        return self._act(alarm_id, AlarmEvent.PUT_BACK, who, comment, audit=audit)
 
-    def comment(self, alarm_id: str, who: str, comment: str) -> Alarm:
+    def comment(
+        self, alarm_id: str, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> Alarm:
         """Write a comment on an alarm that is not over."""
         now_us = self._clock.now_us()
         with self._lock:
@@ -197,7 +221,7 @@ class AlarmBook:
                 raise NotAllowedError(f"alarm {alarm_id} is NORM: it has nothing to comment on")
             self._keep(alarm)
             line = journal_line(alarm, alarm.state, "comment", now_us, who, comment)
-            self._outbox.record(AlarmChange(alarm, (line,)))
+            self._outbox.record(AlarmChange(alarm, (line,), audit))
             self._on_change(alarm)
         return alarm
 
@@ -239,7 +263,13 @@ class AlarmBook:
         return sorted(wanted, key=urgency)
 
     def _act(
-        self, alarm_id: str, event: AlarmEvent, who: str, comment: str, duration_s: float = 0.0
+        self,
+        alarm_id: str,
+        event: AlarmEvent,
+        who: str,
+        comment: str,
+        duration_s: float = 0.0,
+        audit: AuditEntry | None = None,
     ) -> Alarm:
         now_us = self._clock.now_us()
         with self._lock:
@@ -254,7 +284,7 @@ class AlarmBook:
             elif event == AlarmEvent.SHELVE:
                 until_us = now_us + round(duration_s * MICROSECONDS)
                 alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
-            alarm = self._move(alarm, event, now_us, who, comment)
+            alarm = self._move(alarm, event, now_us, who, comment, audit)
             condition = self._conditions.get(key_of(alarm))
             if condition is None:
                 return alarm
@@ -340,15 +370,28 @@ class AlarmBook:
         return self._replace(renewed)
 
     def _move(
-        self, alarm: Alarm, event: AlarmEvent, now_us: int, who: str, comment: str = ""
+        self,
+        alarm: Alarm,
+        event: AlarmEvent,
+        now_us: int,
+        who: str,
+        comment: str = "",
+        audit: AuditEntry | None = None,
     ) -> Alarm:
         state = following(alarm, event)
         if state is None:
             raise NotAllowedError(f"alarm {alarm.id} is {alarm.state}: no {event}")
-        return self._go(alarm, state, str(event), now_us, who, comment)
+        return self._go(alarm, state, str(event), now_us, who, comment, audit)
 
     def _go(
-        self, alarm: Alarm, state: AlarmState, event: str, now_us: int, who: str, comment: str
+        self,
+        alarm: Alarm,
+        state: AlarmState,
+        event: str,
+        now_us: int,
+        who: str,
+        comment: str,
+        audit: AuditEntry | None = None,
     ) -> Alarm:
         moved = replace(alarm, state=state.value, since_us=now_us, comment=comment or alarm.comment)
         if state != AlarmState.SHLVD:
@@ -372,7 +415,7 @@ class AlarmBook:
         else:
             self._shelved.add(key)
         line = journal_line(moved, alarm.state, event, now_us, who, comment)
-        self._outbox.record(AlarmChange(moved, (line,)))
+        self._outbox.record(AlarmChange(moved, (line,), audit))
         self._on_change(moved)
         return moved
 

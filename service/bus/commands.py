@@ -9,7 +9,7 @@ import msgspec
 from adapters.samples import Sample
 from service.bus.messages import Command
 from service.documents.interfaces import DocumentKind
-from service.store import Alarm
+from service.store import Alarm, AuditEntry
 
 AlarmAction = Literal[
     "acknowledge",
@@ -54,6 +54,7 @@ class RenewGrease(Command[bytes], frozen=True, array_like=True):
     asset: str
     who: str
     comment: str
+    audit: AuditEntry | None = None
 
 
 # ---------------------------------------------------------------------------- live messages
@@ -166,13 +167,17 @@ class ListAlarms(Command[list[Alarm]], frozen=True, array_like=True):
 
 
 class ActOnAlarm(Command[Alarm], frozen=True, array_like=True):
-    """Do something to an alarm; answered when that is on the disk."""
+    """Do something to an alarm; answered when that is on the disk.
+
+    Here as in other commands, `audit` is written together with the change that it tells of.
+    """
 
     alarm: str
     action: AlarmAction
     who: str
     comment: str
     duration_s: float = 0.0
+    audit: AuditEntry | None = None
 
 
 class AcknowledgedAlarms(msgspec.Struct, frozen=True, array_like=True):
@@ -188,6 +193,7 @@ class AcknowledgeAlarms(Command[AcknowledgedAlarms], frozen=True, array_like=Tru
     ids: list[str]
     who: str
     comment: str
+    audit: AuditEntry | None = None
 
 
 class Flush(Command[bool], frozen=True, array_like=True):
@@ -204,6 +210,7 @@ class CreateJob(Command[tuple[bytes, bool]], frozen=True, array_like=True):
     request: bytes
     idempotency_key: str | None
     who: str
+    audit: AuditEntry | None = None
 
 
 class GetJobs(Command[bytes], frozen=True, array_like=True):
@@ -218,6 +225,7 @@ class CancelJob(Command[bytes], frozen=True, array_like=True):
 
     asset: str
     job: str
+    audit: AuditEntry | None = None
 
 
 class ActivateModel(Command[bytes], frozen=True, array_like=True):
@@ -228,6 +236,7 @@ class ActivateModel(Command[bytes], frozen=True, array_like=True):
     who: str
     comment: str | None
     force: bool
+    audit: AuditEntry | None = None
 
 
 # ---------------------------------------------------------------------------- health

@@ -25,6 +25,7 @@ from service.documents.tags import Snapshot, Tag
 from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.errors import CellUnavailableError, NotReadyError
 from service.domain.requests import ProfileStep
+from service.store import AuditEntry
 
 #: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
 FRESH_S: Final = 0.1
@@ -297,9 +298,11 @@ class AssetReplica:
         """See `AssetTwin`."""
         return await self._asked().windows(self.id)
 
-    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
+    async def renew_grease(
+        self, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
         """See `AssetTwin`."""
-        text = await self._reader.ask(RenewGrease(self.id, who, comment), 10.0)
+        text = await self._reader.ask(RenewGrease(self.id, who, comment, audit), 10.0)
         return GreaseRenewed.model_validate_json(text)
 
     async def _machine(self) -> PresentMachine:

@@ -31,7 +31,7 @@ from service.documents.verdicts import VerdictDocument
 from service.domain.errors import NotKeptError, PushRefusedError
 from service.domain.requests import IdentificationRequest
 from service.ingest import Ingest
-from service.store import Alarm, Outbox, Store, StoreUnavailableError
+from service.store import Alarm, AuditEntry, Outbox, Store, StoreUnavailableError
 
 #: Live messages in one answer.
 STREAM_PART: Final = 200
@@ -83,7 +83,9 @@ class Asset(Protocol):
     def machine(self) -> PresentMachine:
         """The present state, which answers to callers are computed from."""
 
-    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
+    async def renew_grease(
+        self, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
         """Count the revolutions from zero again."""
 
 
@@ -210,7 +212,7 @@ class Answers:
     async def renew_grease(self, command: ask.RenewGrease) -> bytes:
         """Count the revolutions of an asset's grease from zero again."""
         asset = self.parts.assets[command.asset]
-        return to_json(await asset.renew_grease(command.who, command.comment))
+        return to_json(await asset.renew_grease(command.who, command.comment, command.audit))
 
     # ------------------------------------------------------------------ live messages
     async def stream_after(self, command: ask.StreamAfter) -> ask.StreamPart:
@@ -257,8 +259,8 @@ class Answers:
 
     async def act_on_alarm(self, command: ask.ActOnAlarm) -> Alarm:
         """Do something to an alarm."""
-        book, who, comment = self.parts.alarms, command.who, command.comment
-        acts: Mapping[str, Callable[[str, str, str], Alarm]] = {
+        book, who, comment, audit = self.parts.alarms, command.who, command.comment, command.audit
+        acts: Mapping[str, Callable[[str, str, str, AuditEntry | None], Alarm]] = {
             "acknowledge": book.acknowledge,
             "comment": book.comment,
             "reset": book.reset,
@@ -267,9 +269,9 @@ class Answers:
             "unshelve": book.unshelve,
         }
         if command.action == "shelve":
-            alarm = book.shelve(command.alarm, command.duration_s, who, comment)
+            alarm = book.shelve(command.alarm, command.duration_s, who, comment, audit)
         else:
-            alarm = acts[command.action](command.alarm, who, comment)
+            alarm = acts[command.action](command.alarm, who, comment, audit)
         await self._written()
         return alarm
 
@@ -281,8 +283,10 @@ class Answers:
         # An alarm of a source acknowledges those of its channels: each of them is taken first.
         sources = {one.id for one in book.active() if one.channel.startswith("source:")}
         for alarm_id in sorted(dict.fromkeys(command.ids), key=sources.__contains__):
+            # One call, one line: written with the first change, so that none is without it.
+            audit = None if alarms else command.audit
             try:
-                alarms.append(book.acknowledge(alarm_id, command.who, command.comment))
+                alarms.append(book.acknowledge(alarm_id, command.who, command.comment, audit))
             except (UnknownAlarmError, NotAllowedError) as error:
                 failed.append((alarm_id, str(error.args[0])))
         await self._written()
@@ -315,7 +319,7 @@ class Answers:
         """Queue an identification."""
         request = IdentificationRequest.model_validate_json(command.request, strict=False)
         job, created = await self.parts.jobs.create(
-            command.asset, request, command.idempotency_key, command.who
+            command.asset, request, command.idempotency_key, command.who, command.audit
         )
         return to_json(job, inf_nan_mode="null"), created
 
@@ -331,7 +335,7 @@ class Answers:
 
     async def cancel_job(self, command: ask.CancelJob) -> bytes:
         """Stop a job."""
-        job = await self.parts.jobs.cancel(command.asset, command.job)
+        job = await self.parts.jobs.cancel(command.asset, command.job, command.audit)
         return to_json(job, inf_nan_mode="null")
 
     async def activate_model(self, command: ask.ActivateModel) -> bytes:
@@ -339,7 +343,12 @@ class Answers:
         # Once begun it ends, whoever waits: store and twin must agree.
         activating = asyncio.ensure_future(
             self.parts.jobs.activate(
-                command.asset, command.version, command.who, command.comment, command.force
+                command.asset,
+                command.version,
+                command.who,
+                command.comment,
+                command.force,
+                command.audit,
             )
         )
         return to_json(await asyncio.shield(activating), inf_nan_mode="null")

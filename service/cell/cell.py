@@ -34,7 +34,15 @@ from service.live.asset import AssetRuntime
 from service.live.kept import KeptState
 from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
-from service.store import Alarm, ModelVersion, Outbox, Retention, Store, StoreUnavailableError
+from service.store import (
+    Alarm,
+    AuditEntry,
+    ModelVersion,
+    Outbox,
+    Retention,
+    Store,
+    StoreUnavailableError,
+)
 from service.tasks import background
 
 #: Samples of a channel are counted up to this number where it is only a hint.
@@ -134,7 +142,6 @@ class Cell:
         )
         self.jobs = IdentificationJobs(
             store,
-            self.outbox,
             clock,
             self.bus,
             self.assets,
@@ -168,10 +175,9 @@ class Cell:
             _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
             active = self._default_version(asset, f"version {active.version}: {foreign}")
 
-        async def save_state(document: KeptState) -> None:
-            await anyio.to_thread.run_sync(
-                self.store.states.save, asset.id, dict(document), abandon_on_cancel=True
-            )
+        async def save_state(document: KeptState, audit: Sequence[AuditEntry]) -> None:
+            save, kept = self.store.states.save, dict(document)
+            await anyio.to_thread.run_sync(save, asset.id, kept, audit, abandon_on_cancel=True)
 
         return AssetRuntime(
             asset,

@@ -46,18 +46,16 @@ def grease_renewed(
         kept["observer"] = observer | {"revolutions": 0.0}
         if isinstance(kept.get("watch"), dict):
             kept["watch"] = kept["watch"] | {"reference": None}
-        store.states.save(asset, kept)
         actor = command_line_actor()
-        store.audit.add(
-            AuditEntry(
-                wall_us(),
-                actor.who,
-                actor.address,
-                "asset.grease-renewed",
-                f"asset {asset}",
-                f"comment: {comment}" if comment else "",
-            )
+        line = AuditEntry(
+            wall_us(),
+            actor.who,
+            actor.address,
+            "asset.grease-renewed",
+            f"asset {asset}",
+            f"comment: {comment}" if comment else "",
         )
+        store.states.save(asset, kept, [line])
     if as_json:
         typer.echo(json.dumps({"revolutions_before": round(before), "revolutions": 0}))
     else:

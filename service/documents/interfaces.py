@@ -14,6 +14,7 @@ from service.documents.models import ModelDocument
 from service.documents.tags import Snapshot
 from service.documents.verdicts import VerdictDocument
 from service.domain.requests import IdentificationRequest, ProfileStep
+from service.store import AuditEntry
 
 DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "facts", "machine"]
 
@@ -103,8 +104,12 @@ class AssetTwin(Protocol):
             While the twin has no state yet.
         """
 
-    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
+    async def renew_grease(
+        self, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
         """Count the revolutions since the grease was fresh from zero again.
+
+        The line of the audit trail is written in the transaction that keeps the new count.
 
         Raises
         ------
@@ -145,8 +150,12 @@ class JobManager(Protocol):
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
+        audit: AuditEntry | None = None,
     ) -> tuple[JobDocument, bool]:
         """Queue a job; returns it and whether it is new (False: the idempotency key matched).
+
+        The line of the audit trail, where there is one, is written in the transaction of the
+        change. So it is by the methods below.
 
         Raises
         ------
@@ -164,11 +173,19 @@ class JobManager(Protocol):
     async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Return the jobs of an asset, newest first."""
 
-    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
+    async def cancel(
+        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
+    ) -> JobDocument | None:
         """Ask a job to stop and return it; None when the asset has no such job."""
 
     async def activate(
-        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        audit: AuditEntry | None = None,
     ) -> ModelDocument:
         """Make a model version the active one and switch the live twin to it.
 

@@ -39,7 +39,7 @@ from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
-from service.store import ActiveJobError, AuditEntry, Outbox, Store, StoreUnavailableError
+from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
 from service.store.records import Job, ModelStatus, ModelVersion
 
 STORE_RETRY_WALL_S = 2.0
@@ -80,7 +80,6 @@ class IdentificationJobs:
     def __init__(
         self,
         store: Store,
-        outbox: Outbox,
         clock: Clock,
         bus: Publisher,
         assets: Mapping[str, AssetRuntime],
@@ -90,7 +89,6 @@ class IdentificationJobs:
         observe_seconds: Callable[[float], None],
     ) -> None:
         self._store = store
-        self._outbox = outbox
         self._clock = clock
         self._bus = bus
         self._assets = assets
@@ -149,6 +147,7 @@ class IdentificationJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
+        audit: AuditEntry | None = None,
     ) -> tuple[JobDocument, bool]:
         """Queue a job; see `service.documents.interfaces.JobManager`."""
         windows = await self._windows(asset_id, request)
@@ -161,9 +160,16 @@ class IdentificationJobs:
             "who": who,
             "asked": request.model_dump(mode="json"),
         }
+        if who == AUTOMATIC:
+            audit = _line("identification.start", f"asset {asset_id}")
         try:
             job, created = await anyio.to_thread.run_sync(
-                self._store.jobs.add, asset_id, document, self._clock.now_us(), idempotency_key
+                self._store.jobs.add,
+                asset_id,
+                document,
+                self._clock.now_us(),
+                idempotency_key,
+                audit,
             )
         except ActiveJobError as error:
             running = await anyio.to_thread.run_sync(self._store.jobs.get, error.job_id)
@@ -177,9 +183,6 @@ class IdentificationJobs:
                 f"belongs to identification {job.id}, which was requested with another body; "
                 "expected the same body, or a new key"
             )
-        if created and who == AUTOMATIC:
-            line = _line("identification.start", f"asset {asset_id}, made {job.id}")
-            self._outbox.record(line)
         if created:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
             self._publish(job)
@@ -235,14 +238,16 @@ class IdentificationJobs:
         jobs = await anyio.to_thread.run_sync(self._store.jobs.of_asset, asset_id)
         return [shown(job, self._progress.get(job.id)) for job in jobs]
 
-    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
+    async def cancel(
+        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
+    ) -> JobDocument | None:
         """Stop a job that has not ended; the answer shows its present state."""
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
         async with self._deciding:
             cancelled = await self._change(
-                job_id, "cancel", ended_at_us=self._clock.now_us(), error="cancelled"
+                job_id, "cancel", ended_at_us=self._clock.now_us(), error="cancelled", line=audit
             )
         if cancelled is None:  # it had ended before
             return await self.job(asset_id, job_id)
@@ -251,10 +256,16 @@ class IdentificationJobs:
         return shown(cancelled, self._progress.get(job_id))
 
     async def activate(
-        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        audit: AuditEntry | None = None,
     ) -> ModelDocument:
         """Make a version the active one and switch the live twin to it."""
-        return await self._activations.activate(asset_id, version, who, comment, force)
+        return await self._activations.activate(asset_id, version, who, comment, force, audit)
 
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running in this service."""

@@ -45,6 +45,7 @@ from service.live.watch import AlarmWatch
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
+from service.store import AuditEntry
 
 STEP_S = 5.0
 # With the step of the twin and the time that computing takes a forecast is never a minute old.
@@ -62,7 +63,7 @@ TWIN_SOURCE = "twin"
 _log = structlog.get_logger(__name__)
 
 Store = Callable[[Sequence[Sample]], object]
-SaveState = Callable[[KeptState], Awaitable[None]]
+SaveState = Callable[[KeptState, Sequence[AuditEntry]], Awaitable[None]]
 
 
 class AssetRuntime:
@@ -128,6 +129,8 @@ class AssetRuntime:
         self._alarms = alarms
         self._store_samples = store_samples
         self._save_state = save_state
+        self._keeping = asyncio.Lock()
+        self._audit: list[AuditEntry] = []
         self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
         self._watch = AlarmWatch(settings, channels, self.readings, self.estimate, alarms)
         self._judgement = Judgement(
@@ -342,7 +345,9 @@ class AssetRuntime:
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
 
-    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
+    async def renew_grease(
+        self, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
         """Take note that the grease was renewed, and keep it for the next start."""
         if not self.estimate.started:
             raise NotReadyError("the twin waits for the first good temperatures, speed and load")
@@ -356,7 +361,9 @@ class AssetRuntime:
             who,
             comment,
         )
-        await self._save_state(self._kept())
+        if audit is not None:
+            self._audit.append(audit)
+        await self._keep_state()
         self._forecast_wanted.set()
         return GreaseRenewed(
             time=rfc3339(now_us),
@@ -499,7 +506,17 @@ class AssetRuntime:
     async def _save(self) -> None:
         if self.estimate.started:
             with self._saving():
-                await self._save_state(self._kept())
+                await self._keep_state()
+
+    async def _keep_state(self) -> None:
+        """Save the state, with the lines of the audit trail about what people changed in it.
+
+        A store that is away takes them with the first state that it takes again.
+        """
+        async with self._keeping:
+            lines = tuple(self._audit)
+            await self._save_state(self._kept(), lines)
+            del self._audit[: len(lines)]
 
     def _kept(self) -> KeptState:
         return {**(self.estimate.to_dict() or {}), "watch": self._watch.to_dict()}

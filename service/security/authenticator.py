@@ -20,7 +20,7 @@ from service.clock import wall_us
 from service.domain.roles import Role
 from service.security.keys import fingerprint, verify_key
 from service.security.limits import RateLimit
-from service.store import ApiKey, Store, StoreUnavailableError
+from service.store import ApiKey, AuditEntry, Store, StoreUnavailableError
 
 MEMORY_S = 0.6
 MEMORY_WITHOUT_STORE_S = 600.0
@@ -180,10 +180,10 @@ class Authenticator:
         )
         return cookie, _of_session(session.key, session.expires_us)
 
-    async def log_out(self, cookie: str) -> None:
-        """End a browser session."""
+    async def log_out(self, cookie: str, line: AuditEntry | None = None) -> None:
+        """End a browser session, with the line of the audit trail that says so."""
         sha256 = fingerprint(cookie)
-        await self._in_time(lambda: self._store.access.end_session(sha256))
+        await self._in_time(lambda: self._store.access.end_session(sha256, line))
         self._memory.pop(f"session {sha256}", None)
 
     async def _in_time(self, work: Callable[[], Answer]) -> Answer:

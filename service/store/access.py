@@ -180,10 +180,13 @@ class Access(StorePart):
             row.session_id, _key(row._mapping), row.session_created_us, row.session_expires_us
         )
 
-    def end_session(self, sha256: str) -> None:
-        """Forget a session (log out)."""
+    def end_session(self, sha256: str, line: AuditEntry | None = None) -> None:
+        """Forget a session (log out), with the line of the audit trail that says so."""
         with self._database.writing() as connection:
-            connection.execute(delete(BrowserSessionRow).where(BrowserSessionRow.sha256 == sha256))
+            ended = connection.execute(
+                delete(BrowserSessionRow).where(BrowserSessionRow.sha256 == sha256)
+            ).rowcount
+            add_line(connection, line if ended else None)
 
 
 def _key(row: RowMapping) -> ApiKey:

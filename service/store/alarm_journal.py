@@ -15,8 +15,10 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
+from service.store.audit import add_line
 from service.store.deliveries import Delivery
 from service.store.part import StorePart
+from service.store.records import AuditEntry
 from service.store.tables import AlarmRow, AlarmTransitionRow
 
 _ALARM_COLUMNS = tuple(getattr(AlarmRow, field.name) for field in fields(Alarm))
@@ -36,6 +38,7 @@ class AlarmJournal(StorePart):
         alarm: Alarm | None,
         lines: Sequence[AlarmTransition] = (),
         delivery: Delivery | None = None,
+        audit: AuditEntry | None = None,
     ) -> None:
         """Write an alarm as it is now, and what happened to it, in one transaction.
 
@@ -47,6 +50,8 @@ class AlarmJournal(StorePart):
             For the journal.
         delivery : Delivery, optional
             Of an outbox; what it delivers again is known.
+        audit : AuditEntry, optional
+            Line of the audit trail, where somebody asked for the change.
         """
         with self._writing_once(delivery) as connection:
             if connection is None:
@@ -60,6 +65,7 @@ class AlarmJournal(StorePart):
                     connection.execute(insert(AlarmRow).values(values))
             if lines:
                 connection.execute(insert(AlarmTransitionRow), [asdict(line) for line in lines])
+            add_line(connection, audit)
 
     def load(self) -> list[Alarm]:
         """All alarms that are not over (state other than NORM), oldest first."""

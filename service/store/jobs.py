@@ -1,16 +1,17 @@
 """Identification jobs: rows, so that a job outlives the service that started it."""
 
 from collections.abc import Collection
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Unpack
 from uuid import uuid4
 
 from sqlalchemy import insert, select, update
 
 from service.domain.job_states import UNFINISHED, JobStatus
+from service.store.audit import add_line
 from service.store.errors import ActiveJobError
 from service.store.part import StorePart
-from service.store.records import Job, JobChanges, JsonDocument
+from service.store.records import AuditEntry, Job, JobChanges, JsonDocument
 from service.store.tables import JobRow
 
 _COLUMNS = tuple(getattr(JobRow, field.name) for field in fields(Job))
@@ -25,6 +26,7 @@ class Jobs(StorePart):
         request: JsonDocument,
         created_at_us: int,
         idempotency_key: str | None = None,
+        line: AuditEntry | None = None,
     ) -> tuple[Job, bool]:
         """Queue a job.
 
@@ -38,6 +40,8 @@ class Jobs(StorePart):
             Process time, UTC microseconds.
         idempotency_key : str, optional
             A second call for the asset with the same key gives the first job back.
+        line : AuditEntry, optional
+            Line of the audit trail, written with a new job; its target then names the job.
 
         Returns
         -------
@@ -83,6 +87,8 @@ class Jobs(StorePart):
                 raise ActiveJobError(in_the_way)
             values = {field.name: getattr(job, field.name) for field in fields(Job)}
             connection.execute(insert(JobRow).values(values))
+            if line is not None:
+                add_line(connection, replace(line, target=f"{line.target}, made {job.id}"))
         return job, True
 
     def update(
@@ -90,6 +96,7 @@ class Jobs(StorePart):
         job_id: str,
         *,
         only_if: Collection[JobStatus] = UNFINISHED,
+        line: AuditEntry | None = None,
         **changes: Unpack[JobChanges],
     ) -> Job | None:
         """Change a job, provided that its status is still one of those expected.
@@ -104,6 +111,8 @@ class Jobs(StorePart):
             Which job.
         only_if : collection of str
             Statuses in which the change may happen; by default the job must not have ended.
+        line : AuditEntry, optional
+            Line of the audit trail, written with the change.
         **changes
             The fields to change, see `JobChanges`.
 
@@ -119,6 +128,7 @@ class Jobs(StorePart):
                 .values(**changes)
                 .returning(*_COLUMNS)
             ).one_or_none()
+            add_line(connection, line if row else None)
         return Job(**row._mapping) if row else None
 
     def get(self, job_id: str) -> Job | None:

@@ -46,10 +46,14 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class AlarmChange:
-    """An alarm as it is now, and what happened to it; no alarm for lines that belong to none."""
+    """An alarm as it is now, and what happened to it; no alarm for lines that belong to none.
+
+    What somebody asked for carries its line of the audit trail: both are written, or none.
+    """
 
     alarm: Alarm | None
     lines: tuple[AlarmTransition, ...] = ()
+    audit: AuditEntry | None = None
 
 
 Change = AlarmChange | AuditEntry
@@ -257,7 +261,7 @@ class Outbox(Closable):
             if isinstance(change, AuditEntry):
                 self._store.audit.add(change, delivery)
             elif change is not None:
-                self._store.alarms.save(change.alarm, change.lines, delivery)
+                self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
             else:
                 self._queue.note_damaged(1)
         except StoreUnavailableError as error:
@@ -301,7 +305,9 @@ def _change(document: str) -> Change | None:
         if kind == "audit":
             return AuditEntry(**given)
         alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
-        return AlarmChange(alarm, tuple(AlarmTransition(**line) for line in given["lines"]))
+        lines = tuple(AlarmTransition(**line) for line in given["lines"])
+        audit = given.get("audit")  # earlier versions kept none
+        return AlarmChange(alarm, lines, audit and AuditEntry(**audit))
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         _log.error("change_refused", change=document, error=repr(error))
         return None

@@ -15,7 +15,7 @@ from service.documents.identification import JobDocument
 from service.documents.models import ModelDocument
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import IdentificationRequest
-from service.store import Alarm, WriteCounts
+from service.store import Alarm, AuditEntry, WriteCounts
 
 #: Wall seconds for what is in memory, for what is written, and for what may take a while.
 SOON_S: Final = 2.0
@@ -95,8 +95,9 @@ class CellAlarms:
         who: str,
         comment: str,
         duration_s: float = 0.0,
+        audit: AuditEntry | None = None,
     ) -> Alarm:
-        """Do something to an alarm.
+        """Do something to an alarm; the line of the audit trail is written with it.
 
         Raises
         ------
@@ -107,14 +108,15 @@ class CellAlarms:
         NotKeptError
             If neither the store nor the disk takes the change.
         """
-        command = ask.ActOnAlarm(alarm_id, action, who, comment, duration_s)
+        command = ask.ActOnAlarm(alarm_id, action, who, comment, duration_s, audit)
         return await self._reader.ask(command, WRITTEN_S)
 
     async def acknowledge(
-        self, ids: Sequence[str], who: str, comment: str
+        self, ids: Sequence[str], who: str, comment: str, audit: AuditEntry | None = None
     ) -> ask.AcknowledgedAlarms:
         """Acknowledge several alarms."""
-        return await self._reader.ask(ask.AcknowledgeAlarms(list(ids), who, comment), WRITTEN_S)
+        command = ask.AcknowledgeAlarms(list(ids), who, comment, audit)
+        return await self._reader.ask(command, WRITTEN_S)
 
     async def flush(self, patience_s: float) -> None:
         """Have the store take all changes, for a while; one that is away is not waited for."""
@@ -183,10 +185,11 @@ class CellJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
+        audit: AuditEntry | None = None,
     ) -> tuple[JobDocument, bool]:
         """Queue a job."""
         text = request.model_dump_json().encode()
-        command = ask.CreateJob(asset_id, text, idempotency_key, who)
+        command = ask.CreateJob(asset_id, text, idempotency_key, who, audit)
         job, created = await self._reader.ask(command, WHILE_S)
         return JobDocument.model_validate_json(job), created
 
@@ -200,16 +203,24 @@ class CellJobs:
         text = await self._shared.ask(ask.GetJobs(asset_id), WRITTEN_S)
         return _JOBS.validate_json(text)
 
-    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
+    async def cancel(
+        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
+    ) -> JobDocument | None:
         """Stop a job."""
-        text = await self._reader.ask(ask.CancelJob(asset_id, job_id), WHILE_S)
+        text = await self._reader.ask(ask.CancelJob(asset_id, job_id, audit), WHILE_S)
         return _JOB.validate_json(text)
 
     async def activate(
-        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        audit: AuditEntry | None = None,
     ) -> ModelDocument:
         """Make a model version the active one."""
-        command = ask.ActivateModel(asset_id, version, who, comment, force)
+        command = ask.ActivateModel(asset_id, version, who, comment, force, audit)
         text = await self._reader.ask(command, WHILE_S)
         return ModelDocument.model_validate_json(text)
 

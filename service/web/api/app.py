@@ -31,7 +31,6 @@ from service.web.api.problems import install_handlers
 from service.web.api.proxies import KnownProxies
 from service.web.api.routes import measurements, routers
 from service.web.api.snapshots import SnapshotShortcut
-from service.web.api.trail import Trail
 from service.web.api.turns import Turns
 
 API_PREFIX = "/api/v1"
@@ -85,7 +84,6 @@ def create_app(context: ServiceContext) -> FastAPI:
             Middleware(Gunzip),
             Middleware(BodyLimit),
             Middleware(OwnWrites, changed=context.changed),
-            Middleware(Trail, trail=trail),
         ],
     )
     app.state.context = context

@@ -1,75 +1,45 @@
-"""Every change that comes by HTTP leaves a line in the audit trail, whichever route makes it."""
+"""The line of the audit trail that a call which changes something takes with it."""
 
 import json
-from typing import Any
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
 
-from fastapi.routing import APIRoute
-from starlette.datastructures import Headers
+import structlog
+from fastapi import Depends
 from starlette.requests import Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.security import AuditTrail
-from service.web.api.access import AUDIT, SAFE_METHODS, actor
+from service.clock import wall_us
+from service.store import AuditEntry
+from service.web.api.access import AUDIT, actor
 
-#: Marks the answer to a call that was sent again: it changed nothing.
-REPLAYED = "Idempotent-Replayed"
 _KEPT_BYTES = 4096
 _SHOWN_CHARACTERS = 500
 
+_log = structlog.get_logger(__name__)
 
-class Trail:
-    """Write a call that changed something into the trail before it is answered.
 
-    Which call that is the route says by `service.web.api.access.secured`: all with an unsafe
-    method, unless it says otherwise.
+async def change_line(request: Request) -> AsyncIterator[AuditEntry]:
+    """Make the line of a call; whoever makes the change writes it in the same transaction.
 
-    Parameters
-    ----------
-    app
-        What lies behind.
-    trail : AuditTrail
-        Where the lines go.
+    What it is called the route says by `service.web.api.access.secured`.
     """
+    route, caller = request.scope["route"], actor(request)
+    target = ", ".join(
+        f"{name.removesuffix('_id')} {value}" for name, value in request.path_params.items()
+    )
+    line = AuditEntry(
+        time_us=wall_us(),
+        who=caller.who,
+        address=caller.address,
+        action=(route.openapi_extra or {}).get(AUDIT) or _named_after(route.path),
+        target=target,
+        detail=_shown((await request.body())[:_KEPT_BYTES]),
+    )
+    yield line
+    _log.info("audit", who=line.who, address=line.address, action=line.action, target=target)
 
-    def __init__(self, app: ASGIApp, trail: AuditTrail) -> None:
-        self.app = app
-        self.trail = trail
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and note what it did."""
-        if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
-            await self.app(scope, receive, send)
-            return
-        body = bytearray()
-
-        async def receive_and_keep() -> Message:
-            message = await receive()
-            if message["type"] == "http.request" and len(body) < _KEPT_BYTES:
-                body.extend(message.get("body", b"")[:_KEPT_BYTES])
-            return message
-
-        async def send_and_note(message: Message) -> None:
-            if message["type"] == "http.response.start" and 200 <= message["status"] < 300:
-                await self._note(scope, Headers(raw=message["headers"]), bytes(body))
-            await send(message)
-
-        await self.app(scope, receive_and_keep, send_and_note)
-
-    async def _note(self, scope: Scope, headers: Headers, body: bytes) -> None:
-        route = scope.get("route")
-        if not isinstance(route, APIRoute) or REPLAYED in headers:
-            return
-        action = (route.openapi_extra or {}).get(AUDIT, "")
-        if action is None:
-            return
-        target = ", ".join(
-            f"{name.removesuffix('_id')} {value}" for name, value in scope["path_params"].items()
-        )
-        made = headers.get("Location")
-        if made:
-            target += f", made {made.rpartition('/')[2]}"
-        caller = actor(Request(scope))
-        await self.trail.note(caller, action or _named_after(route.path), target, _shown(body))
+ChangeLine = Annotated[AuditEntry, Depends(change_line)]
 
 
 def _named_after(path: str) -> str:

@@ -27,7 +27,7 @@ from service.live.estimate import ActiveModel, EstimatedState
 from service.live.forecasting import what_if_document
 from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
-from service.store import Outbox, Store
+from service.store import AuditEntry, Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.forecasting.design import Level
 from twin_core.identification.posterior import prior_posterior
@@ -75,6 +75,7 @@ class Live:
     bus: Bus
     alarms: AlarmBook
     saved: list[Mapping[str, Any]] = field(default_factory=list)
+    audit: list[AuditEntry] = field(default_factory=list)
     stored: list[Sample] = field(default_factory=list)
     store_is_away: bool = False
     refused: int = 0
@@ -196,11 +197,12 @@ async def make_live(
             outbox, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
         )
 
-        async def save_state(document: Mapping[str, Any]) -> None:
+        async def save_state(document: Mapping[str, Any], audit: Sequence[AuditEntry]) -> None:
             if live.store_is_away:
                 live.refused += 1
                 raise OSError("no space left on device")
             live.saved.append(document)
+            live.audit.extend(audit)
 
         runtime = AssetRuntime(
             section,

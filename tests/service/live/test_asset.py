@@ -12,6 +12,7 @@ from adapters.samples import Quality, Sample
 from service.domain.channels import NODES
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
+from service.store import AuditEntry
 
 WARM = {
     "speed_rpm": 2400.0,
@@ -367,3 +368,19 @@ async def test_renewed_grease_counts_from_zero_and_after_a_restart_too(
     assert live.alarms._outbox.flush(30)
     (event,) = [line for line in live.store.alarms.journal().items if line.kind == "grease renewed"]
     assert (event.who, event.comment) == ("engineer eva", "regreased")
+
+
+async def test_the_line_of_renewed_grease_is_kept_with_the_first_state_that_has_it(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live()
+    await running(live, WARM)
+    line = AuditEntry(1, "engineer eva", "", "asset.grease-renewed")
+    live.store_is_away = True
+    with pytest.raises(OSError, match="no space left"):
+        await live.runtime.renew_grease("engineer eva", "", line)
+    live.store_is_away = False
+    live.saved.clear()
+    await live.until(lambda: live.saved, "the next state", WARM)
+    await live.runtime._keep_state()
+    assert live.audit == [line], "once, with the state that has it"

@@ -21,7 +21,8 @@ from service.documents.alarms import (
     alarm_document,
 )
 from service.domain.roles import ENGINEER, OPERATOR, VIEWER
-from service.web.api.access import Caller, secured
+from service.store import AuditEntry
+from service.web.api.access import secured
 from service.web.api.alarm_bodies import (
     AcknowledgeManyRequest,
     CommentedRequest,
@@ -31,6 +32,7 @@ from service.web.api.alarm_bodies import (
 from service.web.api.context import ServiceContext
 from service.web.api.deps import Context, json_response
 from service.web.api.problems import Problem, parameter_problem
+from service.web.api.trail import ChangeLine
 
 _CONFLICTS = (400, 404, 409, 413)
 
@@ -79,10 +81,10 @@ async def list_alarms(
     **secured(OPERATOR, 400, 413),
 )
 async def acknowledge_alarms(
-    context: Context, who: Caller, request: AcknowledgeManyRequest
+    context: Context, line: ChangeLine, request: AcknowledgeManyRequest
 ) -> Response:
     """Take note of several alarms; `failed` names those that could not be, and why."""
-    done = await context.alarms.acknowledge(request.ids, who.who, request.comment or "")
+    done = await context.alarms.acknowledge(request.ids, line.who, request.comment or "", line)
     return json_response(
         AcknowledgedAlarms(
             items=[alarm_document(alarm) for alarm in done.alarms],
@@ -98,10 +100,10 @@ async def acknowledge_alarms(
     **secured(OPERATOR, *_CONFLICTS),
 )
 async def acknowledge_alarm(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentedRequest | None = None
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
     """Take note of an alarm; one that has returned to normal is over thereby, unless latched."""
-    return await _done(context, alarm_id, "acknowledge", who.who, _comment(request))
+    return await _done(context, alarm_id, "acknowledge", line, _comment(request))
 
 
 @router.post(
@@ -111,12 +113,10 @@ async def acknowledge_alarm(
     **secured(OPERATOR, *_CONFLICTS),
 )
 async def shelve_alarm(
-    context: Context, who: Caller, alarm_id: AlarmId, request: ShelveRequest
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: ShelveRequest
 ) -> Response:
     """Set an alarm aside; when the time is over it is back by itself, as its condition is then."""
-    return await _done(
-        context, alarm_id, "shelve", who.who, request.comment or "", request.duration_s
-    )
+    return await _done(context, alarm_id, "shelve", line, request.comment or "", request.duration_s)
 
 
 @router.post(
@@ -126,10 +126,10 @@ async def shelve_alarm(
     **secured(OPERATOR, *_CONFLICTS),
 )
 async def unshelve_alarm(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentedRequest | None = None
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
     """Bring a shelved alarm back before its time is over."""
-    return await _done(context, alarm_id, "unshelve", who.who, _comment(request))
+    return await _done(context, alarm_id, "unshelve", line, _comment(request))
 
 
 @router.post(
@@ -139,10 +139,10 @@ async def unshelve_alarm(
     **secured(OPERATOR, *_CONFLICTS),
 )
 async def reset_alarm(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentedRequest | None = None
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
     """End a latched alarm (state LATCH) whose condition is gone and that is acknowledged."""
-    return await _done(context, alarm_id, "reset", who.who, _comment(request))
+    return await _done(context, alarm_id, "reset", line, _comment(request))
 
 
 @router.post(
@@ -152,10 +152,10 @@ async def reset_alarm(
     **secured(OPERATOR, *_CONFLICTS),
 )
 async def comment_alarm(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentRequest
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentRequest
 ) -> Response:
     """Write a comment into the journal; the alarm shows the latest one."""
-    return await _done(context, alarm_id, "comment", who.who, request.comment)
+    return await _done(context, alarm_id, "comment", line, request.comment)
 
 
 @router.post(
@@ -165,10 +165,10 @@ async def comment_alarm(
     **secured(ENGINEER, *_CONFLICTS),
 )
 async def take_alarm_out_of_service(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentRequest
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentRequest
 ) -> Response:
     """Silence an alarm until someone returns it to service; the comment says why."""
-    return await _done(context, alarm_id, "take_out_of_service", who.who, request.comment)
+    return await _done(context, alarm_id, "take_out_of_service", line, request.comment)
 
 
 @router.post(
@@ -178,23 +178,23 @@ async def take_alarm_out_of_service(
     **secured(ENGINEER, *_CONFLICTS),
 )
 async def return_alarm_to_service(
-    context: Context, who: Caller, alarm_id: AlarmId, request: CommentedRequest | None = None
+    context: Context, line: ChangeLine, alarm_id: AlarmId, request: CommentedRequest | None = None
 ) -> Response:
     """Let an alarm work again; it is unacknowledged or normal, as its condition is then."""
-    return await _done(context, alarm_id, "return_to_service", who.who, _comment(request))
+    return await _done(context, alarm_id, "return_to_service", line, _comment(request))
 
 
 async def _done(
     context: ServiceContext,
     alarm_id: str,
     action: AlarmAction,
-    who: str,
+    line: AuditEntry,
     comment: str,
     duration_s: float = 0.0,
 ) -> Response:
     """Do something to an alarm; the answer comes when the journal is on the disk."""
     try:
-        alarm = await context.alarms.act(alarm_id, action, who, comment, duration_s)
+        alarm = await context.alarms.act(alarm_id, action, line.who, comment, duration_s, line)
     except UnknownAlarmError as error:
         raise parameter_problem("alarm_id", f"no open alarm {alarm_id!r}", 404) from error
     except NotAllowedError as error:

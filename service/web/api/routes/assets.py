@@ -13,10 +13,11 @@ from service.documents.tags import Snapshot
 from service.documents.verdicts import VerdictDocument
 from service.domain.requests import GreaseRenewedRequest
 from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
-from service.web.api.access import Caller, secured
+from service.web.api.access import secured
 from service.web.api.deps import Asset, Context, copy_response, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.web.api.snapshots import snapshot_response
+from service.web.api.trail import ChangeLine
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
@@ -88,8 +89,8 @@ async def get_verdict(asset: Asset) -> Response:
     **secured(ENGINEER, 404),
 )
 async def post_grease_renewed(
-    asset: Asset, who: Caller, request: GreaseRenewedRequest | None = None
+    asset: Asset, line: ChangeLine, request: GreaseRenewedRequest | None = None
 ) -> Response:
     """Count the revolutions, and with them the run-in state of the grease, from zero again."""
     comment = (request.comment if request else None) or ""
-    return json_response(await asset.renew_grease(who.who, comment))
+    return json_response(await asset.renew_grease(line.who, comment, line))

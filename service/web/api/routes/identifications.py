@@ -9,14 +9,16 @@ from starlette.responses import Response
 from service.documents.identification import JobDocument, JobList, WindowList
 from service.domain.requests import IdentificationRequest
 from service.domain.roles import ENGINEER
-from service.web.api.access import LOCATION, RETRY_AFTER, Caller, secured
+from service.web.api.access import LOCATION, RETRY_AFTER, secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
-from service.web.api.trail import REPLAYED
+from service.web.api.trail import ChangeLine
 from service.web.api.turns import caller_of, turns_of
 
 RETRY_AFTER_S = 2
+#: Marks the answer to a call that was sent again: it changed nothing.
+REPLAYED = "Idempotent-Replayed"
 
 router = APIRouter(prefix="/assets/{asset_id}", tags=["identification"])
 
@@ -51,7 +53,7 @@ async def list_windows(asset: Asset, request: Request) -> Response:
 async def post_identification(
     context: Context,
     asset: Asset,
-    who: Caller,
+    line: ChangeLine,
     request: IdentificationRequest,
     http_request: Request,
     idempotency_key: Annotated[
@@ -66,7 +68,7 @@ async def post_identification(
     ] = None,
 ) -> Response:
     """Queue a background job; `Location` tells where its progress is."""
-    job, created = await context.jobs.create(asset.id, request, idempotency_key, who.who)
+    job, created = await context.jobs.create(asset.id, request, idempotency_key, line.who, line)
     headers = {
         "Location": f"{http_request.url.path}/{job.id}",
         "Retry-After": str(RETRY_AFTER_S),
@@ -113,9 +115,11 @@ async def get_identification(context: Context, asset: Asset, job_id: JobId) -> R
     summary="Cancel a job",
     **secured(ENGINEER, 404, audit="identification.cancel"),
 )
-async def delete_identification(context: Context, asset: Asset, job_id: JobId) -> Response:
+async def delete_identification(
+    context: Context, asset: Asset, job_id: JobId, line: ChangeLine
+) -> Response:
     """Stop a job that is queued or running; one that has ended stays as it is."""
-    job = await context.jobs.cancel(asset.id, job_id)
+    job = await context.jobs.cancel(asset.id, job_id, line)
     if job is None:
         raise _no_job(asset, job_id)
     return json_response(job)

@@ -16,10 +16,11 @@ from service.documents.models import (
 )
 from service.domain.requests import RequestBody
 from service.domain.roles import ENGINEER
-from service.web.api.access import Caller, secured
+from service.web.api.access import secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Asset, Context, json_response
 from service.web.api.problems import Problem, parameter_problem
+from service.web.api.trail import ChangeLine
 
 router = APIRouter(prefix="/assets/{asset_id}/models", tags=["models"])
 
@@ -91,14 +92,14 @@ async def activate_model(
     context: Context,
     asset: Asset,
     version: Version,
-    who: Caller,
+    line: ChangeLine,
     request: ActivationRequest | None = None,
 ) -> Response:
     """Switch the live twin to this version, forward or back, and write it into the journal."""
     wanted = request or ActivationRequest(comment=None, force=False)
     try:
         activated = await context.jobs.activate(
-            asset.id, version, who.who, wanted.comment, wanted.force
+            asset.id, version, line.who, wanted.comment, wanted.force, line
         )
     except KeyError as error:
         raise _no_version(asset, version) from error

@@ -26,6 +26,7 @@ from service.web.api.access import (
 )
 from service.web.api.deps import Keys, Trail, json_response
 from service.web.api.problems import RETRY_AFTER_S, Problem
+from service.web.api.trail import ChangeLine
 
 # The service forgets a session 12 h after its last use; the browser may keep the cookie longer.
 _COOKIE_AGE_S = LONGEST_SESSION_S
@@ -82,12 +83,12 @@ async def get_session(who: Caller) -> Response:
 
 
 @router.delete("", status_code=204, summary="Log out", **secured(VIEWER, audit="session.end"))
-async def log_out(request: Request, keys: Keys) -> Response:
+async def log_out(request: Request, keys: Keys, line: ChangeLine) -> Response:
     """End the session of the cookie, here and now."""
     name = cookie_name(request)
     cookie = request.cookies.get(name)
     if cookie:
-        await keys.log_out(cookie)
+        await keys.log_out(cookie, line)
     response = Response(status_code=204)
     response.delete_cookie(
         name, path="/", secure=is_secure(request), httponly=True, samesite="strict"

@@ -56,7 +56,7 @@ from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
 from service.security import create_key
 from service.site.settings import Settings
-from service.store import ActiveJobError, Outbox, Store
+from service.store import ActiveJobError, AuditEntry, Outbox, Store
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
@@ -75,8 +75,11 @@ def tag(value: float | None, unit: str, time_us: int, quality: int = 192) -> Tag
 class MemoryTwin:
     """A twin that stands at one temperature and forecasts it to stay."""
 
-    def __init__(self, asset_id: str, channels: Mapping[str, str], time_us: int) -> None:
+    def __init__(
+        self, asset_id: str, channels: Mapping[str, str], time_us: int, store: Store
+    ) -> None:
         self.id = asset_id
+        self.store = store
         self.running = True
         self.temperature_names = RING_SENSORS + NODES
         self.channels = channels
@@ -195,9 +198,12 @@ class MemoryTwin:
             missing=[],
         )
 
-    async def renew_grease(self, who: str, comment: str) -> GreaseRenewed:
+    async def renew_grease(
+        self, who: str, comment: str, audit: AuditEntry | None = None
+    ) -> GreaseRenewed:
         if not self.ready:
             raise NotReadyError("the twin waits for its first data")
+        self.store.states.save(self.id, {}, [audit] if audit else [])
         return GreaseRenewed(time=rfc3339(self.time_us), revolutions_before=1000, revolutions=0)
 
 
@@ -290,6 +296,7 @@ class MemoryJobs:
         request: IdentificationRequest,
         idempotency_key: str | None,
         who: str,
+        audit: AuditEntry | None = None,
     ) -> tuple[JobDocument, bool]:
         try:
             job, created = self._store.jobs.add(
@@ -299,6 +306,7 @@ class MemoryJobs:
                 | ({"windows": []} if request.windows == "auto" else {}),
                 self._clock.now_us(),
                 idempotency_key,
+                audit,
             )
         except ActiveJobError as error:
             in_the_way = self._store.jobs.get(error.job_id)
@@ -313,12 +321,20 @@ class MemoryJobs:
     async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         return [job_document(job) for job in self._store.jobs.of_asset(asset_id)]
 
-    async def cancel(self, asset_id: str, job_id: str) -> JobDocument | None:
-        self._store.jobs.update(job_id, status="cancelled")
+    async def cancel(
+        self, asset_id: str, job_id: str, audit: AuditEntry | None = None
+    ) -> JobDocument | None:
+        self._store.jobs.update(job_id, status="cancelled", line=audit)
         return await self.job(asset_id, job_id)
 
     async def activate(
-        self, asset_id: str, version: int, who: str, comment: str | None, force: bool
+        self,
+        asset_id: str,
+        version: int,
+        who: str,
+        comment: str | None,
+        force: bool,
+        audit: AuditEntry | None = None,
     ) -> ModelDocument:
         wanted = self._store.models.version(asset_id, version)
         if wanted is None:
@@ -326,7 +342,7 @@ class MemoryJobs:
         if wanted.status == "rejected" and not (force and comment):
             raise ActivationRefusedError(f"version {version} was rejected: {wanted.reason}")
         active = self._store.models.activate(
-            asset_id, version, who, comment or "", self._clock.now_us()
+            asset_id, version, who, comment or "", self._clock.now_us(), audit
         )
         return model_document(active)
 
@@ -427,8 +443,8 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             "t_outer_ring_c": "pt100",
             "t_inner_ring_c.twin": "twin",
         }
-        bench = MemoryTwin("bench-1", wired, now_us)
-        rig = MemoryTwin("rig-2", {"t_inner_ring_c": "push", "ambient_c": "push"}, now_us)
+        bench = MemoryTwin("bench-1", wired, now_us, store)
+        rig = MemoryTwin("rig-2", {"t_inner_ring_c": "push", "ambient_c": "push"}, now_us, store)
         sources = [SourceHealth("pt100", "modbus-tcp", up=True, detail="answers at 10.1.2.3:5020")]
         twins = {"bench-1": bench, "rig-2": rig}
         jobs = MemoryJobs(store, clock)

@@ -119,15 +119,15 @@ async def test_the_trail_comes_in_pages(world: Any) -> None:
 async def test_what_the_store_cannot_take_now_is_written_later(
     world: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alarm, write = world.raise_alarm(), world.store.audit.add
+    alarm, write = world.raise_alarm(), world.store.alarms.save
 
     def refuse(*_: Any) -> None:
         raise StoreUnavailableError("away")
 
-    monkeypatch.setattr(world.store.audit, "add", refuse)
+    monkeypatch.setattr(world.store.alarms, "save", refuse)
     acknowledged = await world.client("operator").post(f"/api/v1/alarms/{alarm}/acknowledge")
     assert acknowledged.status_code == 200
-    monkeypatch.setattr(world.store.audit, "add", write)
+    monkeypatch.setattr(world.store.alarms, "save", write)
     written = functools.partial(world.context.outbox.flush, 30)
     await asyncio.to_thread(wait_until, written, 30, "the store has the line")
     (line,) = await lines(world)
