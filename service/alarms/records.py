@@ -3,18 +3,16 @@
 from dataclasses import replace
 from uuid import uuid4
 
-from service.alarms.states import (
-    SET_ASIDE_STATES,
-    UNACKNOWLEDGED_STATES,
-    AlarmEvent,
-    AlarmState,
-    next_state,
-)
+from service.alarms.states import AlarmEvent, AlarmState, next_state
 from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_kind import SENSOR_FAULT, STALE_DATA
 from service.store import Alarm, AlarmTransition
 
 AlarmKey = tuple[str, str, str, str]
 """Asset, kind, channel and level: what tells one alarm from another."""
+
+#: States in the order of the list.
+_LISTED = ("UNACK", "ACKED", "RTNUN", "LATCH", "SHLVD", "DSUPR", "OOSRV", "NORM")
 
 
 def following(alarm: Alarm, event: AlarmEvent) -> AlarmState | None:
@@ -28,18 +26,20 @@ def key_of(alarm: Alarm) -> AlarmKey:
     return alarm.asset, alarm.kind, alarm.channel, alarm.level
 
 
-def urgency(alarm: Alarm) -> tuple[bool, int, bool, bool, int, str]:
-    """Sort key of alarms, the most urgent first.
+def urgency(alarm: Alarm) -> tuple[int, int, int, int, str]:
+    """Sort key of alarms, the most urgent first: the order in which the page shows them.
 
-    By priority, whatever the kind; then unacknowledged before acknowledged, measured before
-    predicted, and the newest first. What is shelved, suppressed or out of service comes last.
+    What has to be answered comes first, then what is acknowledged, then what has returned; what is
+    shelved, suppressed or out of service comes last. Each goes by priority, whatever the kind; of
+    one priority, what is measured over a limit comes before what has no data, and both before what
+    is only predicted; the newest first.
     """
+    certainty = 2 if alarm.predicted else 1 if alarm.kind in (STALE_DATA, SENSOR_FAULT) else 0
     return (
-        alarm.state in SET_ASIDE_STATES,
+        _LISTED.index(alarm.state),
         alarm.priority,
-        alarm.state not in UNACKNOWLEDGED_STATES,
-        alarm.predicted,
-        -alarm.raised_at_us,
+        certainty,
+        -(alarm.raised_at_us or alarm.since_us),
         alarm.id,
     )
 

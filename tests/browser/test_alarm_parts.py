@@ -1,10 +1,17 @@
 """In which order alarms are shown, and what the banner and the fleet's card make of them."""
 
+import random
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page
 
+from service.alarms.records import normal_alarm, urgency
+from service.alarms.states import AlarmState
+from service.documents.alarms import alarm_document
+from service.domain.alarm_condition import AlarmCondition
 from tests.browser.test_dashboard_parts import run
 
 pytestmark = pytest.mark.browser
@@ -49,6 +56,38 @@ def test_unacknowledged_alarms_are_ranked_by_priority_then_by_how_certain_they_a
         "predicted 2", "over alarm, seen", "shelved",
     ]  # fmt: skip
     assert first == "over alarm"
+
+
+def test_the_service_lists_alarms_in_the_order_of_the_page(parts: Page) -> None:
+    facts = [
+        {"kind": kind, "predicted": predicted, "channel": channel}
+        for kind, predicted, channel in (
+            ("measured limit", False, "t_inner_ring_c"),
+            ("stale data", False, "source:push"),
+            ("sensor fault", False, "t_outer_ring_c"),
+            ("forecast limit", True, "t_inner_ring_c"),
+        )
+    ]
+    condition = AlarmCondition(
+        "bench-1", "measured limit", "t_inner_ring_c", "warning", True, 91.0, "over warning", 2
+    )
+    one = normal_alarm(condition, 0)
+    alarms = [
+        replace(one, id=f"{number:03}", state=state.value, priority=priority, **fact)
+        for number, (state, priority, fact) in enumerate(
+            product(AlarmState, (1, 2, 3), facts), start=100
+        )
+        if state != AlarmState.NORM
+    ]
+    # No two at the same time; some were set aside before they were ever raised.
+    alarms = [
+        replace(each, since_us=time_us, raised_at_us=time_us if each.state != "DSUPR" else 0)
+        for each, time_us in zip(alarms, range(10**15, 10**16, 10**12), strict=False)
+    ]
+    shuffled = random.Random(5).sample(alarms, len(alarms))
+    documents = [alarm_document(each).model_dump(mode="json") for each in shuffled]
+    order, _ = run(parts, RANKED, alarms=documents)
+    assert order == [each.id for each in sorted(alarms, key=urgency)]
 
 
 BANNER = """

@@ -317,9 +317,10 @@ def test_the_list_goes_by_priority_whatever_the_kind(bench: Bench) -> None:
     assert listed[:4] == [
         ("measured limit", "UNACK", False),
         ("forecast limit", "UNACK", True),
-        ("measured limit", "ACKED", False),
+        ("stale data", "UNACK", False),
         ("stale data", "UNACK", False),
     ]
+    assert listed[-2] == ("measured limit", "ACKED", False), "nothing is left to answer there"
     assert listed[-1] == ("measured limit", "DSUPR", False), "what is set aside comes last"
 
 

@@ -60,7 +60,10 @@ async def list_alarms(
         bool | None, Query(description="Only unacknowledged alarms (or only the others).")
     ] = None,
 ) -> Response:
-    """By priority; then unacknowledged, measured, newest first; what is set aside comes last."""
+    """Give the order of the page: unacknowledged first; then by priority, measured first, newest.
+
+    What is acknowledged follows, then what has returned; what is set aside comes last.
+    """
     alarms = await context.alarms.active(asset)
     if state and AlarmState.NORM in state:
         alarms += await context.alarms.normal(asset)
