@@ -5,6 +5,7 @@ A side is started by the supervisor (`service.app.supervisor`), or by itself wit
 """
 
 import asyncio
+import contextlib
 import ctypes
 import gc
 import multiprocessing
@@ -152,6 +153,25 @@ async def _until_stopped(
     gc.freeze()
     await run_side(side, settings, stop, listener)
     await leave_tasks_behind()
+
+
+def key_check_process(settings: Settings) -> None:
+    """Be the process that refuses a service which nobody has a key of, before it is started.
+
+    What else is wrong with the store the cell reports.
+    """
+    from service.store import Store, StoreError
+    from service.web.start import check_key
+
+    _end_with_supervisor()
+    configure_logging()
+    service = settings.service
+    with (
+        refusals(),
+        contextlib.suppress(StoreError),
+        Store.open(service.database_url, settings.data_dir) as store,
+    ):
+        check_key(store, service.host)
 
 
 def _name(side: SideName) -> None:

@@ -24,8 +24,9 @@ from typing import Any
 import structlog
 
 from service.app.exits import STATUS_REFUSED, STATUS_TEMPORARY
-from service.app.sides import side_process, sides_of
+from service.app.sides import key_check_process, side_process, sides_of
 from service.domain.sides import SideName
+from service.security.loopback import is_loopback
 from service.service_manager import ServiceManager
 from service.site.settings import Settings
 
@@ -37,6 +38,8 @@ RETRY_MOST_S = 10.0
 #: fifteen seconds that the unit and the image give.
 STOP_S: dict[SideName, float] = {"cell": 10.0, "web": 4.0, "plant": 4.0}
 _RETRY_FIRST_S = 0.2
+#: A store that does not answer within these wall seconds is asked for keys by the web side.
+_KEY_CHECK_S = 10.0
 _LOOK_EVERY_S = 1.0
 #: A supervisor that was late itself, on a machine that was suspended, judges nobody.
 _LATE_S = 5.0
@@ -253,6 +256,8 @@ async def supervise(
     context.set_forkserver_preload([*extras, *PRELOADED])
     # Many small matrices: threads would only wait for each other. Also for those to come.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if not is_loopback(settings.service.host):
+        await _refuse_without_key(settings, context)
     with tempfile.TemporaryDirectory(prefix="bearing-twin-") as folder:
         cell, web, *plant = sides_of(settings)
         sides = [Side(cell, settings, context, Path(folder))]
@@ -339,6 +344,27 @@ async def _watch(sides: Sequence[Side]) -> None:
             if not late and side.is_ready.is_set() and side.silent_for_s() > side.silent_limit_s:
                 _log.error("side_hangs", side=side.name, silent_s=round(side.silent_for_s()))
                 side.kill()
+
+
+async def _refuse_without_key(settings: Settings, context: ForkServerContext) -> None:
+    """Refuse at once what the web side would refuse only after the cell is ready.
+
+    Raises
+    ------
+    SideEndedError
+        If no key is valid.
+    """
+    process = context.Process(target=key_check_process, args=(settings,), name="bearing-twin keys")
+    await asyncio.to_thread(process.start)
+    try:
+        async with asyncio.timeout(_KEY_CHECK_S):
+            await _ended(process)
+    except TimeoutError:
+        process.kill()
+        await _ended(process)
+    process.join()
+    if process.exitcode == STATUS_REFUSED:
+        raise SideEndedError("web", STATUS_REFUSED)
 
 
 async def _ended(process: ForkServerProcess) -> None:

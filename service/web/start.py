@@ -102,7 +102,7 @@ class _Start:
             store = await until("the store", partial(Store.open, url, data_dir))
             stack.callback(store.close)
             if not is_loopback(settings.service.host):
-                await until("the store", partial(_check_key, store, settings.service.host))
+                await until("the store", partial(check_key, store, settings.service.host))
             outbox = await until(
                 "room on the disk", partial(Outbox.open, data_dir, store, OUTBOX_FILE)
             )
@@ -208,7 +208,14 @@ async def _tell_absence(
                 bus.announce("verdict", asset.id, asset.verdict())
 
 
-def _check_key(store: Store, host: str) -> None:
+def check_key(store: Store, host: str) -> None:
+    """Refuse a service that other machines may reach, and that nobody has a key of.
+
+    Raises
+    ------
+    SettingsError
+        If there is no valid key.
+    """
     now_us = wall_us()
     if not any(key.is_valid(now_us) for key in store.access.list_keys()):
         raise SettingsError(

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from processes import free_port
 
+from service.store import lock_data_directory
+
 PATIENCE_S = 240.0
 SOURCE = """
 [[sources]]
@@ -169,6 +171,14 @@ def test_a_service_for_others_needs_a_key(
 ) -> None:
     line = refused("serve", "-c", str(configure(service='host = "0.0.0.0"')))
     assert "keys create" in line
+
+
+def test_a_service_for_others_without_a_key_is_refused_before_anything_is_waited_for(
+    refused: Callable[..., str], configure: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = configure(service='host = "0.0.0.0"')
+    with lock_data_directory(tmp_path / "data"):  # the cell cannot start
+        assert "keys create" in refused("serve", "-c", str(config))
 
 
 def test_a_role_that_there_is_not(refused: Callable[..., str]) -> None:
