@@ -33,6 +33,9 @@ FRESH_S: Final = 0.1
 SOON_S: Final = 0.3
 #: Wall seconds that who asks waits for the cell; then the copy that is there must do.
 PATIENCE_S: Final = 1.0
+#: Documents asked for at once: the answers about thousands of assets are too long for one message,
+#: and take the cell longer than who asks waits.
+PORTION: Final = 32
 #: A copy that is older says nothing for certain any more.
 UNCERTAIN_AFTER_S: Final = 5.0
 #: Tags with these names are a verdict: 0 is unknown.
@@ -380,17 +383,17 @@ class Replicas:
                 replica.changed()
 
     async def refresh(self, *kinds: DocumentKind) -> None:
-        """Bring the documents of all assets up to date with one question."""
-        asked_s = time.monotonic()
+        """Bring the documents of all assets up to date, some with each question."""
         due = [
             (asset, kind) for asset in self.assets.values() for kind in kinds if asset.is_due(kind)
         ]
-        if not due:
-            return
-        wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in due]
-        documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
-        for (asset, kind), document in zip(due, documents, strict=True):
-            asset.take(kind, document, asked_s)
+        for begin in range(0, len(due), PORTION):
+            portion = due[begin : begin + PORTION]
+            wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
+            asked_s = time.monotonic()
+            documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
+            for (asset, kind), document in zip(portion, documents, strict=True):
+                asset.take(kind, document, asked_s)
 
     async def refresh_known(self, *kinds: DocumentKind) -> None:
         """As `refresh`; where the cell does not answer what is known must do."""
