@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
 
-import anyio.to_thread
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
@@ -20,6 +19,7 @@ from service.bus.messages import State
 from service.bus.stream import Bus, Message, heartbeats
 from service.cell.acquisition import Acquisition
 from service.cell.answers import Answers, Parts
+from service.cell.keeping import StateKeeper
 from service.cell.retention import Upkeep
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
@@ -36,7 +36,6 @@ from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
 from service.store import (
     Alarm,
-    AuditEntry,
     ModelVersion,
     Outbox,
     Retention,
@@ -125,11 +124,10 @@ class Cell:
             self.registry,
         )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
+        self._states = StateKeeper(store.states.save_all)
         self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
         self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
-        self._kept_states = {
-            asset: cast(KeptState | None, store.states.load(asset)) for asset in self.assets
-        }
+        self._kept_states = cast(dict[str, KeptState], store.states.load_all())
         left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
         self._report_unconfigured(left)
         for alarm in left:
@@ -175,10 +173,6 @@ class Cell:
             _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
             active = self._default_version(asset, f"version {active.version}: {foreign}")
 
-        async def save_state(document: KeptState, audit: Sequence[AuditEntry]) -> None:
-            save, kept = self.store.states.save, dict(document)
-            await anyio.to_thread.run_sync(save, asset.id, kept, audit, abandon_on_cancel=True)
-
         return AssetRuntime(
             asset,
             wiring.channels[asset.id],
@@ -188,7 +182,7 @@ class Cell:
             alarms=self.alarms,
             executor=self._executor,
             store_samples=self._store_derived,
-            save_state=save_state,
+            save_state=partial(self._states.save, asset.id),
             doubt=partial(self._doubt, asset.id),
         )
 
@@ -351,7 +345,7 @@ class Cell:
         async with asyncio.TaskGroup() as twins:
             for asset in self.assets.values():
                 twins.create_task(
-                    asset.run(self._kept_states[asset.id]), name=f"twin of {asset.id}"
+                    asset.run(self._kept_states.get(asset.id)), name=f"twin of {asset.id}"
                 )
             await asyncio.Event().wait()
 

@@ -103,3 +103,15 @@ def test_an_asset_state_is_replaced_and_kept(tmp_path: Path) -> None:
     with Store.open("", tmp_path) as store:
         assert store.states.load("a") == {"revolutions": 2.5, "temperatures_c": [1.0] * 13}
         assert store.states.load("b") == {}
+
+
+def test_states_of_many_assets_are_kept_at_once_to_the_last_bit(store: Store) -> None:
+    numbers = [0.1 + 0.2, 1e-300, -0.0, 1.7976931348623157e308]
+    documents = {f"m{n}": {"numbers": numbers, "n": n, "none": None} for n in range(300)}
+    store.states.save("m7", {"old": True})
+    store.states.save_all(documents)
+    store.states.save_all({})
+    assert store.states.load_all() == documents
+    kept = store.states.load("m7")
+    assert kept is not None
+    assert [value.hex() for value in kept["numbers"]] == [value.hex() for value in numbers]

@@ -1,0 +1,68 @@
+"""States of many twins go together, and each is told how its own ended."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from service.cell.keeping import StateKeeper
+from service.store import AuditEntry
+
+
+async def test_what_comes_together_is_written_together() -> None:
+    written: list[Mapping[str, Mapping[str, Any]]] = []
+    keeper = StateKeeper(lambda documents, lines: written.append(documents))
+    await asyncio.gather(*(keeper.save(f"m{n}", {"n": n}) for n in range(50)))
+    assert written == [{f"m{n}": {"n": n} for n in range(50)}]
+    await keeper.save("m1", {"n": 2})
+    assert written[1:] == [{"m1": {"n": 2}}]
+
+
+async def test_who_comes_during_a_write_goes_with_the_next_and_the_newest_wins() -> None:
+    loop, begun, go_on = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
+    written: list[Mapping[str, Mapping[str, Any]]] = []
+
+    def write(documents: Mapping[str, Mapping[str, Any]], lines: Sequence[AuditEntry]) -> None:
+        loop.call_soon_threadsafe(begun.set)
+        asyncio.run_coroutine_threadsafe(go_on.wait(), loop).result(30.0)
+        written.append(documents)
+
+    keeper = StateKeeper(write)
+    first = asyncio.create_task(keeper.save("a", {"n": 1}))
+    async with asyncio.timeout(30.0):
+        await begun.wait()
+        later = [asyncio.create_task(keeper.save("a", {"n": n})) for n in (2, 3)]
+        await asyncio.sleep(0)
+        assert not first.done()
+        go_on.set()
+        await asyncio.gather(first, *later)
+    assert written == [{"a": {"n": 1}}, {"a": {"n": 3}}]
+
+
+async def test_a_failure_reaches_all_who_wait_and_the_next_write_works() -> None:
+    fails = True
+
+    def write(documents: Mapping[str, Mapping[str, Any]], lines: Sequence[AuditEntry]) -> None:
+        if fails:
+            raise OSError("no space left on device")
+
+    keeper = StateKeeper(write)
+    ended = await asyncio.gather(
+        *(keeper.save(name, {}) for name in "abc"), return_exceptions=True
+    )
+    assert [type(one) for one in ended] == [OSError] * 3
+    fails = False
+    await keeper.save("a", {})
+
+
+async def test_one_who_leaves_does_not_take_the_others_along() -> None:
+    written: list[Mapping[str, Mapping[str, Any]]] = []
+    keeper = StateKeeper(lambda documents, lines: written.append(documents))
+    leaving, staying = (asyncio.create_task(keeper.save(name, {})) for name in "ab")
+    await asyncio.sleep(0)
+    leaving.cancel()
+    await staying
+    with pytest.raises(asyncio.CancelledError):
+        await leaving
+    assert set(written[0]) == {"a", "b"}
