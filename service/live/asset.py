@@ -140,6 +140,10 @@ class AssetRuntime:
         self._forecast_wanted = asyncio.Event()
         self._forecast_due = True
         self._unsent: dict[str, Sample] = {}
+        self._verdict_due = True
+        self._verdict_holds_us = -math.inf
+        self._told_verdict: object = None
+        self._told_wall_s = -math.inf
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
         self._watching = Guard("watch", settings.id)
@@ -328,8 +332,10 @@ class AssetRuntime:
     # ------------------------------------------------------------------ what comes in
     def take(self, samples: Sequence[Sample], plans: Sequence[PlannedProfile]) -> None:
         """Take in a batch from the drivers or from a gateway."""
-        for sample in self.readings.add(samples):
+        news = self.readings.add(samples)
+        for sample in news:
             self._unsent[sample.channel] = sample
+        self._verdict_due |= self._judgement.is_news(news)
         self._changed()
         for plan in plans:
             if plan.asset == self.id and self._forecasting.take_plan(plan):
@@ -341,6 +347,7 @@ class AssetRuntime:
         self.estimate.swap(active)
         self._watch.switched(before, who, comment)
         self._switched = rfc3339(self._clock.now_us())
+        self._verdict_due = True
         self._changed()
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
@@ -378,6 +385,7 @@ class AssetRuntime:
     def alarms_changed(self) -> None:
         """Note that an alarm of this asset has changed."""
         self._alarms_changed = rfc3339(self._clock.now_us())
+        self._verdict_due = True
         self._changed()
 
     # ------------------------------------------------------------------ the running twin
@@ -397,8 +405,7 @@ class AssetRuntime:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._follow())
                 tasks.create_task(self._forecast_live())
-                tasks.create_task(self._tell_measurements())
-                tasks.create_task(self._tell_verdicts())
+                tasks.create_task(self._tell())
                 tasks.create_task(self._keep())
         finally:
             self.running = False
@@ -450,6 +457,7 @@ class AssetRuntime:
         # The first forecast of a run does not wait for its period, whether the estimate begins or
         # goes on from the last run.
         begins = self.estimate.started and (self._forecast_due or not had_started)
+        self._verdict_due |= blind != self._blind or had_started != self.estimate.started
         if begins or blind != self._blind:
             self._forecast_due &= not begins
             self._forecast_wanted.set()
@@ -477,31 +485,42 @@ class AssetRuntime:
     async def _forecast_once(self) -> None:
         made = await self._forecasting.make(self._judgement.blind)
         if made is not None:
+            self._verdict_due = True
             self._changed()
             self._bus.publish("forecast", self.id, made)
             summary = self._forecasting.summary
             self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
 
-    async def _tell_measurements(self) -> None:
+    async def _tell(self) -> None:
         while True:
+            self._tell_verdict()
             await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
-            if self._unsent:
-                samples = presentation.samples_document(self._unsent.values())
-                self._unsent = {}
-                self._bus.publish("measurement", self.id, NewSamples(samples=samples))
+            self._tell_measurements()
 
-    async def _tell_verdicts(self) -> None:
-        """Send the verdict when it changes, and now and then so that its age can be seen."""
-        wall_s = asyncio.get_running_loop().time
-        told, told_wall_s = None, -math.inf
-        while True:
-            verdict = self.verdict()
-            words = [(one.word, one.limit) for one in (verdict.now, verdict.next_step)]
-            news = words, verdict.missing
-            if news != told or wall_s() - told_wall_s >= VERDICT_EVERY_WALL_S:
-                self._bus.publish("verdict", self.id, verdict)
-                told, told_wall_s = news, wall_s()
-            await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
+    def _tell_measurements(self) -> None:
+        if self._unsent:
+            samples = presentation.samples_document(self._unsent.values())
+            self._unsent = {}
+            self._bus.publish("measurement", self.id, NewSamples(samples=samples))
+
+    def _tell_verdict(self) -> None:
+        """Send the verdict when it changes, and now and then so that its age can be seen.
+
+        It is made again only when something that it depends on has changed: in a hall of hundreds
+        of machines hardly anything has.
+        """
+        now_us, wall_s = self._clock.now_us(), asyncio.get_running_loop().time()
+        old = wall_s - self._told_wall_s >= VERDICT_EVERY_WALL_S
+        if not (self._verdict_due or old or now_us >= self._verdict_holds_us):
+            return
+        self._verdict_due = False
+        verdict = self.verdict()
+        self._verdict_holds_us = self._judgement.holds_until_us(now_us)
+        words = [(one.word, one.limit) for one in (verdict.now, verdict.next_step)]
+        news = words, verdict.missing
+        if old or news != self._told_verdict:
+            self._bus.publish("verdict", self.id, verdict)
+            self._told_verdict, self._told_wall_s = news, wall_s
 
     async def _save(self) -> None:
         if self.estimate.started:

@@ -1,7 +1,10 @@
 """Makes the verdict of a running asset from what is there at the moment."""
 
+import math
+from collections.abc import Iterable
+
 from adapters.protocol import Clock
-from adapters.samples import Quality
+from adapters.samples import Quality, Sample, is_good
 from service.alarms import AlarmBook
 from service.clock import rfc3339
 from service.documents.tags import Tag, tag
@@ -12,7 +15,13 @@ from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
 from service.live.readings import Readings
-from service.live.verdict import CODES, Evidence, judge, missing_operation
+from service.live.verdict import (
+    CODES,
+    Evidence,
+    judge,
+    missing_operation,
+    required_channels,
+)
 from service.site.settings import AssetSection
 
 #: A verdict looks ahead with no older forecast; process s, and at least this many wall s.
@@ -56,6 +65,10 @@ class Judgement:
         self._book = book
         self._clock = clock
         self._told: dict[str, tuple[int, str]] = {}
+        self._required = frozenset(required_channels(settings))
+        # What of each required channel a verdict depends on, and what the last verdict lacked.
+        self._seen: dict[str, tuple[bool, int]] = {}
+        self._missing: frozenset[str] = frozenset()
 
     def document(self, running: bool) -> VerdictDocument:
         """Give the verdict of this moment.
@@ -66,7 +79,49 @@ class Judgement:
             Whether the asset's runtime is at work.
         """
         now_us = self._clock.now_us()
-        return VerdictDocument(**dict(judge(self._evidence(now_us, running))), time=rfc3339(now_us))
+        judged = judge(self._evidence(now_us, running))
+        self._missing = frozenset(judged.missing)
+        return VerdictDocument(**dict(judged), time=rfc3339(now_us))
+
+    def is_news(self, samples: Iterable[Sample]) -> bool:
+        """Whether new samples may give another verdict.
+
+        They do when a required channel becomes good or ceases to be, exceeds another limit than
+        before, or was missing.
+        """
+        news = False
+        for sample in samples:
+            channel = sample.channel
+            if channel not in self._required:
+                continue
+            limits = self._settings.limits.get(channel)
+            value = sample.value
+            over = 0 if limits is None else (value >= limits.warning) + (value >= limits.alarm)
+            seen = is_good(sample.quality), over
+            news |= channel in self._missing or self._seen.get(channel) != seen
+            self._seen[channel] = seen
+        return news
+
+    def holds_until_us(self, now_us: int) -> float:
+        """First process time after now at which time alone may give another verdict.
+
+        A channel gets stale, the estimate or the forecast gets old, or a step of the plan ends.
+        """
+        rate = self._clock.rate
+        moments = [
+            self._readings.stale_from_us(name)
+            for name in self._required
+            if name in self._readings.max_age_s
+        ]
+        if self._estimate.time_us is not None:
+            oldest_s = max(ESTIMATE_MAX_AGE_S, ESTIMATE_MAX_AGE_WALL_S * rate)
+            moments.append(self._estimate.time_us + oldest_s * 1e6 + 1.0)
+        outlook = self._forecasting.outlook
+        if outlook is not None:
+            oldest_s = max(FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S * rate)
+            ends_s = (*(step.end_s for step in outlook.steps), oldest_s)
+            moments += [outlook.made_us + end_s * 1e6 + 1.0 for end_s in ends_s]
+        return min((moment for moment in moments if moment > now_us), default=math.inf)
 
     def tags(self, document: VerdictDocument) -> dict[str, Tag]:
         """Tags of a verdict; their time is when the word last changed.

@@ -158,6 +158,17 @@ class Readings:
         age_s = (now_us - self.began_us) / 1e6 if sample is None else self._age_s(sample, now_us)
         return age_s > self.age_limit_s(channel)
 
+    def stale_from_us(self, channel: str) -> float:
+        """Process time at which the channel is stale if nothing more comes; the first moment of it.
+
+        Infinite for a channel that has sent nothing, and so has no value to lose.
+        """
+        sample = self.latest.get(channel)
+        if sample is None:
+            return math.inf
+        since_us = min(sample.time_us, sample.received_us)
+        return since_us + self.age_limit_s(channel) * 1e6 + 1.0
+
     def good_value(self, channel: str, now_us: int) -> float | None:
         """Value of the channel if its latest sample is good and fresh, else None."""
         sample = self.latest.get(channel)
