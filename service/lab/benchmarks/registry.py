@@ -20,22 +20,29 @@ BENCHMARKS = {
     "snapshot": "service.lab.benchmarks.web:snapshot",
     "what_if_http": "service.lab.benchmarks.web:what_if_http",
     "websocket_500": "service.lab.benchmarks.web:websocket_500",
+    "assets_cpu": "service.lab.benchmarks.fleet:assets_cpu",
 }
 """Where each one is: ``module:function``; imported only when it runs."""
 
+GROUPS = {"fleet": ("assets_cpu",)}
+"""Benchmarks that one name stands for."""
+
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """The benchmarks of these names in the order given, or all.
+    """The benchmarks of these names, or groups of them, in the order given, or all.
 
     Raises
     ------
     BenchmarkError
         If one does not exist; names those that do.
     """
+    wanted: list[str] = []
     for name in names:
-        if name not in BENCHMARKS:
-            raise BenchmarkError(f"benchmark {name!r}: expected one of {', '.join(BENCHMARKS)}")
-    return tuple(dict.fromkeys(names)) or tuple(BENCHMARKS)
+        if name not in BENCHMARKS and name not in GROUPS:
+            known = ", ".join((*BENCHMARKS, *GROUPS))
+            raise BenchmarkError(f"benchmark {name!r}: expected one of {known}")
+        wanted += GROUPS.get(name, (name,))
+    return tuple(dict.fromkeys(wanted)) or tuple(BENCHMARKS)
 
 
 def run(name: str, tell: Progress) -> Measurement:
