@@ -32,6 +32,8 @@ class AssetStates(StorePart):
         self, documents: Mapping[str, Mapping[str, Any]], lines: Sequence[AuditEntry] = ()
     ) -> None:
         """Keep the documents of many assets in one transaction, as `save` does."""
+        if not documents:
+            return
         rows = [
             {"asset": asset, "document": {_PACKED: b64encode(msgspec.msgpack.encode(one)).decode()}}
             for asset, one in documents.items()

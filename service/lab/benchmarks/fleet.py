@@ -205,9 +205,7 @@ async def _answers(gateways: Sequence[Mapping[str, Any]]) -> list[int]:
             if not await client.connect():
                 raise BenchmarkError("the benchmark's own benches do not answer")
             for unit in range(1, min(gateway["units"], UNITS) + 1):
-                answer = await client.read_input_registers(
-                    COUNTER_ADDRESS, count=2, device_id=unit
-                )
+                answer = await client.read_input_registers(COUNTER_ADDRESS, count=2, device_id=unit)
                 high, low = answer.registers
                 counts.append(high << 16 | low)
         finally:

@@ -2,12 +2,13 @@
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from service.cell.keeping import StateKeeper
-from service.store import AuditEntry
+from service.store import AuditEntry, Store
 
 
 async def test_what_comes_together_is_written_together() -> None:
@@ -48,9 +49,7 @@ async def test_a_failure_reaches_all_who_wait_and_the_next_write_works() -> None
             raise OSError("no space left on device")
 
     keeper = StateKeeper(write)
-    ended = await asyncio.gather(
-        *(keeper.save(name, {}) for name in "abc"), return_exceptions=True
-    )
+    ended = await asyncio.gather(*(keeper.save(name, {}) for name in "abc"), return_exceptions=True)
     assert [type(one) for one in ended] == [OSError] * 3
     fails = False
     await keeper.save("a", {})
@@ -66,3 +65,15 @@ async def test_one_who_leaves_does_not_take_the_others_along() -> None:
     with pytest.raises(asyncio.CancelledError):
         await leaving
     assert set(written[0]) == {"a", "b"}
+
+
+async def test_lines_of_the_audit_trail_go_with_the_states_that_they_are_about(
+    tmp_path: Path,
+) -> None:
+    line = AuditEntry(time_us=1, who="dana", address="", action="renew grease", target="a")
+    with Store.open("", tmp_path) as store:
+        keeper = StateKeeper(store.states.save_all)
+        await asyncio.gather(keeper.save("a", {"revolutions": 0.0}, [line]), keeper.save("b", {}))
+        await keeper.save("a", {"revolutions": 1.0})
+        assert store.states.load_all() == {"a": {"revolutions": 1.0}, "b": {}}
+        assert [entry.who for entry in store.audit.page(10).items] == ["dana"]

@@ -1,0 +1,92 @@
+"""The verdict is told when it changes, and not made again while nothing has changed."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from adapters.samples import Quality
+
+WARM = {
+    "speed_rpm": 2400.0,
+    "load_n": 2650.0,
+    "ambient_c": 23.0,
+    "t_inner_ring_c": 55.0,
+    "t_outer_ring_c": 38.0,
+}
+HOT = WARM | {"t_inner_ring_c": 75.0}  # over the warning of 70
+PATIENCE_S = 60.0
+
+
+async def words(subscription: Any) -> tuple[str, list[str]]:
+    """The next verdict of this moment that is told."""
+    while True:
+        message = await asyncio.wait_for(subscription.get(), PATIENCE_S)
+        if message.type == "verdict":
+            data = json.loads(message.text)["data"]
+            return data["now"]["word"], data["missing"]
+
+
+@pytest.fixture
+def only_news(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is told again because it is old."""
+    monkeypatch.setattr("service.live.asset.VERDICT_EVERY_WALL_S", 1e9)
+
+
+@pytest.mark.usefixtures("only_news")
+async def test_limits_bad_samples_and_silence_are_told_without_being_asked(
+    make_live: Callable[..., Any],
+) -> None:
+    live = make_live(max_age_s=3600.0)
+    subscription = live.subscribe()
+    live.start()
+    await live.until(lambda: live.runtime.estimate.started, "a start", WARM)
+
+    async def until(word: str, what: str) -> list[str]:
+        while True:
+            told, missing = await words(subscription)
+            if told == word:
+                return missing
+            assert told in ("unknown", "safe", "not safe", "recovering"), what
+
+    assert "t_inner_ring_c" not in await until("safe", "a healthy start")
+    live.feed(HOT)
+    await until("not safe", "a temperature over its limit")
+    live.feed({"t_inner_ring_c": 75.0}, Quality.SENSOR_FAILURE)
+    assert "t_inner_ring_c" in await until("unknown", "a broken sensor")
+    live.feed(WARM)
+    await until("safe", "good again")
+    # Nothing comes any more: the channels get stale by time alone.
+    assert "t_inner_ring_c" in await until("unknown", "silence")
+    live.feed(WARM)
+    await until("safe", "back again")
+
+
+@pytest.mark.usefixtures("only_news")
+async def test_a_machine_in_which_nothing_changes_costs_no_verdicts(
+    make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live(max_age_s=1800.0)
+    monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
+    made = 0
+    verdict = live.runtime.verdict
+
+    def counted() -> Any:
+        nonlocal made
+        made += 1
+        return verdict()
+
+    monkeypatch.setattr(live.runtime, "verdict", counted)
+    live.start()
+    await live.until(live.runtime.forecast, "a forecast", WARM)
+    looks = 0
+    before = made
+    end_us = live.clock.now_us() + 4 * 3600 * 1_000_000
+    while live.clock.now_us() < end_us:
+        live.feed(WARM)
+        looks += 1
+        await asyncio.sleep(0.02)
+    assert looks > 50
+    assert made - before < looks / 5
