@@ -2,11 +2,14 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from processes import Site, wait_until
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(600)]
 
@@ -61,3 +64,33 @@ def test_a_demo_that_make_starts_is_cut_short_and_prints_its_document_and_nothin
     assert document["samples"]["can"] > 100
     assert set(document) >= {"model_versions", "stages", "samples", "complete"}
     assert "Stage 2 of" in demo.stderr
+
+
+def test_a_pause_of_the_processor_raises_no_alarm_of_lost_data(tmp_path: Path) -> None:
+    """At rate 120 two seconds are four minutes of the bench, and nothing is lost in them."""
+    site = Site(tmp_path, "demo", 120.0)
+    good = ("t_inner_ring_c", "speed_rpm", "speed_setpoint_rpm")
+
+    def all_good() -> bool:
+        tags = site.tags()
+        return all(tags[name]["quality"] == 192 for name in good)
+
+    try:
+        site.start_bench()
+        site.start_service()
+        assert site.service is not None
+        assert site.bench is not None
+        wait_until(all_good, 90, "all channels")
+        for process in (site.service.side("cell"), site.bench.process.pid):
+            os.kill(process, signal.SIGSTOP)
+            time.sleep(2.0)
+            os.kill(process, signal.SIGCONT)
+            resumed_us = site.now_us()
+            wait_until(
+                lambda since_us=resumed_us: site.now_us() - since_us > 600e6 and all_good(),
+                90,
+                "values from after the pause",
+            )
+        assert [one["message"] for one in site.get("/api/v1/alarms")["items"]] == []
+    finally:
+        site.close()
