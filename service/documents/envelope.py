@@ -70,6 +70,11 @@ class PresentPoint(OperatingPoint):
     measured_c: dict[str, Number] = Field(
         description="Good and fresh readings by sensor, °C; `labels` say where the map is low.",
     )
+    over_limit: dict[str, dict[Level, Number]] = Field(
+        description="Probability that the sensor is at or over each limit here: 1 where it is "
+        "measured so now, whatever the map shows; else `steady_probability` of the nearest point.",
+        examples=[{"t_inner_ring_c": {"warning": 1.0, "alarm": 0.02}}],
+    )
 
 
 class EnvelopeMaps(Document):

@@ -136,6 +136,8 @@ def with_present(
 ) -> EnvelopeDocument:
     """Add the present point with what is measured there, and say where the map is too low.
 
+    A reading over a limit outweighs the map at this point: it is rated over the limit.
+
     Parameters
     ----------
     maps : EnvelopeMaps
@@ -145,13 +147,22 @@ def with_present(
     measured_c : mapping of str to float or None
         Good and fresh readings by sensor.
     """
+    row = _nearest(maps.load_n, point.load_n)
+    column = _nearest(maps.speed_rpm, point.speed_rpm)
     present = PresentPoint(
         speed_rpm=round(point.speed_rpm, 1),
         load_n=round(point.load_n, 1),
         measured_c=dict(measured_c),
+        over_limit={
+            name: {
+                level: 1.0
+                if _is_over(measured_c.get(name), limit.limit_c)
+                else limit.steady_probability[row][column]
+                for level, limit in of_sensor.limits.items()
+            }
+            for name, of_sensor in maps.sensors.items()
+        },
     )
-    row = _nearest(maps.load_n, present.load_n)
-    column = _nearest(maps.speed_rpm, present.speed_rpm)
     labels = list(maps.labels)
     for name, value_c in measured_c.items():
         of_sensor = maps.sensors[name]
@@ -167,6 +178,10 @@ def with_present(
                 )
                 break
     return EnvelopeDocument(**dict(maps) | {"labels": labels}, present=present)
+
+
+def _is_over(reading_c: float | None, limit_c: float) -> bool:
+    return reading_c is not None and reading_c >= limit_c
 
 
 def _nearest(axis: Sequence[float], value: float) -> int:

@@ -409,3 +409,28 @@ def test_vendored_parts_come_with_their_licences() -> None:
     static = static_directory()
     assert "MIT License" in (static / "vendor/uPlot-LICENSE.txt").read_text()
     assert "SIL OPEN FONT LICENSE" in (static / "fonts/B612-OFL.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("speed_rpm", "reading", "expected"),
+    [
+        (1900, 77.1, 1.0),  # measured over the limit, where the map says 36 %
+        (1900, 69.9, 0.36),
+        (1900, None, 0.36),
+        (1000, 77.1, 0.0),  # another point of the map
+    ],
+)
+def test_the_present_point_is_rated_no_lower_than_what_is_measured(
+    parts: Page, speed_rpm: float, reading: float | None, expected: float
+) -> None:
+    chance = run(
+        parts,
+        "const { chanceAt, planeOf } = await import('/js/plane.js');"
+        "const plane = planeOf({ speed_rpm: [1000, 2000], load_n: [1000, 3000] });"
+        "const map = { limit_c: 70, steady_probability: [[0, 0.4], [0, 0.4]] };"
+        "const present = { speed: 1900, load: 2650, reading };"
+        "return chanceAt(plane, map, { speed, load: 2650 }, present);",
+        speed=speed_rpm,
+        reading=reading,
+    )
+    assert chance == pytest.approx(expected)

@@ -171,21 +171,21 @@ async def test_advice_document_has_the_shape_it_promises(live: Any) -> None:
     assert inside.target.inside_low_risk
 
 
-def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:
-    """The ring was at 77 °C over a warning of 70, and the map rated the point 61 °C."""
+def maps_of(steady: list[list[float]], likely: list[list[float]]) -> EnvelopeMaps:
+    """Maps of one ring over two speeds and two loads, with limits at 70 and 95 °C."""
     cool, unlikely = [[0.0, 0.0]] * 2, [[None, None]] * 2
     limits = {
         level: LimitMap(
             limit_c=limit_c,
             probability=cool,
-            steady_probability=cool,
+            steady_probability=likely,
             median_s=unlikely,
             earliest_s=unlikely,
         )
         for level, limit_c in (("warning", 70.0), ("alarm", 95.0))
     }
-    steady = SteadyMap(q025=cool, q50=[[40.0, 50.0], [45.0, 61.0]], q975=cool)
-    maps = EnvelopeMaps(
+    shown = SteadyMap(q025=cool, q50=steady, q975=cool)
+    return EnvelopeMaps(
         made_at="2026-11-21T08:00:00.000Z",
         model_version=2,
         ambient_c=23.0,
@@ -193,11 +193,16 @@ def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_m
         members=80,
         speed_rpm=[1000.0, 2000.0],
         load_n=[1000.0, 3000.0],
-        sensors={RING: SensorMaps(steady_c=steady, limits=limits)},
+        sensors={RING: SensorMaps(steady_c=shown, limits=limits)},
         runaway=RunawayMap(probability=cool, not_excluded=[[False, False]] * 2),
         low_risk=LowRisk(speed_rpm_max=4300.0, load_n_max=3000.0),
         labels=[],
     )
+
+
+def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_map() -> None:
+    """The ring was at 77 °C over a warning of 70, and the map rated the point 61 °C."""
+    maps = maps_of(steady=[[40.0, 50.0], [45.0, 61.0]], likely=[[0.0, 0.0]] * 2)
     point = profiles.OperatingPoint(1900.0, 2650.0, 23.0)
     shown = with_present(maps, point, {RING: 77.1})
     assert shown.present.measured_c == {RING: 77.1}
@@ -207,3 +212,17 @@ def test_the_envelope_says_where_the_present_point_is_measured_hotter_than_its_m
     ]
     for calm in (60.0, None):
         assert with_present(maps, point, {RING: calm}).labels == []
+
+
+def test_the_envelope_rates_the_present_point_no_lower_than_what_is_measured_there() -> None:
+    """36 % over the warning, said the map, and the ring was over it."""
+    maps = maps_of(steady=[[40.0, 50.0], [45.0, 61.0]], likely=[[0.0, 0.0], [0.05, 0.36]])
+    point = profiles.OperatingPoint(1900.0, 2650.0, 23.0)
+
+    def rated(reading_c: float | None) -> dict[str, Any]:
+        return with_present(maps, point, {RING: reading_c}).present.over_limit[RING]
+
+    assert rated(77.1) == {"warning": 1.0, "alarm": 0.36}
+    assert rated(95.0) == {"warning": 1.0, "alarm": 1.0}
+    for calm in (69.9, None):
+        assert rated(calm) == {"warning": 0.36, "alarm": 0.36}, "as the map has it"

@@ -236,7 +236,7 @@ class MemoryQuestions:
             runaway=RunawayMap(probability=[[float("inf")]], not_excluded=[[False]]),
             low_risk=LowRisk(speed_rpm_max=4300, load_n_max=3000),
             labels=[],
-            present=PresentPoint(speed_rpm=1000.0, load_n=2000.0, measured_c={}),
+            present=PresentPoint(speed_rpm=1000.0, load_n=2000.0, measured_c={}, over_limit={}),
         )
 
     async def advice(

@@ -25,11 +25,28 @@ export function valueAt(plane, matrix, speed, load) {
   return (p * (1 - a) + q * a) * (1 - b) + (r * (1 - a) + t * a) * b;
 }
 
-/** The value at the grid point nearest to a point, null where there is none. */
-export function nearestAt(plane, matrix, speed, load) {
+/** The grid point nearest to a point: [row, column] of the matrices. */
+function nearest(plane, speed, load) {
   const [i, i1, a] = place(plane.speeds, speed);
   const [j, j1, b] = place(plane.loads, load);
-  return matrix[b < 0.5 ? j : j1][a < 0.5 ? i : i1];
+  return [b < 0.5 ? j : j1, a < 0.5 ? i : i1];
+}
+
+/** The value at the grid point nearest to a point, null where there is none. */
+export function nearestAt(plane, matrix, speed, load) {
+  const [row, column] = nearest(plane, speed, load);
+  return matrix[row][column];
+}
+
+/**
+ * How probably a sensor is at or over a limit at a point { speed, load }: certain at `present`,
+ * { speed, load, reading }, where it reads so now, whatever the map shows; else as the map has it.
+ */
+export function chanceAt(plane, map, { speed, load }, present) {
+  const [here, there] = [nearest(plane, speed, load), nearest(plane, present.speed, present.load)];
+  const isHere = here[0] === there[0] && here[1] === there[1];
+  return isHere && present.reading !== null && present.reading >= map.limit_c ? 1
+    : valueAt(plane, map.steady_probability, speed, load);
 }
 
 /**

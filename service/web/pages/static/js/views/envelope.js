@@ -7,7 +7,7 @@ import {
   celsius, channelName, fixed, isNumber, labelText, percent, spanText, wholeSpan,
 } from '../format.js';
 import { icon } from '../icons.js';
-import { nearestAt, planeOf, valueAt } from '../plane.js';
+import { chanceAt, nearestAt, planeOf, valueAt } from '../plane.js';
 import { readChannel } from '../readings.js';
 import { THRESHOLDS } from '../verdict.js';
 
@@ -110,7 +110,9 @@ export class EnvelopeView {
       return reading.usable ? reading.value : kept;
     };
     const { speed_rpm: speed, load_n: load } = this.answer.present;
-    const present = { speed: now('speed_rpm', speed), load: now('load_n', load) };
+    const present = {
+      speed: now('speed_rpm', speed), load: now('load_n', load), reading: now(this.sensor, null),
+    };
     const ahead = clock.now() === null ? []
       : distinctSteps(stepsFrom(store.get('forecast'), clock.now()));
     const steps = ahead.slice(1).map((step) => ({ speed: step.speed_rpm, load: step.load_n }));
@@ -121,7 +123,7 @@ export class EnvelopeView {
     this.map.update({
       answer: this.answer, maps, limits, mode: this.mode, probe: this.probe, present, steps,
     });
-    this.showPoint(plane, maps, limits);
+    this.showPoint(plane, maps, limits, present);
     this.showSteps(plane, maps, limits, [present, ...steps]);
     this.showKey(limits);
   }
@@ -149,11 +151,13 @@ export class EnvelopeView {
         () => { this.mode = 'time'; }));
   }
 
-  showPoint(plane, maps, limits) {
+  showPoint(plane, maps, limits, present) {
     const { speed, load } = this.probe;
+    const chances = limits && ['warning', 'alarm'].map((level) =>
+      chanceAt(plane, maps.limits[level], this.probe, present));
     // Built again only when its content changes, so that its buttons keep focus and clicks.
     const key = JSON.stringify([speed, load, this.sensor, this.answer.made_at,
-      this.answer.model_version, this.trusted()]);
+      this.answer.model_version, this.trusted(), chances]);
     if (key === this.pointKey) return;
     this.pointKey = key;
     const at = (matrix) => valueAt(plane, matrix, speed, load);
@@ -163,16 +167,16 @@ export class EnvelopeView {
     let head = null;
     if (limits) {
       const [warning, alarm] = ['warning', 'alarm'].map((level) => maps.limits[level]);
-      const { word, priority } = verdictAt(at(warning.steady_probability), at(alarm.steady_probability));
+      const { word, priority } = verdictAt(...chances);
       head = this.trusted() ? h('div', { class: `verd${priority ? ` p${priority}` : ''}` },
         symbol(priority, '1em'), h('span', { class: 'word' }, WORDS[word]))
         : h('div', { class: 'verd bt' }, icon('bad', 'hollow', '1em'),
           h('span', { class: 'word' }, 'Not trusted'));
-      for (const [level, map] of [['warning', warning], ['alarm', alarm]]) {
+      for (const [i, [level, map]] of [['warning', warning], ['alarm', alarm]].entries()) {
         const median = nearestAt(plane, map.median_s, speed, load);
         const first = nearestAt(plane, map.earliest_s, speed, load);
         const hours = wholeSpan(this.answer.horizon_s);
-        rows.push([`Over ${limits[level]} °C when steady`, percent(at(map.steady_probability))],
+        rows.push([`Over ${limits[level]} °C when steady`, percent(chances[i])],
           ['median time', median === null ? `not within ${hours}` : spanText(median)],
           ['earliest time', first === null ? '–' : spanText(first)]);
       }
@@ -195,9 +199,10 @@ export class EnvelopeView {
   }
 
   showSteps(plane, maps, limits, steps) {
+    const [present] = steps;
     const row = (step, i) => {
       const chance = limits && ['warning', 'alarm'].map((level) =>
-        valueAt(plane, maps.limits[level].steady_probability, step.speed, step.load));
+        chanceAt(plane, maps.limits[level], step, present));
       const { word, priority } = limits && this.trusted() ? verdictAt(...chance) : {};
       return h('tr', {}, h('td', {}, i ? h('b', {}, String(i)) : 'now'),
         h('td', { class: 'r' }, fixed(step.speed, 0), h('span', { class: 'u' }, 'rpm')),
