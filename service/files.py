@@ -32,9 +32,9 @@ def replacing(path: Path, *, binary: bool = False, private: bool = False) -> Ite
         If the file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
-    text: dict[str, Any] = {} if binary else {"encoding": "utf-8", "newline": ""}
+    encoding, newline = (None, None) if binary else ("utf-8", "")
     try:
-        with part.open("wb" if binary else "w", **text) as file:
+        with part.open("wb" if binary else "w", encoding=encoding, newline=newline) as file:
             if private:
                 part.chmod(0o600)
             yield file

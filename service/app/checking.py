@@ -1,7 +1,6 @@
 """Everything that is wrong with a configuration, at once, before anything starts."""
 
 import socket
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 from pydantic_settings import EnvSettingsSource
 
 from service.domain.channels import missing_channels
-from service.site.configuration import SettingsError, read_toml
+from service.site.configuration import SettingsError, TomlTable, read_toml
 from service.site.settings import Settings, load_settings
 from service.site.wiring import AssetTables, Wiring, wire_what_can_be
 
@@ -125,7 +124,7 @@ def load_site(file: Path | None) -> tuple[Settings, tuple[str, ...]]:
     return found.settings, found.warnings
 
 
-def _tables(file: Path | None) -> tuple[dict[int, dict[str, Any]], list[AssetTables]]:
+def _tables(file: Path | None) -> tuple[dict[int, TomlTable], list[AssetTables]]:
     """Sources and assets of a configuration that has errors elsewhere, as far as there are any."""
     try:
         document = {} if file is None else read_toml(file)
@@ -136,7 +135,7 @@ def _tables(file: Path | None) -> tuple[dict[int, dict[str, Any]], list[AssetTab
     return sources, [_asset(number, table) for number, table in _numbered(document.get("assets"))]
 
 
-def _asset(number: int, table: Mapping[str, Any]) -> AssetTables:
+def _asset(number: int, table: TomlTable) -> AssetTables:
     key = f"assets[{number}]"
     channels, controller = table.get("channels"), table.get("controller")
     return AssetTables(
@@ -147,13 +146,13 @@ def _asset(number: int, table: Mapping[str, Any]) -> AssetTables:
     )
 
 
-def _tables_in(section: Any) -> dict[str, dict[str, Any]]:
+def _tables_in(section: Any) -> dict[str, TomlTable]:
     if not isinstance(section, dict):
         return {}
     return {name: table for name, table in section.items() if isinstance(table, dict)}
 
 
-def _numbered(tables: Any) -> list[tuple[int, dict[str, Any]]]:
+def _numbered(tables: Any) -> list[tuple[int, TomlTable]]:
     if not isinstance(tables, list | tuple):
         return []
     return [(number, table) for number, table in enumerate(tables) if isinstance(table, dict)]

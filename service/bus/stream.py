@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
 
 from pydantic_core import to_json
 
@@ -305,7 +304,7 @@ class Bus:
         asset: str | None,
         body: str,
         time_us: int | None = None,
-        extra: Mapping[str, Any] | None = None,
+        extra: Mapping[str, object] | None = None,
     ) -> str:
         """JSON text of a message around the JSON text of its data."""
         head = {

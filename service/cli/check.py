@@ -3,7 +3,7 @@
 import asyncio
 import json
 import sys
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -55,7 +55,7 @@ def check(
 
 def _document(
     config: ConfigFile, errors: list[str], warnings: list[str], probed: "Probe"
-) -> dict[str, Any]:
+) -> dict[str, object]:
     return {
         "file": None if config is None else str(config),
         "ok": not errors,

@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -12,6 +12,9 @@ from rich.table import Table
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.offline.interruption import exit_on_signals
+
+if TYPE_CHECKING:
+    from service.offline.forecasting import ProfileForecast
 
 
 def forecast(
@@ -92,15 +95,15 @@ def forecast(
     if as_json:
         typer.echo(json.dumps(document, allow_nan=False))
     else:
-        _print(document)
+        _print(result, out)
 
 
-def _print(document: dict[str, Any]) -> None:
+def _print(result: "ProfileForecast", out: Path) -> None:
     console = make_console()
     table = Table("highest of", "median, °C", "97.5 %, °C")
-    for name, row in document["sensors"].items():
+    for name, row in result.highest().items():
         table.add_row(name, f"{row['max_q50_c']:.1f}", f"{row['max_q975_c']:.1f}")
     console.print(table)
-    for label in document["labels"]:
+    for label in result.labels:
         console.print(f"Note: {label}")
-    console.print(f"Forecast: {document['out']}", soft_wrap=True)
+    console.print(f"Forecast: {out}", soft_wrap=True)

@@ -226,21 +226,19 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
     for name, row in found.parameters.items():
         table.add_row(
             name,
-            f"{row['value']:.4g}",
-            f"{row['low']:.4g} … {row['high']:.4g}",
-            row["unit"],
-            f"{row['informed_share']:.0%}",
-            row["verdict"] + (f", at its {row['at_bound']} bound" if row["at_bound"] else ""),
-            row["description"],
+            f"{row.value:.4g}",
+            f"{row.low:.4g} … {row.high:.4g}",
+            row.unit,
+            f"{row.informed_share:.0%}",
+            row.verdict + (f", at its {row.at_bound} bound" if row.at_bound else ""),
+            row.description,
         )
     console.print(table)
     _print_combinations(console, found)
     if found.paper_view is not None:
         view = Table("the paper's number", "value", "95 % interval")
         for name, number in found.paper_view.items():
-            view.add_row(
-                name, f"{number['value']:.4g}", f"{number['low']:.4g} … {number['high']:.4g}"
-            )
+            view.add_row(name, f"{number.value:.4g}", f"{number.low:.4g} … {number.high:.4g}")
         console.print(view)
     console.print(
         f"{found.rows} rows in {found.windows} windows, {found.method}: "
@@ -266,12 +264,13 @@ def _print_combinations(console: Console, found: "Identified") -> None:
     """What the data tell, as combinations of parameters in units of their priors' spreads."""
     told = found.identifiability
     table = Table("identifiability", "std over prior's", "verdict")
-    for one in told["combinations"]:
-        if one["verdict"] != "prior only":
-            table.add_row(one["combination"], f"{one['std_over_prior']:.2f}", one["verdict"])
+    combinations = told.combinations or []
+    for one in combinations:
+        if one.verdict != "prior only":
+            table.add_row(one.combination, f"{one.std_over_prior:.2f}", one.verdict)
     console.print(table)
     console.print(
-        f"Of {len(told['combinations'])} combinations {told['informed']} are informed, "
-        f"{told['weak']} weakly, {told['prior_only']} rest on the prior alone; rank "
-        f"{told['rank']}, condition {told['condition']:.1e}"
+        f"Of {len(combinations)} combinations {told.informed} are informed, "
+        f"{told.weak} weakly, {told.prior_only} rest on the prior alone; rank "
+        f"{told.rank}, condition {told.condition:.1e}"
     )

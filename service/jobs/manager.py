@@ -229,9 +229,8 @@ class IdentificationJobs:
             self._store.models.version, asset_id, job.model_version
         )
         kept = version.document if version is not None else {}
-        names = "convergence", "active_fitness"
-        found: dict[str, Any] = {name: kept[name] for name in names if name in kept}
-        return document.model_copy(update=found)
+        names = {"convergence", "active_fitness"} & kept.keys()
+        return document.model_copy(update={name: kept[name] for name in names})
 
     async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Jobs of an asset, newest first."""

@@ -175,7 +175,7 @@ class _CheckpointWriter:
         self._folder = folder
         self._saved_at = time.monotonic()
 
-    def __call__(self, checkpoint: Callable[[], dict[str, Any]]) -> None:
+    def __call__(self, checkpoint: Callable[[], Mapping[str, object]]) -> None:
         if time.monotonic() - self._saved_at >= CHECKPOINT_EVERY_WALL_S:
             self._folder.write_checkpoint(checkpoint())
             self._saved_at = time.monotonic()

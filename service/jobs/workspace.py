@@ -8,7 +8,7 @@ checkpoint from which another worker can go on; the service leaves a mark when t
 import json
 import math
 import shutil
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,11 +95,11 @@ class JobFolder:
         except (OSError, ValueError, TypeError):
             return None
 
-    def write_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+    def write_checkpoint(self, checkpoint: Mapping[str, object]) -> None:
         """Replace the checkpoint in one step: whenever the worker dies, there is a whole one."""
         self._replace(_CHECKPOINT, checkpoint)
 
-    def read_checkpoint(self) -> dict[str, Any] | None:
+    def read_checkpoint(self) -> Mapping[str, Any] | None:
         """Return the latest checkpoint; None where there is none or it is not readable."""
         try:
             checkpoint = json.loads((self.path / _CHECKPOINT).read_text())
@@ -107,7 +107,7 @@ class JobFolder:
             return None
         return checkpoint if isinstance(checkpoint, dict) else None
 
-    def _replace(self, name: str, document: dict[str, Any]) -> None:
+    def _replace(self, name: str, document: Mapping[str, object]) -> None:
         temporary = self.path / f"{name}.new"
         temporary.write_text(json.dumps(document, allow_nan=False))
         temporary.replace(self.path / name)

@@ -12,7 +12,7 @@ from service.documents.base import Document, Time
 from service.documents.drift import DriftDocument
 from service.jobs.drift import EarlierVersion, drift_document
 from service.offline.model_file import IdentifiedModel, ModelFileError
-from service.site.machines.machine import Machine
+from service.site.machines.machine import Machine, MachineParts
 from twin_core.quantities import ReferencePoint
 from twin_core.windows import Window
 
@@ -89,7 +89,7 @@ def load_models(files: Sequence[Path]) -> list[ModelOfSpan]:
     return models
 
 
-def _priors(machine: Machine) -> object:
+def _priors(machine: Machine) -> MachineParts:
     """All of a machine that two comparable models share; what bands allow for may differ."""
     document = machine.to_dict()
     if document["network"] is not None:

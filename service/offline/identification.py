@@ -3,10 +3,11 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
+from service.documents.models import IdentifiabilityDocument, Interval, ParameterDocument
 from service.offline.error_hint import hint
 from service.offline.model_file import IdentifiedModel, RunIn
 from service.offline.rows import contiguous, revolutions_at, rows_of_recording, step_of
@@ -73,7 +74,7 @@ class Identified:
 
     model: IdentifiedModel
     method: str
-    parameters: dict[str, dict[str, Any]]
+    parameters: dict[str, ParameterDocument]
     rms_k: float
     rms_by_sensor_k: dict[str, float]
     naive_k: dict[str, dict[str, float | None]]
@@ -86,11 +87,11 @@ class Identified:
     def warnings(self) -> list[str]:
         """What to look at before the model is relied upon, one line each."""
         found = [
-            f"{name} = {row['value']:.4g} {row['unit']} is on its {row['at_bound']} bound: the "
+            f"{name} = {row.value:.4g} {row.unit} is on its {row.at_bound} bound: the "
             "bound gives this value, the data would have it further out; unless the bound is a "
             "physical one, widen it or change the network"
             for name, row in self.parameters.items()
-            if row["at_bound"]
+            if row.at_bound
         ]
         found += [
             f"gate not passed: {check.detail}" for check in self.gates.checks if not check.passed
@@ -107,37 +108,44 @@ class Identified:
         return found
 
     @property
-    def identifiability(self) -> dict[str, Any]:
-        """Rank, condition and combinations of parameters; plain JSON types."""
-        return self.model.posterior.identifiability_document(self.model.model)
+    def identifiability(self) -> IdentifiabilityDocument:
+        """Rank, condition and combinations of parameters."""
+        document = self.model.posterior.identifiability_document(self.model.model)
+        return IdentifiabilityDocument.model_validate(document)
 
     @property
-    def paper_view(self) -> dict[str, dict[str, Any]] | None:
+    def paper_view(self) -> dict[str, Interval] | None:
         """The paper's 15 numbers with intervals, of the model ``paper-reduced`` only."""
-        return paper_view(self.model.model, self.model.posterior)
+        view = paper_view(self.model.model, self.model.posterior)
+        if view is None:
+            return None
+        return {name: Interval.model_validate(one) for name, one in view.items()}
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON types as the command line prints them."""
         posterior = self.model.posterior
         view = self.paper_view
-        return {
+        document: dict[str, object] = {
             "model": self.model.model.name,
             "method": self.method,
             "bearing": self.model.model.machine,
-            "parameters": self.parameters,
+            "parameters": {name: row.model_dump() for name, row in self.parameters.items()},
             "rms_error_k": self.rms_k,
             "rms_error_by_sensor_k": self.rms_by_sensor_k,
             "evaluations": self.evaluations,
             "rank": posterior.rank,
             "condition": posterior.condition,
             "informed_combinations": posterior.informed_combinations,
-            "identifiability": self.identifiability,
+            "identifiability": self.identifiability.model_dump(),
             "naive": self.naive_k,
             "windows": self.windows,
             "rows": self.rows,
             "gates": self.gates.to_dict(),
             "warnings": self.warnings,
-        } | ({} if view is None else {"paper_view": view})
+        }
+        if view is not None:
+            document["paper_view"] = {name: one.model_dump() for name, one in view.items()}
+        return document
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +277,10 @@ def identify_recording(
             machine, model, result.posterior, RunIn.of(recording, minutes, at_rest)
         ),
         method=procedure.name,
-        parameters=result.posterior.parameters(model),
+        parameters={
+            name: ParameterDocument.model_validate(row)
+            for name, row in result.posterior.parameters(model).items()
+        },
         rms_k=_total_rms(data, rms_by_sensor),
         rms_by_sensor_k=rms_by_sensor,
         naive_k=_naive_rms([window.minutes for window in data.windows]),

@@ -127,7 +127,7 @@ class RunIn:
             return self.time_s
         return self.time_s + (self.start_us - recording.start_us) / 1e6
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain JSON types."""
         return {
             "start_us": self.start_us,

@@ -8,7 +8,7 @@ stranger sends to it can change anything.
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import NamedTuple, Protocol, TypedDict
 
 from service.security import AuditTrail, Authenticator
 from service.site.settings import Settings
@@ -88,7 +88,7 @@ class Publisher(Protocol):
             The tags that could not be handed on; they are offered again, the others are not.
         """
 
-    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, Any]) -> None:
+    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Hand on what an alarm is now (the data of an ``alarm`` message of the stream).
 
         A publisher that has no place for alarms does nothing.

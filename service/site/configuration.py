@@ -107,7 +107,11 @@ def _is_secret(place: Iterable[int | str]) -> bool:
     return any(_SECRET.search(str(part)) for part in place)
 
 
-def read_toml(file: Path) -> dict[str, Any]:
+TomlTable = dict[str, Any]
+"""A table of the configuration as it was read: whoever it belongs to checks it."""
+
+
+def read_toml(file: Path) -> TomlTable:
     """Read a TOML file.
 
     Raises

@@ -32,7 +32,7 @@ from pydantic_settings import SettingsError as UnreadableVariableError
 from service.alarm_kinds import AlarmsSection, above_ambient
 from service.domain.channels import AMBIENT, NODES, OPERATING_CHANNELS, RING_SENSORS, STANDARD
 from service.domain.section import Section
-from service.site.configuration import SettingsError, describe_all, read_toml
+from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
 from service.site.machines.bearings import BearingSection, bearing_table, with_designation
 from service.site.machines.networks import (
     BEARING_14,
@@ -143,43 +143,49 @@ class VerdictSection(Section):
 class ControllerSection(Section):
     """Channels of the bench controller; each is checked by the driver of its source."""
 
-    phase: dict[str, Any] | None = None
-    speed_setpoint_rpm: dict[str, Any] | None = None
-    load_setpoint_n: dict[str, Any] | None = None
-    plan: dict[str, Any] | None = None
+    phase: TomlTable | None = None
+    speed_setpoint_rpm: TomlTable | None = None
+    load_setpoint_n: TomlTable | None = None
+    plan: TomlTable | None = None
 
 
 def _channel_name(name: str, info: ValidationInfo) -> str:
-    known = _temperatures(info.data)
-    if known is not None and name not in (*OPERATING_CHANNELS, *_inputs(info.data), *known):
-        raise ValueError(f"unknown channel; expected one of {_listed(info.data)}")
+    known = _temperatures(info)
+    if known is not None and name not in (*OPERATING_CHANNELS, *_inputs(info), *known):
+        raise ValueError(f"unknown channel; expected one of {_listed(info)}")
     return name
 
 
 def _limited(name: str, info: ValidationInfo) -> str:
-    known = _temperatures(info.data)
+    known = _temperatures(info)
     if known is not None and name not in known:
         raise ValueError(f"limits belong to a temperature such as {known[0]}")
     return name
 
 
-def _temperatures(asset: dict[str, Any]) -> tuple[str, ...] | None:
+def _temperatures(info: ValidationInfo) -> tuple[str, ...] | None:
     """What may be measured on an asset; None with a network that has an error of its own."""
-    if "network" not in asset:
+    if "network" not in info.data:
         return None
-    network = asset["network"]
+    network = _network_of(info)
     return RING_SENSORS + NODES if network is None else network.temperature_names
 
 
-def _inputs(asset: dict[str, Any]) -> tuple[str, ...]:
-    network = asset.get("network")
+def _inputs(info: ValidationInfo) -> tuple[str, ...]:
+    network = _network_of(info)
     return () if network is None else tuple(network.inputs)
 
 
-def _listed(asset: dict[str, Any]) -> str:
-    if asset.get("network") is None:
+def _listed(info: ValidationInfo) -> str:
+    if _network_of(info) is None:
         return f"{', '.join(OPERATING_CHANNELS + RING_SENSORS)}, {NODES[0]} to {NODES[-1]}"
-    return ", ".join((*OPERATING_CHANNELS, *_inputs(asset), *(_temperatures(asset) or ())))
+    return ", ".join((*OPERATING_CHANNELS, *_inputs(info), *(_temperatures(info) or ())))
+
+
+def _network_of(info: ValidationInfo) -> NetworkSection | None:
+    """The network of the asset that is being read."""
+    network: NetworkSection | None = info.data.get("network")
+    return network
 
 
 _RING_LIMITS = {
@@ -208,7 +214,7 @@ class AssetSection(Section):
     model: ModelName = "default"
     low_risk: LowRisk
     limits: dict[Annotated[str, AfterValidator(_limited)], Limits] = Field(default_factory=dict)
-    channels: dict[Annotated[str, AfterValidator(_channel_name)], dict[str, Any]]
+    channels: dict[Annotated[str, AfterValidator(_channel_name)], TomlTable]
     controller: ControllerSection = ControllerSection()
     identification: IdentificationSection = IdentificationSection()
     alarms: AlarmsSection = AlarmsSection()
@@ -334,10 +340,10 @@ class Settings(BaseSettings):
     opcua: OpcUaSection = OpcUaSection()
     mqtt: MqttSection = MqttSection()
     #: Sections of further publishers, by name; each is checked by the publisher itself.
-    publishers: dict[str, dict[str, Any]] = {}
+    publishers: dict[str, TomlTable] = {}
     tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
-    sources: tuple[dict[str, Any], ...] = ()
+    sources: tuple[TomlTable, ...] = ()
     assets: tuple[AssetSection, ...] = ()
     base_dir: Path = Field(Path(), exclude=True)
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -12,7 +12,7 @@ from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBin
 from adapters.registry import DRIVERS
 from service.domain.channels import CONTROLLER_CHANNELS
 from service.site.check_limits import CheckLimits, limits_of, within_machine
-from service.site.configuration import SettingsError, describe_all
+from service.site.configuration import SettingsError, TomlTable, describe_all
 from service.site.machines.operating_ranges import operating_ranges
 from service.site.settings import AssetSection, Settings
 
@@ -73,8 +73,8 @@ class AssetTables:
 
     key: str
     id: str
-    channels: Mapping[str, dict[str, Any]]
-    controller: Mapping[str, dict[str, Any]]
+    channels: Mapping[str, TomlTable]
+    controller: Mapping[str, TomlTable]
 
     @classmethod
     def of(cls, number: int, asset: AssetSection) -> "AssetTables":
@@ -110,7 +110,7 @@ def wire(settings: Settings) -> Wiring:
 
 
 def wire_what_can_be(
-    sources: Mapping[int, dict[str, Any]], assets: Sequence[AssetTables], base_dir: Path
+    sources: Mapping[int, TomlTable], assets: Sequence[AssetTables], base_dir: Path
 ) -> tuple[Wiring, list[str]]:
     """Check every source and channel against its driver, and go on after errors.
 
@@ -168,7 +168,7 @@ def wire_what_can_be(
 
 
 def _sources(
-    tables: Mapping[int, dict[str, Any]], base_dir: Path, errors: list[str]
+    tables: Mapping[int, TomlTable], base_dir: Path, errors: list[str]
 ) -> dict[str, SourceWiring | None]:
     """Return the sources by name; None for one with an error, which is noted."""
     found: dict[str, SourceWiring | None] = {}
@@ -182,7 +182,7 @@ def _sources(
     return found
 
 
-def _source(key: str, table: dict[str, Any], base_dir: Path) -> SourceWiring:
+def _source(key: str, table: TomlTable, base_dir: Path) -> SourceWiring:
     driver = table.get("driver")
     if not isinstance(driver, str) or driver not in DRIVERS:
         raise SettingsError(f"{key}.driver = {driver!r}: {suggestion(str(driver), DRIVERS)}")
@@ -196,7 +196,7 @@ def _source(key: str, table: dict[str, Any], base_dir: Path) -> SourceWiring:
 def _wire_channel(
     asset: str,
     name: str,
-    table: dict[str, Any],
+    table: TomlTable,
     key: str,
     sources: Mapping[str, SourceWiring | None],
 ) -> ChannelFacts | None:
@@ -212,9 +212,7 @@ def _wire_channel(
     return _facts(name, source_name, source.config, config)
 
 
-def _source_name(
-    table: dict[str, Any], sources: Mapping[str, SourceWiring | None], key: str
-) -> str:
+def _source_name(table: TomlTable, sources: Mapping[str, SourceWiring | None], key: str) -> str:
     name = table.get("source")
     if name is None:
         raise SettingsError(f"{key}.source: missing; expected the name of a source or 'push'")
@@ -262,7 +260,7 @@ def _check(source: SourceWiring) -> list[str]:
 
 
 def _validated(
-    model: type[_Model], table: dict[str, Any], key: str, base_dir: Path | None = None
+    model: type[_Model], table: TomlTable, key: str, base_dir: Path | None = None
 ) -> _Model:
     try:
         return model.model_validate(table, context={"base_dir": base_dir} if base_dir else None)

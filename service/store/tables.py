@@ -16,6 +16,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from service.store.records import JsonDocument
+
 #: Key of a row that the database numbers by itself; SQLite only does so for plain INTEGER.
 _Serial = BigInteger().with_variant(Integer(), "sqlite")
 
@@ -34,7 +36,7 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar[dict[Any, Any]] = {
         int: BigInteger(),
         float: Double(),
-        dict[str, Any]: JSON(),
+        JsonDocument: JSON(),
     }
 
 
@@ -127,7 +129,7 @@ class ModelVersionRow(Base):
     status: Mapped[str]
     reason: Mapped[str]
     created_at_us: Mapped[int]
-    document: Mapped[dict[str, Any]]
+    document: Mapped[JsonDocument]
 
 
 class ActivationRow(Base):
@@ -170,7 +172,7 @@ class JobRow(Base):
     ended_at_us: Mapped[int | None]
     error: Mapped[str | None]
     model_version: Mapped[int | None]
-    request: Mapped[dict[str, Any]]
+    request: Mapped[JsonDocument]
     idempotency_key: Mapped[str | None]
     attempts: Mapped[int]
 
@@ -181,7 +183,7 @@ class AssetStateRow(Base):
     __tablename__ = "asset_states"
 
     asset: Mapped[str] = mapped_column(primary_key=True)
-    document: Mapped[dict[str, Any]]
+    document: Mapped[JsonDocument]
 
 
 class AlarmRow(Base):

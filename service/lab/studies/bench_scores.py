@@ -202,7 +202,7 @@ def beside(
     return found
 
 
-def figures(found: Sequence[RingScores]) -> dict[str, Any]:
+def figures(found: Sequence[RingScores]) -> dict[str, object]:
     """Figures of one condition over its benches, plain JSON types; None without any bench.
 
     Every ``_c`` and ``_by_sensor`` is given per sensor; means over benches but for ``worst_…``.
@@ -273,7 +273,7 @@ def usable(results: Iterable[BenchType]) -> list[BenchType]:
     return [result for result in results if not (result.ran_away or result.refused)]
 
 
-def seeds_of(results: Iterable[BenchResult]) -> dict[str, Any]:
+def seeds_of(results: Iterable[BenchResult]) -> dict[str, object]:
     """Seeds of all benches, of those that ran away, and of those whose fit must not forecast."""
     return {
         "seeds": [result.seed for result in results],

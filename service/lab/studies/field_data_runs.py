@@ -14,7 +14,6 @@ parameters stay within their ranges.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +137,7 @@ class Outcome:
     """What one variant did: on the low part, inside it, and on the high part."""
 
     order: Order
-    parameters: dict[str, dict[str, Any]]
+    parameters: Mapping[str, object]
     train_rms_k: float
     checks: tuple[GateCheck, ...]
     nested: Forecasts

@@ -132,9 +132,9 @@ def _mean_known(values: Iterable[float | None]) -> Any:
     return mean(value for value in values if value is not None)
 
 
-def score_document(found: Sequence[ForecastScore]) -> dict[str, dict[str, dict[str, Any]]]:
+def score_document(found: Sequence[ForecastScore]) -> dict[str, dict[str, dict[str, float | None]]]:
     """Plain JSON types: method, then sensor, then figures; None where one is not finite."""
-    document: dict[str, dict[str, dict[str, Any]]] = {}
+    document: dict[str, dict[str, dict[str, float | None]]] = {}
     for one in found:
         figures = asdict(one)
         method, sensor = figures.pop("method"), figures.pop("sensor")

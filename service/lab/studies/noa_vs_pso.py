@@ -9,7 +9,7 @@ simulations do not, so they carry the comparison.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -176,7 +176,7 @@ def plots(runs: Sequence[Run], document: Document) -> dict[str, Drawing]:
     return {"fig09-noa-vs-pso": partial(_draw, runs)}
 
 
-def summary(runs: Sequence[Run]) -> dict[str, Any]:
+def summary(runs: Sequence[Run]) -> dict[str, object]:
     """Figures of one method over its seeds; None where more than half of the runs failed."""
     budget = runs[0].budget
     reached = np.array([run.budget if run.reached is None else run.reached for run in runs])

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +105,7 @@ def figures_of(results: Sequence[BenchResult]) -> Document:
     }
 
 
-def _figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]:
+def _figures(name: str, results: Sequence[BenchResult]) -> Document:
     runs = [result.schemes[name] for result in results]
     errors = np.array([one.errors_k for one in runs])
     distance = np.sqrt(np.sum(errors**2, axis=2)).mean(axis=0) if runs else np.zeros(0)

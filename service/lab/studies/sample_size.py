@@ -8,7 +8,7 @@ its model with itself; here several random benches tell the truth of every node.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +174,7 @@ def _normal(results: Sequence[BenchResult]) -> list[BenchResult]:
     return [result for result in results if not result.ran_away]
 
 
-def _apart(result: BenchResult) -> dict[str, Any]:
+def _apart(result: BenchResult) -> dict[str, object]:
     """What was forecast for a bench that runs away."""
     return {
         name: {
@@ -187,7 +187,7 @@ def _apart(result: BenchResult) -> dict[str, Any]:
     }
 
 
-def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, Any]:
+def _scheme_figures(name: str, results: Sequence[BenchResult]) -> dict[str, object]:
     runs = [result.schemes[name] for result in results]
     used = [one for one in runs if not one.refused]
     errors = [one.node_errors_k for one in used]

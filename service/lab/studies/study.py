@@ -133,7 +133,7 @@ def cell(path: str, show: Callable[..., str] = str, *how: Any) -> Callable[[Docu
     return shown
 
 
-def named(found: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+def named(found: Mapping[str, Mapping[str, object]]) -> list[Document]:
     """Rows of a table from figures by name; the name is one of them."""
     return [{"name": name, **figures} for name, figures in found.items()]
 

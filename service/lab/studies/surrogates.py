@@ -12,7 +12,7 @@ residual. That fit is shown here even where it is so poor that it must not forec
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,7 +230,7 @@ def _means(used: Sequence[BenchResult], title: str, test: str) -> Scores:
     return mean_scores([result.scores[title][test] for result in used])
 
 
-def _gain(used: Sequence[BenchResult], title: str, test: str, twin: str) -> dict[str, Any]:
+def _gain(used: Sequence[BenchResult], title: str, test: str, twin: str) -> dict[str, float | None]:
     """How the hybrid's error compares with the twin's own."""
     errors = np.array(
         [

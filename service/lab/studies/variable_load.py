@@ -8,7 +8,7 @@ must say so. Benches that truly run away are counted apart, with the verdict tha
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from service.lab.studies.bench_runs import RINGS
 from service.lab.studies.bench_scores import figures, methods_tables, pair, percent, phases
@@ -106,7 +106,7 @@ def _normal(runs: Sequence[LoadRun], load: str) -> list[LoadRun]:
 
 def _figures(runs: Sequence[LoadRun], training: str) -> Document:
     """Figures of one law and one training."""
-    conditions: dict[str, dict[str, Any]] = {}
+    conditions: dict[str, dict[str, object]] = {}
     verdicts: dict[str, dict[str, int]] = {}
     for load in LOADS:
         used = _normal(runs, load)

@@ -68,7 +68,7 @@ class SteadyMap:
     spread_k: FloatArray
     predictors: tuple[Predict, ...]
     left_out_k: FloatArray | None
-    settings: Mapping[str, Any]
+    settings: Mapping[str, object]
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Steady excess over ambient in K.
@@ -145,7 +145,7 @@ def _constant(x: FloatArray) -> tuple[FloatArray, None]:
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    settings: Mapping[str, Any]
+    settings: Mapping[str, object]
     fit: Fit
     trial: Fit | None = None
     """A cheaper fit for cross-validation."""

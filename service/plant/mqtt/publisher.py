@@ -15,7 +15,6 @@ import contextlib
 import json
 import ssl
 from collections.abc import Collection, Mapping
-from typing import Any
 
 import structlog
 from aiomqtt import Client, MqttError, Will
@@ -86,7 +85,7 @@ class MqttPublisher:
         )
         return ()
 
-    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, Any]) -> None:
+    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Publish an alarm, with the broker's acknowledgement."""
         topic = self._topic(asset or "service", "alarms")
         await self._connected.publish(topic, json.dumps(alarm), qos=1)

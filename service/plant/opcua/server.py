@@ -11,7 +11,6 @@ import math
 from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 from urllib.parse import urlsplit
 
 import structlog
@@ -118,7 +117,7 @@ class OpcUaPublisher:
                 refused.append(tag)
         return refused
 
-    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, Any]) -> None:
+    async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Do nothing: the address space has no events; what stands is in the tags."""
 
     async def close(self) -> None:

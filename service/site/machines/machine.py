@@ -1,12 +1,19 @@
 """The machine of an asset or of a model file, and the model that is built of it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self, TypedDict
 
 from service.site.machines.bearings import BearingSection
 from service.site.machines.networks import NetworkSection
 from twin_core.models import ThermalModel, build_model
+
+
+class MachineParts(TypedDict):
+    """What a machine is built of, as plain JSON types; see `Machine.to_dict`."""
+
+    model: str
+    bearing: dict[str, object] | None
+    network: dict[str, object] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,16 +81,16 @@ class Machine:
             runaway=section.runaway_limits(),
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> MachineParts:
         """Return plain JSON types, all that `from_dict` needs."""
         return {
             "model": self.model_name,
-            "bearing": self.bearing and self.bearing.model_dump(mode="json"),
-            "network": self.network and self.network.model_dump(mode="json"),
+            "bearing": None if self.bearing is None else self.bearing.model_dump(mode="json"),
+            "network": None if self.network is None else self.network.model_dump(mode="json"),
         }
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+    def from_dict(cls, document: MachineParts) -> Self:
         """Take back what `to_dict` gave.
 
         Raises

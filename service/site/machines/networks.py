@@ -5,7 +5,7 @@ docs/networks.md explains every key. Whatever is wrong is found here, before any
 
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import (
     AfterValidator,
@@ -275,7 +275,7 @@ def read_network(file: Path) -> NetworkSection:
     SettingsError
         If it cannot be read or is wrong; a line for each error names the file and the key.
     """
-    document: dict[str, Any] = {"name": file.stem} | read_toml(file)
+    document = {"name": file.stem} | read_toml(file)
     try:
         return NetworkSection.model_validate(document)
     except ValidationError as error:

@@ -7,11 +7,11 @@ route says by `secured` which roles it is for. OpenAPI shows both.
 import base64
 import binascii
 import math
-from collections.abc import Callable, Coroutine, Mapping
-from typing import Annotated, Any, Final
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any, Final, TypedDict
 from urllib.parse import urlsplit
 
-from fastapi import Depends
+from fastapi import Depends, params
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
@@ -73,7 +73,19 @@ LOCATION: Final = {
 }
 
 
-def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+Responses = dict[int | str, dict[str, Any]]
+"""Answers of a route by status, as FastAPI takes them."""
+
+
+class RouteArguments(TypedDict):
+    """What a route is declared with; see `fastapi.APIRouter.get`."""
+
+    dependencies: list[params.Depends]
+    responses: Responses
+    openapi_extra: dict[str, Any]
+
+
+def problems(*statuses: int) -> Responses:
     """Describe error answers for OpenAPI."""
     schema = {"$ref": "#/components/schemas/ProblemDocument"}
     return {
@@ -89,9 +101,9 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 def secured(
     roles: Roles,
     *statuses: int,
-    responses: Mapping[int | str, Any] | None = None,
+    responses: Responses | None = None,
     audit: str | None = "",
-) -> dict[str, Any]:
+) -> RouteArguments:
     """Arguments of a route that only these roles may call.
 
     Parameters
@@ -113,9 +125,10 @@ def secured(
     }
 
 
-def public(*statuses: int, responses: Mapping[int | str, Any] | None = None) -> dict[str, Any]:
+def public(*statuses: int, responses: Responses | None = None) -> RouteArguments:
     """Arguments of a route that needs no key."""
     return {
+        "dependencies": [],
         "responses": {**problems(*statuses), **(responses or {})},
         "openapi_extra": {"security": [], AUDIT: None},
     }

@@ -2,18 +2,19 @@
 
 import hashlib
 import re
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import Header
 from starlette.responses import Response
 
 from service.documents.base import Document
+from service.web.api.access import Responses
 
 _ENTITY_TAG = re.compile(r'(?:W/)?("[^"]*")')
 
 IfNoneMatch = Annotated[str | None, Header(description="`ETag` of the answer that the caller has.")]
 
-CONDITIONAL: Final[dict[int | str, dict[str, Any]]] = {
+CONDITIONAL: Final[Responses] = {
     200: {
         "headers": {
             "ETag": {

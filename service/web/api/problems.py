@@ -8,6 +8,7 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute, iter_route_contexts
+from pydantic_core import ErrorDetails
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.routing import compile_path
@@ -203,7 +204,7 @@ def _answer(request: Request, problem: Problem) -> Response:
     )
 
 
-def _field_error(error: Mapping[str, Any], body: Any) -> FieldError:
+def _field_error(error: ErrorDetails, body: Any) -> FieldError:
     location = tuple(error["loc"])
     message = str(error["msg"]).removeprefix("Value error, ")
     if error["type"] == "json_invalid":
@@ -238,7 +239,7 @@ def _pointer(location: Sequence[int | str], body: Any) -> str:
     return pointer
 
 
-def _shown(error: Mapping[str, Any], location: Sequence[int | str]) -> str:
+def _shown(error: ErrorDetails, location: Sequence[int | str]) -> str:
     """Give the wrong value, unless it is missing, long or a secret."""
     value = error.get("input")
     secret = any(part in _SECRET_FIELDS for part in location)

@@ -3,7 +3,7 @@
 import io
 from collections.abc import AsyncIterator
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 from fastapi import APIRouter, Query
 from pydantic_core import to_json
@@ -304,9 +304,12 @@ class _Sink(io.RawIOBase):
         return taken
 
 
-def _options(
-    request: Request, asset: AssetTwin, format: str, following: str | None
-) -> dict[str, Any]:
+class _Made(TypedDict):
+    media_type: str
+    headers: dict[str, str]
+
+
+def _options(request: Request, asset: AssetTwin, format: str, following: str | None) -> _Made:
     """What the response is to be made with."""
     headers = dict(next_link(request, following))
     if format != "json":

@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Mapping
-from typing import Annotated, Any
+from collections.abc import AsyncIterator
+from typing import Annotated
 
 import structlog
 from fastapi import APIRouter, Query
@@ -13,6 +13,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from service.bus.stream import Subscription, SubscriptionClosedError
+from service.documents.tags import Snapshot
 from service.domain.errors import CellUnavailableError
 from service.domain.roles import VIEWER
 from service.security import AuditTrail, Authenticator, Principal
@@ -249,7 +250,7 @@ async def _send(
     try:
         # A service without assets still says hello.
         for asset_id in wanted or (None,):
-            tags: Mapping[str, Any] = {"tags": {}}
+            tags: Snapshot = {"tags": {}}
             if asset_id is not None:
                 asset = context.assets[asset_id]
                 await asset.refresh("snapshot")
