@@ -80,6 +80,9 @@ class Asset(Protocol):
     def forecast(self) -> LiveForecast | None:
         """The latest live forecast."""
 
+    def look(self) -> None:
+        """Take note that somebody looks at the forecast."""
+
     def machine(self) -> PresentMachine:
         """The present state, which answers to callers are computed from."""
 
@@ -201,6 +204,9 @@ class Answers:
             "forecast": asset.forecast,
             "machine": asset.machine,
         }
+        # A process that has just begun asks for all there is, and knows nothing yet.
+        if wanted.kind == "forecast" and wanted.tag:
+            asset.look()
         source = make[wanted.kind]()
         made = self._made.setdefault((wanted.asset, wanted.kind), _Made())
         # An asset gives the same object as long as nothing in it has changed.

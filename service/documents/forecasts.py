@@ -60,6 +60,11 @@ class LiveForecast(WhatIf):
     """The latest live forecast: of the controller's plan, else of the present point held."""
 
     made_at: Time = Field(description="Process time of the state that it begins from.")
+    intervals_made_at: Time = Field(
+        description="Process time of the state that the widths of the intervals are of. Earlier "
+        "than `made_at`, by 15 minutes at most, where the machine goes on at its operating point "
+        "far from its limits; the medians are always of `made_at`."
+    )
     planned: bool = Field(description="Whether it follows the controller's plan.")
 
 

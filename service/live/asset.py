@@ -300,6 +300,11 @@ class AssetRuntime:
             return None
         return latest.model_copy(update={"missing": self._judgement.blind})
 
+    def look(self) -> None:
+        """Take note that somebody looks at the forecast: it is an ensemble of now soon."""
+        if self._forecasting.look():
+            self._forecast_wanted.set()
+
     def description(self) -> AssetFacts:
         """What others must know of the asset before they ask anything."""
         return AssetFacts(

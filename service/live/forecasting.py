@@ -19,6 +19,7 @@ from service.domain.channels import OPERATING_CHANNELS
 from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.ahead import Step, held, operating_profile, planned
+from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import ForecastSummary
@@ -31,6 +32,9 @@ from twin_core.simulation import OperatingProfile
 FORECAST_ROW_S = 60.0
 HORIZON_S = 4 * 3600.0
 MEMBERS = 200
+#: So long somebody who has asked for a forecast goes on looking at it; process s, and at least so
+#: many wall s.
+LOOKED_AT_FOR_S, LOOKED_AT_FOR_WALL_S = 300.0, 10.0
 _PLAN_MAX_AGE_S = 30.0
 
 
@@ -42,8 +46,19 @@ class _Made(NamedTuple):
     document: ForecastDocument
 
 
+class _Live(NamedTuple):
+    """A live forecast, and the ensemble that its intervals are of."""
+
+    made: _Made
+    ensemble: Ensemble | None
+    intervals_us: int
+
+
 class Forecasting:
     """Forecasts along the controller's plan, or with the present point held.
+
+    An ensemble is made where a plan lies ahead, a limit is near, the operation is not known or
+    somebody looks; else the intervals of the last one are carried on, see `service.live.carrying`.
 
     Parameters
     ----------
@@ -87,6 +102,14 @@ class Forecasting:
         self.latest: LiveForecast | None = None
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
+        self._ensemble: Ensemble | None = None
+        self._looked_us: int | None = None
+
+    def look(self) -> bool:
+        """Take note that somebody looks; returns whether the latest has intervals of earlier."""
+        self._looked_us = self._clock.now_us()
+        latest = self.latest
+        return latest is not None and latest.intervals_made_at != latest.made_at
 
     def age_s(self, now_us: int) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
@@ -113,17 +136,23 @@ class Forecasting:
         if not steps:
             return None
         profile = operating_profile(steps, FORECAST_ROW_S, state.point.inputs)
+        has_plan = self._has_plan(made_us)
+        alone = not (missing or has_plan)
+        kept = self._ensemble if alone and not self._is_looked_at(made_us) else None
         loop = asyncio.get_running_loop()
-        result, summary, document = await loop.run_in_executor(
-            self._executor, _make, state, profile, self._limits
+        live = await loop.run_in_executor(
+            self._executor, _make_live, state, profile, self._limits, kept, alone
         )
+        result, summary, document = live.made
+        self._ensemble = live.ensemble
         self.latest = LiveForecast(
             **dict(document),
             model_version=version,
             profile=presentation.steps_document(steps),
             missing=list(missing),
             made_at=rfc3339(made_us),
-            planned=self._has_plan(made_us),
+            intervals_made_at=rfc3339(live.intervals_us),
+            planned=has_plan,
         )
         self.summary, self.outlook = summary, None
         if not missing:
@@ -147,11 +176,37 @@ class Forecasting:
             return planned(self.plan, now_us, point, HORIZON_S)
         return held(point, HORIZON_S)
 
+    def _is_looked_at(self, now_us: int) -> bool:
+        if self._looked_us is None:
+            return False
+        looking_s = max(LOOKED_AT_FOR_S, LOOKED_AT_FOR_WALL_S * self._clock.rate)
+        return abs(now_us - self._looked_us) / 1e6 <= looking_s
+
     def _has_plan(self, now_us: int) -> bool:
         plan = self.plan
         if plan is None or not plan.steps:
             return False
         return (now_us - plan.time_us) / 1e6 <= allowed_age_s(_PLAN_MAX_AGE_S, self._clock.rate)
+
+
+def _make_live(
+    state: EstimatedState,
+    profile: OperatingProfile,
+    limits: Mapping[str, Limits],
+    kept: Ensemble | None,
+    keeps: bool,
+) -> _Live:
+    """Carry the kept ensemble on where that is right, else make one, and keep it if wanted."""
+    if kept is not None and is_like(kept, state, profile):
+        result = carried(kept, state, profile, limits)
+        if result is not None:
+            return _Live(_shown(result, state, limits), kept, kept.time_us)
+    made = _make(state, profile, limits)
+    ensemble = None
+    if keeps:
+        crossings = made.summary.crossings
+        ensemble = keep_ensemble(made.result, state, profile, limits, crossings)
+    return _Live(made, ensemble, state.time_us)
 
 
 def _make(
@@ -160,10 +215,19 @@ def _make(
     limits: Mapping[str, Limits],
     nodes: Sequence[str] | None = None,
 ) -> _Made:
-    # The document too: two days in all nodes are a hundred thousand figures, no work for the event
-    # loop.
     active = state.active
     result = forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
+    return _shown(result, state, limits, nodes)
+
+
+def _shown(
+    result: Forecast,
+    state: EstimatedState,
+    limits: Mapping[str, Limits],
+    nodes: Sequence[str] | None = None,
+) -> _Made:
+    # The document too: two days in all nodes are a hundred thousand figures, no work for the event
+    # loop.
     summary = presentation.summarize(result, limits, state.time_us)
     document = forecast_document(
         result,

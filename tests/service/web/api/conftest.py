@@ -87,6 +87,7 @@ class MemoryTwin:
         self.ready = True
         self.identified = True
         self.live_forecast: LiveForecast | None = None
+        self.looks = 0
         self.tags = {
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
         }
@@ -98,6 +99,9 @@ class MemoryTwin:
             channels=dict(self.channels),
             temperature_names=list(self.temperature_names),
         )
+
+    def look(self) -> None:
+        self.looks += 1
 
     def machine(self) -> PresentMachine:
         point = Point(speed_rpm=1000.0, load_n=2000.0, ambient_c=23.0, inputs=())

@@ -80,10 +80,12 @@ async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
         profile=[],
         missing=[],
         made_at="2026-11-21T08:00:00.000Z",
+        intervals_made_at="2026-11-21T08:00:00.000Z",
         planned=False,
     )
     answer = await client.get("/api/v1/assets/bench-1/forecast")
     assert LiveForecast.model_validate(answer.json()) == world.bench.live_forecast
+    assert world.bench.looks > 0, "who asks looks at it"
 
 
 async def test_what_if_passes_on_what_was_asked(world: Any) -> None:
