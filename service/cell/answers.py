@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from anyio import to_thread
 from prometheus_client import CollectorRegistry, Gauge
@@ -22,15 +22,12 @@ from service.bus.messages import Command
 from service.bus.presence import resident_bytes
 from service.bus.replica import digest
 from service.bus.stream import Bus
-from service.documents.assets import AssetDocument, GreaseRenewed, State
-from service.documents.forecasts import LiveForecast
 from service.documents.interfaces import JobManager
-from service.documents.machine import AssetFacts, PresentMachine
-from service.documents.tags import Snapshot
-from service.documents.verdicts import VerdictDocument
 from service.domain.errors import NotKeptError, PushRefusedError
 from service.domain.requests import IdentificationRequest
 from service.ingest import Ingest
+from service.live.asset import AssetRuntime
+from service.live.asset_documents import TWIN_SOURCE, AssetDocuments
 from service.store import Alarm, AuditEntry, Outbox, Store, StoreUnavailableError
 
 #: Live messages in one answer.
@@ -44,52 +41,6 @@ STORE_ANSWERS_S: Final = 1.5
 #: Wall seconds without a word of a process after which it counts as gone.
 PRESENT_S: Final = 10.0
 _FLUSH_S: Final = 1.0
-_DERIVED_SOURCE: Final = "twin"
-
-
-class Asset(Protocol):
-    """An asset as the cell follows it; see `service.live.asset.AssetRuntime`."""
-
-    @property
-    def id(self) -> str:
-        """The asset's id in the configuration."""
-
-    @property
-    def running(self) -> bool:
-        """True while the live twin is at work."""
-
-    @property
-    def channels(self) -> Mapping[str, str]:
-        """Every channel of the asset with the name of its source."""
-
-    def description(self) -> AssetFacts:
-        """What others must know of the asset before they ask anything."""
-
-    def summary(self) -> AssetDocument:
-        """Configuration, health and active model."""
-
-    def snapshot(self) -> Snapshot:
-        """All present values; the same object until one changes."""
-
-    def state(self) -> State:
-        """The node temperatures."""
-
-    def verdict(self) -> VerdictDocument:
-        """Whether the machine is safe."""
-
-    def forecast(self) -> LiveForecast | None:
-        """The latest live forecast."""
-
-    def look(self) -> None:
-        """Take note that somebody looks at the forecast."""
-
-    def machine(self) -> PresentMachine:
-        """The present state, which answers to callers are computed from."""
-
-    async def renew_grease(
-        self, who: str, comment: str, audit: AuditEntry | None = None
-    ) -> GreaseRenewed:
-        """Count the revolutions from zero again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +53,7 @@ class Parts:
     stream: Bus
     ingest: Ingest
     alarms: AlarmBook
-    assets: Mapping[str, Asset]
+    assets: Mapping[str, AssetRuntime]
     jobs: JobManager
     registry: CollectorRegistry
     sources: Callable[[], Sequence[SourceHealth]]
@@ -194,7 +145,8 @@ class Answers:
         return answer
 
     def _document(self, wanted: ask.Wanted) -> ask.Document:
-        asset = self.parts.assets[wanted.asset]
+        twin = self.parts.assets[wanted.asset]
+        asset = twin.documents
         make: Mapping[str, Callable[[], object]] = {
             "facts": asset.description,
             "summary": asset.summary,
@@ -206,7 +158,7 @@ class Answers:
         }
         # A process that has just begun asks for all there is, and knows nothing yet.
         if wanted.kind == "forecast" and wanted.tag:
-            asset.look()
+            twin.look()
         source = make[wanted.kind]()
         made = self._made.setdefault((wanted.asset, wanted.kind), _Made())
         # An asset gives the same object as long as nothing in it has changed.
@@ -416,10 +368,10 @@ class Answers:
         checks = []
         for asset in self.parts.assets.values():
             name = f"twin:{asset.id}"
-            if not asset.running:
+            if not asset.documents.running:
                 checks.append(ask.HealthCheck(name, "failed", "the live twin is not running"))
                 continue
-            bad = _channels_without_good_data(asset)
+            bad = _channels_without_good_data(asset.documents)
             if bad:
                 detail = f"no good data: {', '.join(bad)}"
                 checks.append(ask.HealthCheck(name, "degraded", detail))
@@ -455,10 +407,10 @@ def _memory(process: _Process) -> float:
     return float(process.resident_bytes)
 
 
-def _channels_without_good_data(asset: Asset) -> list[str]:
+def _channels_without_good_data(asset: AssetDocuments) -> list[str]:
     tags = asset.snapshot()["tags"]
     return sorted(
         channel
         for channel, source in asset.channels.items()
-        if source != _DERIVED_SOURCE and channel in tags and not is_good(tags[channel]["quality"])
+        if source != TWIN_SOURCE and channel in tags and not is_good(tags[channel]["quality"])
     )

@@ -230,7 +230,7 @@ class Cell:
         """Warn once of what the store holds and the configuration names no more."""
         samples: dict[str, int] = {}
         for (asset, channel), count in self.store.samples.counts(_COUNTED_MAX).items():
-            if asset not in self.assets or channel not in self.assets[asset].channels:
+            if asset not in self.assets or channel not in self.assets[asset].documents.channels:
                 name = f"{asset}/{channel}" if asset in self.assets else asset
                 samples[name] = samples.get(name, 0) + count
         if samples or alarms:

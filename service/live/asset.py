@@ -12,29 +12,16 @@ from adapters.protocol import Clock
 from adapters.samples import PlannedProfile, Quality, Sample
 from service.alarms import SERVICE, AlarmBook
 from service.clock import rfc3339
-from service.documents import assets as documents
-from service.documents.alarms import alarm_summary
 from service.documents.assets import (
-    AssetDocument,
-    ChannelDocument,
-    Controller,
     GreaseRenewed,
-    HealthOfAsset,
-    IdentificationSettings,
-    State,
     StateMessage,
-    VerdictSettings,
 )
-from service.documents.forecasts import LiveForecast
 from service.documents.interfaces import Publisher
-from service.documents.limits import LowRisk
-from service.documents.machine import AssetFacts, PresentMachine
 from service.documents.messages import NewSamples
-from service.documents.tags import Snapshot, Tag, tag
-from service.documents.verdicts import VerdictDocument
-from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, unit_of
+from service.domain.channels import AMBIENT
 from service.domain.errors import NotReadyError
 from service.live import presentation
+from service.live.asset_documents import AssetDocuments
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.guard import Guard
@@ -123,7 +110,6 @@ class AssetRuntime:
             rate=clock.rate,
         )
         self.estimate = LiveEstimate(active, refused_beyond(operating_ranges(settings.bearing)))
-        self.running = False
         self._clock = clock
         self._bus = bus
         self._alarms = alarms
@@ -148,13 +134,20 @@ class AssetRuntime:
         self._guarding_forecasts = Guard("forecast", settings.id)
         self._watching = Guard("watch", settings.id)
         self._saving = Guard("saving_the_estimate", settings.id)
-        # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
-        self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
-        self._snapshot: Snapshot = {"tags": {}}
-        self._snapshot_us = 0
+        self.documents = AssetDocuments(
+            settings,
+            channels,
+            self.readings,
+            self.estimate,
+            self._forecasting,
+            self._judgement,
+            alarms,
+            clock,
+            trusted=lambda: self._trusted,
+        )
         self._step_s = max(STEP_S, 0.1 * clock.rate)
 
-    # ------------------------------------------------------------------ facts for the API
+    # ------------------------------------------------------------------ what others ask
     @property
     def id(self) -> str:
         """The asset's id in the configuration."""
@@ -166,169 +159,14 @@ class AssetRuntime:
         return self.estimate.active
 
     @property
-    def channels(self) -> Mapping[str, str]:
-        """Every channel with the name of its source."""
-        configured = {channel: facts.source for channel, facts in self.facts.items()}
-        sensors = self.active.model.sensor_names
-        return configured | {f"{sensor}.twin": TWIN_SOURCE for sensor in sensors}
-
-    @property
-    def temperature_names(self) -> tuple[str, ...]:
-        """Sensors and nodes of the model."""
-        model = self.active.model
-        return tuple(dict.fromkeys((*model.sensor_names, *model.node_names)))
-
-    def summary(self) -> AssetDocument:
-        """Configuration, health and active model."""
-        now_us = self._clock.now_us()
-        settings, active = self.settings, self.active
-        qualities = {channel: self.readings.quality(channel, now_us) for channel in self.facts}
-        bad = sorted(channel for channel, quality in qualities.items() if quality < 192)
-        identified_at_us = active.identified_at_us
-        return AssetDocument(
-            id=self.id,
-            name=settings.name or self.id,
-            group=settings.group or None,
-            bearing=settings.bearing.name if settings.bearing else None,
-            network=settings.network_name,
-            clock_rate=self._clock.rate,
-            low_risk=LowRisk(**settings.low_risk.model_dump()),
-            limits=presentation.limits_document(settings.limits),
-            channels=[
-                self._channel(name, source, now_us) for name, source in self.channels.items()
-            ],
-            alarms=alarm_summary(self._alarms.active(self.id)),
-            ambient_assumed_c=self._judgement.assumed_ambient_c,
-            verdict=VerdictSettings(**settings.verdict.model_dump()),
-            health=HealthOfAsset(
-                status="degraded" if bad else "good",
-                twin_running=self.running and self.estimate.started,
-                channels_without_good_data=bad,
-            ),
-            active_model=documents.ActiveModel(
-                version=active.version,
-                model=active.model.name,
-                trusted=self._trusted,
-                identified=identified_at_us is not None,
-                identified_at=rfc3339(identified_at_us) if identified_at_us else None,
-            ),
-            identification=IdentificationSettings(**settings.identification.model_dump()),
-            controller=self._controller(now_us),
-        )
-
-    def _channel(self, name: str, source: str, now_us: int) -> ChannelDocument:
-        known = name in self.facts
-        return ChannelDocument(
-            name=name,
-            source=source,
-            unit=unit_of(name),
-            reason=(known and self.readings.reason(name, now_us)) or None,
-            max_age_s=round(self.readings.age_limit_s(name), 1) if known else None,
-        )
-
-    @property
     def _trusted(self) -> bool:
         """A model whose estimate or forecast fails on this machine says nothing about it."""
         return not (self._estimating.failing or self._guarding_forecasts.failing)
-
-    def _controller(self, now_us: int) -> Controller | None:
-        values = {
-            name: self.readings.usable_value(name, now_us)
-            for name in CONTROLLER_CHANNELS
-            if name in self.facts
-        }
-        if not values and self._forecasting.plan is None:
-            return None
-        steps = self._forecasting.steps_ahead(now_us) if self._forecasting.plan else None
-        return Controller(
-            phase=values.get("phase"),
-            speed_setpoint_rpm=values.get("speed_setpoint_rpm"),
-            load_setpoint_n=values.get("load_setpoint_n"),
-            plan=None if steps is None else presentation.steps_document(steps),
-        )
-
-    def snapshot(self) -> Snapshot:
-        """Flat tags for a SCADA system, from memory; the same object until a tag changes."""
-        now_us = self._clock.now_us()
-        age_s = abs(now_us - self._snapshot_us) / 1e6
-        # While nothing is taken in, time alone makes values stale.
-        if age_s >= SNAPSHOT_WALL_S * self._clock.rate:
-            tags = self._tags(now_us)
-            if tags != self._snapshot["tags"]:
-                self._snapshot = {"tags": tags}
-            self._snapshot_us = now_us
-        return self._snapshot
-
-    def _changed(self) -> None:
-        """Have the next snapshot made again."""
-        self._snapshot_us = 0
-
-    def _tags(self, now_us: int) -> dict[str, Tag]:
-        tags: dict[str, Tag] = {}
-        for channel in self.facts:
-            sample = self.readings.latest.get(channel)
-            tags[channel] = tag(
-                self.readings.usable_value(channel, now_us),
-                unit_of(channel),
-                self.readings.quality(channel, now_us),
-                rfc3339(sample.time_us) if sample else self._began,
-            )
-        blind = bool(self._judgement.blind)
-        tags |= presentation.estimate_tags(self.estimate, self._began, blind)
-        tags |= presentation.forecast_tags(
-            self.settings.limits, self._forecasting.summary, self._began, blind
-        )
-        tags |= self._judgement.tags(self.verdict())
-        tags |= presentation.alarm_tags(self._alarms.active(self.id), self._alarms_changed)
-        tags["model.version"] = tag(self.active.version, "", Quality.GOOD, self._switched)
-        return tags
-
-    def state(self) -> State:
-        """Mean and standard deviation of the node temperatures."""
-        return presentation.state_document(
-            self.estimate, self._clock.now_us(), self._judgement.blind
-        )
-
-    def verdict(self) -> VerdictDocument:
-        """Tell whether the machine is safe now, and whether its next step is."""
-        return self._judgement.document(self.running)
-
-    def forecast(self) -> LiveForecast | None:
-        """Return the latest live forecast; None before the first."""
-        latest = self._forecasting.latest
-        if latest is None:
-            return None
-        return latest.model_copy(update={"missing": self._judgement.blind})
 
     def look(self) -> None:
         """Take note that somebody looks at the forecast: it is an ensemble of now soon."""
         if self._forecasting.look():
             self._forecast_wanted.set()
-
-    def description(self) -> AssetFacts:
-        """What others must know of the asset before they ask anything."""
-        return AssetFacts(
-            running=self.running,
-            channels=dict(self.channels),
-            temperature_names=list(self.temperature_names),
-        )
-
-    def machine(self) -> PresentMachine:
-        """The present state: what answers to callers are computed from."""
-        now_us = self._clock.now_us()
-        state = self.estimate.state()
-        ahead = self._forecasting.steps_ahead(now_us)
-        return PresentMachine(
-            version=self.active.version,
-            estimate=None if state is None else state.document(),
-            planned=[(step.speed_rpm, step.load_n) for step in ahead],
-            missing=self._judgement.blind,
-            measured_c={
-                name: self.readings.good_value(name, now_us)
-                for name in self.active.model.sensor_names
-                if name in self.facts
-            },
-        )
 
     def forecast_age_s(self) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
@@ -341,7 +179,7 @@ class AssetRuntime:
         for sample in news:
             self._unsent[sample.channel] = sample
         self._verdict_due |= self._judgement.is_news(news)
-        self._changed()
+        self.documents.changed()
         for plan in plans:
             if plan.asset == self.id and self._forecasting.take_plan(plan):
                 self._forecast_wanted.set()
@@ -351,9 +189,8 @@ class AssetRuntime:
         before = self.active.version
         self.estimate.swap(active)
         self._watch.switched(before, who, comment)
-        self._switched = rfc3339(self._clock.now_us())
         self._verdict_due = True
-        self._changed()
+        self.documents.model_switched()
         self._forecast_wanted.set()
         _log.info("model_switched", asset=self.id, version=active.version)
 
@@ -389,9 +226,8 @@ class AssetRuntime:
 
     def alarms_changed(self) -> None:
         """Note that an alarm of this asset has changed."""
-        self._alarms_changed = rfc3339(self._clock.now_us())
         self._verdict_due = True
-        self._changed()
+        self.documents.alarms_changed()
 
     # ------------------------------------------------------------------ the running twin
     async def run(self, kept_state: KeptState | None) -> None:
@@ -405,7 +241,7 @@ class AssetRuntime:
             )
         if kept_state is not None:
             self._restore(kept_state)
-        self.running = True
+        self.documents.running = True
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._follow())
@@ -413,7 +249,7 @@ class AssetRuntime:
                 tasks.create_task(self._tell())
                 tasks.create_task(self._keep())
         finally:
-            self.running = False
+            self.documents.running = False
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(LAST_SAVE_WALL_S):
                     await self._save()
@@ -423,7 +259,7 @@ class AssetRuntime:
         self._watch.restore_sources(watched)
         try:
             self.estimate.restore(kept_state)
-            self._changed()
+            self.documents.changed()
             self._watch.restore(watched)
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
@@ -445,7 +281,7 @@ class AssetRuntime:
                 samples = presentation.samples_document(
                     self.estimate.samples(self.id, now_us, quality)
                 )
-                message = StateMessage(**dict(self.state()), samples=samples)
+                message = StateMessage(**dict(self.documents.state()), samples=samples)
                 self._bus.publish("state", self.id, message)
                 told_wall_s = wall_s()
             if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
@@ -467,7 +303,7 @@ class AssetRuntime:
             self._forecast_due &= not begins
             self._forecast_wanted.set()
         self._blind = blind
-        self._changed()
+        self.documents.changed()
 
     async def _keep(self) -> None:
         """Keep the estimate from time to time, however long the store takes for it."""
@@ -491,7 +327,7 @@ class AssetRuntime:
         made = await self._forecasting.make(self._judgement.blind)
         if made is not None:
             self._verdict_due = True
-            self._changed()
+            self.documents.changed()
             self._bus.publish("forecast", self.id, made)
             summary = self._forecasting.summary
             self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
@@ -519,7 +355,7 @@ class AssetRuntime:
         if not (self._verdict_due or old or now_us >= self._verdict_holds_us):
             return
         self._verdict_due = False
-        verdict = self.verdict()
+        verdict = self.documents.verdict()
         self._verdict_holds_us = self._judgement.holds_until_us(now_us)
         words = [(one.word, one.limit) for one in (verdict.now, verdict.next_step)]
         news = words, verdict.missing

@@ -22,6 +22,7 @@ from service.documents.machine import PresentMachine
 from service.domain.requests import ProfileStep
 from service.live.advice import give_advice
 from service.live.asset import AssetRuntime
+from service.live.asset_documents import AssetDocuments
 from service.live.envelope import EnvelopeKeeper
 from service.live.estimate import ActiveModel, EstimatedState
 from service.live.forecasting import what_if_document
@@ -121,8 +122,12 @@ class Live:
         return found
 
     def tag(self, name: str) -> dict[str, Any]:
-        tag: dict[str, Any] = self.runtime.snapshot()["tags"][name]
+        tag: dict[str, Any] = self.documents.snapshot()["tags"][name]
         return tag
+
+    @property
+    def documents(self) -> AssetDocuments:
+        return self.runtime.documents
 
     def what_if(
         self,
@@ -147,7 +152,7 @@ class Live:
 
     def _shown(self) -> tuple[PresentMachine, EstimatedState]:
         """What a worker of the web side reads of what the cell sends."""
-        machine = PresentMachine.model_validate_json(self.runtime.machine().to_bytes())
+        machine = PresentMachine.model_validate_json(self.documents.machine().to_bytes())
         assert machine.estimate is not None
         return machine, EstimatedState.read(self.runtime.active, machine.estimate)
 

@@ -35,20 +35,20 @@ async def test_it_starts_with_the_first_good_values_and_forecasts(
     live = make_live()
     live.start()
     assert live.tag("t_node_7_c.twin")["quality"] == Quality.WAITING_FOR_INITIAL_DATA
-    assert dict(live.runtime.state().nodes["t_node_7_c"]) == {
+    assert dict(live.documents.state().nodes["t_node_7_c"]) == {
         "mean_c": None,
         "std_c": None,
         "known": False,
     }
-    assert live.runtime.forecast() is None
-    assert live.runtime.machine().estimate is None
-    forecast = await live.until(live.runtime.forecast, "a forecast", machine_at_rest)
+    assert live.documents.forecast() is None
+    assert live.documents.machine().estimate is None
+    forecast = await live.until(live.documents.forecast, "a forecast", machine_at_rest)
     assert forecast.model_version == 1
     assert forecast.planned is False
     assert forecast.time_s[-1] == 4 * 3600
     assert live.tag("t_node_7_c.twin")["value"] == pytest.approx(23.0, abs=0.5)
     assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.GOOD
-    assert dict(live.runtime.summary().health) == {
+    assert dict(live.documents.summary().health) == {
         "status": "good",
         "twin_running": True,
         "channels_without_good_data": [],
@@ -65,7 +65,7 @@ async def test_no_stale_value_is_shown_as_live(
     )
     assert live.tag("t_inner_ring_c")["value"] is None
     assert live.tag("t_node_7_c.twin")["value"] is not None, "the twin goes on alone"
-    assert "t_inner_ring_c" in live.runtime.summary().health.channels_without_good_data
+    assert "t_inner_ring_c" in live.documents.summary().health.channels_without_good_data
 
 
 async def test_a_forecast_that_fails_does_not_end_the_twin(
@@ -77,10 +77,10 @@ async def test_a_forecast_that_fails_does_not_end_the_twin(
     await live.until(
         lambda: live.runtime.estimate.time_us > began_us + 600 * 1_000_000, "steps", WARM
     )
-    assert live.runtime.forecast() is None
-    assert live.runtime.running
+    assert live.documents.forecast() is None
+    assert live.documents.running
     live.runtime.switch(make_version(2))
-    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    forecast = await live.until(live.documents.forecast, "a forecast", WARM)
     assert forecast.model_version == 2
 
 
@@ -107,7 +107,7 @@ async def test_a_store_that_takes_no_state_does_not_end_the_twin(
     await running(live, WARM)
     await live.until(lambda: live.refused > 3, "states that the store did not take", WARM)
     assert not live.saved
-    assert live.runtime.running
+    assert live.documents.running
     live.store_is_away = False
     await live.until(lambda: live.saved, "a kept state", WARM)
     live.store_is_away = True
@@ -145,7 +145,7 @@ async def test_the_first_forecast_after_a_restart_does_not_wait_for_its_period(
     monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
     second = make_live()
     second.start(kept)
-    await second.until(second.runtime.forecast, "a forecast", WARM)
+    await second.until(second.runtime.documents.forecast, "a forecast", WARM)
 
 
 @pytest.mark.parametrize("kept", [{}, {"observer": {"state": []}, "time_us": 1}])
@@ -166,9 +166,9 @@ async def test_a_switch_leaves_no_gap(
     live.runtime.switch(make_version(2, z=0.2))
     assert live.tag("t_node_7_c.twin")["value"] == before
     assert live.tag("model.version")["value"] == 2
-    assert live.runtime.state().model_version == 2
+    assert live.documents.state().model_version == 2
     await live.until(
-        lambda: (f := live.runtime.forecast()) and f.model_version == 2, "its forecast", WARM
+        lambda: (f := live.documents.forecast()) and f.model_version == 2, "its forecast", WARM
     )
 
 
@@ -178,16 +178,16 @@ async def test_the_plan_is_followed_while_it_is_fresh(make_live: Callable[..., A
 
     def planned() -> Any:
         live.plan((1800.0, 2400.0, 2650.0), (3600.0, 6200.0, 5500.0))
-        forecast = live.runtime.forecast()
+        forecast = live.documents.forecast()
         return forecast if forecast and forecast.planned else None
 
     forecast = await live.until(planned, "a forecast along the plan", WARM)
     assert [step.speed_rpm for step in forecast.profile] == [2400.0, 6200.0]
-    controller = live.runtime.summary().controller
+    controller = live.documents.summary().controller
     assert [step.load_n for step in controller.plan] == [2650.0, 5500.0]
     # A controller that has fallen silent (30 s, here 1.5 s of wall time) plans nothing.
     held = await live.until(
-        lambda: (f := live.runtime.forecast()) and not f.planned and f, "the point held", WARM
+        lambda: (f := live.documents.forecast()) and not f.planned and f, "the point held", WARM
     )
     assert [step.speed_rpm for step in held.profile] == [2400.0]
 
@@ -208,7 +208,7 @@ async def test_a_plan_for_a_hot_stage_raises_the_forecast_alarm(
     assert alarm.channel == "t_inner_ring_c"
     assert alarm.probability > 0.2
     assert 0 < alarm.lead_time_s < 14_400
-    earliest_s = live.runtime.forecast().time_to_limit["t_inner_ring_c"][alarm.level].earliest_s
+    earliest_s = live.documents.forecast().time_to_limit["t_inner_ring_c"][alarm.level].earliest_s
     assert alarm.lead_time_s == pytest.approx(earliest_s, abs=600)
     seen = set()
     while "alarm" not in seen:
@@ -267,7 +267,7 @@ async def test_an_asset_without_temperatures_only_shows_what_it_has(
         live.feed({"speed_rpm": 1500.0, "load_n": 2650.0})
         await live.clock.sleep(60.0)
     assert not live.runtime.estimate.started, "an hour later"
-    assert live.runtime.summary().health.twin_running is False
+    assert live.documents.summary().health.twin_running is False
     assert live.tag("t_inner_ring_c.forecast_max")["value"] is None
     assert not live.task.done()
 
@@ -278,12 +278,12 @@ async def test_a_limit_on_a_node_is_shown_but_not_predicted(
     limits = {"t_node_7_c": {"warning": 60, "alarm": 80}}
     live = make_live(make_section(limits=limits))
     live.start()
-    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    forecast = await live.until(live.documents.forecast, "a forecast", WARM)
     assert {name: dict(pair) for name, pair in forecast.limits.items()} == limits
     assert forecast.time_to_limit == {}
     assert live.tag("t_node_7_c.forecast_max")["value"] == max(forecast.nodes["t_node_7_c"].q50)
     assert live.tag("t_node_7_c.time_to_warning_s")["quality"] < 192
-    assert set(live.runtime.state().nodes) == set(NODES)
+    assert set(live.documents.state().nodes) == set(NODES)
 
 
 async def test_a_snapshot_stays_the_same_object_until_a_tag_changes(
@@ -291,10 +291,10 @@ async def test_a_snapshot_stays_the_same_object_until_a_tag_changes(
 ) -> None:
     live = make_live()
     await running(live, WARM)
-    first = live.runtime.snapshot()
-    assert live.runtime.snapshot() is first
+    first = live.documents.snapshot()
+    assert live.documents.snapshot() is first
     live.feed(WARM | {"t_inner_ring_c": 55.5})
-    second = live.runtime.snapshot()
+    second = live.documents.snapshot()
     assert second is not first
     assert second["tags"]["t_inner_ring_c"]["value"] == 55.5
 
@@ -325,18 +325,18 @@ async def test_an_impossible_speed_never_ages_the_grease(
     """Thirteen seconds of 1e9 rpm made 147 million revolutions of 255."""
     live = make_live()
     await running(live, WARM)
-    await live.until(lambda: live.runtime.state().revolutions > 100, "turning", WARM)
-    began_us, before = live.clock.now_us(), live.runtime.state().revolutions
+    await live.until(lambda: live.documents.state().revolutions > 100, "turning", WARM)
+    began_us, before = live.clock.now_us(), live.documents.state().revolutions
     await live.until(
         lambda: live.clock.now_us() - began_us > 600_000_000, "10 min", WARM | {
             "speed_rpm": speed_rpm
         },
     )  # fmt: skip
-    live.runtime._changed()
+    live.documents.changed()
     assert live.tag("verdict.now")["value"] == 0, "the twin does not run on it"
     await live.until(lambda: live.runtime.estimate.started, "a new start", WARM)
     minutes = (live.clock.now_us() - began_us) / 60e6
-    assert live.runtime.state().revolutions <= before + WARM["speed_rpm"] * minutes
+    assert live.documents.state().revolutions <= before + WARM["speed_rpm"] * minutes
 
 
 async def test_a_machine_that_turns_backwards_is_not_taken_for_standing(
@@ -354,7 +354,7 @@ async def test_renewed_grease_counts_from_zero_and_after_a_restart_too(
     with pytest.raises(NotReadyError):
         await live.runtime.renew_grease("engineer eva", "")
     await running(live, WARM)
-    await live.until(lambda: live.runtime.state().revolutions > 1000, "turning", WARM)
+    await live.until(lambda: live.documents.state().revolutions > 1000, "turning", WARM)
     live.saved.clear()
     answer = await live.runtime.renew_grease("engineer eva", "regreased")
     assert answer.revolutions_before > 1000

@@ -154,11 +154,11 @@ async def test_ensembles_are_made_where_a_plan_or_somebody_who_looks_needs_them(
     seen = []
 
     async def next_forecast(what: str) -> Any:
-        last = live.runtime.forecast()
+        last = live.documents.forecast()
         made_at = last and last.made_at
         seen.append(
             await live.until(
-                lambda: (f := live.runtime.forecast()) and f.made_at != made_at and f, what, WARM
+                lambda: (f := live.documents.forecast()) and f.made_at != made_at and f, what, WARM
             )
         )
         return seen[-1]

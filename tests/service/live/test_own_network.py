@@ -46,17 +46,17 @@ async def test_its_nodes_and_sensors_are_in_every_answer(make_live: Callable[...
     settings = section()
     live = make_live(settings, active_model(settings, stored(settings)))
     live.start()
-    forecast = await live.until(live.runtime.forecast, "a forecast", WARM)
+    forecast = await live.until(live.documents.forecast, "a forecast", WARM)
     nodes = {"t_bearing_c", "t_housing_c", "t_oil_c"}
-    assert set(live.runtime.state().nodes) == nodes
+    assert set(live.documents.state().nodes) == nodes
     assert set(forecast.nodes) == nodes | {"t_wall_c"}
     assert set(forecast.time_to_limit) == {"t_bearing_c"}
-    tags = live.runtime.snapshot()["tags"]
+    tags = live.documents.snapshot()["tags"]
     assert {f"{name}.twin" for name in (*nodes, "t_wall_c")} <= set(tags)
     assert "t_inner_ring_c.twin" not in tags
     assert tags["t_bearing_c.twin"]["value"] == pytest.approx(55.0, abs=2.0)
     assert tags["t_bearing_c.forecast_max"]["unit"] == "°C"
-    shown = live.runtime.summary()
+    shown = live.documents.summary()
     assert (shown.bearing, shown.network) == (None, "gearbox")
     await live.until(lambda: live.stored, "an estimate for the store", WARM)
     assert {sample.channel for sample in live.stored} == {"t_bearing_c.twin", "t_wall_c.twin"}
@@ -64,7 +64,7 @@ async def test_its_nodes_and_sensors_are_in_every_answer(make_live: Callable[...
         [ProfileStep(duration_s=3600.0, speed_rpm=2000.0, load_n=4000.0)], 600.0, ["t_oil_c"]
     )
     assert set(answer.nodes) == {"t_oil_c"}
-    assert live.runtime.temperature_names == ("t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c")
+    assert live.documents.temperature_names == ("t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c")
     kept = live.runtime.estimate.to_dict()
     again = make_live(settings, active_model(settings, stored(settings)))
     again.runtime.estimate.restore(json.loads(json.dumps(kept)))
@@ -119,7 +119,7 @@ async def test_inputs_drive_the_estimate_and_every_forecast(make_live: Callable[
         live.feed(without)
         await asyncio.sleep(0.01)
     assert not live.runtime.estimate.started, "nothing is known of the power yet"
-    forecast = await live.until(live.runtime.forecast, "a forecast", HEATED)
+    forecast = await live.until(live.documents.forecast, "a forecast", HEATED)
     estimate = live.runtime.estimate
     assert estimate.point is not None
     assert estimate.point.inputs == (200.0,)

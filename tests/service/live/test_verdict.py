@@ -359,7 +359,7 @@ async def test_a_running_machine_is_safe_and_no_combination_without_an_input_is(
         live.runtime.take([Sample("bench-1", name, time_us, WARM[name], quality, time_us)], [])
 
     def both_safe() -> bool:
-        tags = live.runtime.snapshot()["tags"]
+        tags = live.documents.snapshot()["tags"]
         return [tags[f"verdict.{name}"]["value"] for name in ("now", "next_step")] == [1, 1]
 
     await live.until(both_safe, "a safe machine", WARM)
@@ -386,15 +386,15 @@ async def test_after_speed_is_lost_nothing_presents_itself_as_valid(
     without_speed = {name: value for name, value in WARM.items() if name != "speed_rpm"}
     await live.until(lambda: live.tag("verdict.now")["value"] == 0, "unknown", without_speed)
     live.feed(without_speed)
-    live.runtime._changed()
+    live.documents.changed()
     assert live.tag("verdict.next_step")["value"] == 0
     assert live.tag("t_node_7_c.twin")["quality"] == Quality.LAST_USABLE
     for name in ("forecast_max", "time_to_warning_s", "time_to_alarm_s"):
         tag = live.tag(f"t_inner_ring_c.{name}")
         assert tag["value"] is None
         assert tag["quality"] < Quality.UNCERTAIN
-    assert live.runtime.state().missing == ["speed_rpm"]
-    forecast = await live.until(live.runtime.forecast, "a forecast", without_speed)
+    assert live.documents.state().missing == ["speed_rpm"]
+    forecast = await live.until(live.documents.forecast, "a forecast", without_speed)
     assert forecast.missing == ["speed_rpm"]
     live.stored.clear()
     await live.until(lambda: live.stored, "a kept estimate", without_speed)
@@ -433,7 +433,7 @@ async def test_a_twin_that_has_ended_is_missing(
     await live.until(lambda: live.tag("verdict.now")["value"] == 1, "safe", WARM)
     await live.stop()
     live.feed(WARM)
-    verdict = live.runtime.verdict()
+    verdict = live.documents.verdict()
     assert verdict.now.word == "unknown"
     assert verdict.missing[0] == "twin"
 
@@ -447,7 +447,7 @@ async def test_a_start_without_an_ambient_channel_warns_and_says_what_is_assumed
         live.start()
         await live.until(lambda: live.runtime.estimate.started, "a start", without)
     assert [line["asset"] for line in lines if line["event"] == "ambient_assumed"] == ["bench-1"]
-    assert live.runtime.summary().ambient_assumed_c == pytest.approx(30.0)
+    assert live.documents.summary().ambient_assumed_c == pytest.approx(30.0)
 
 
 def test_every_channel_that_a_verdict_needs_is_listed(make_section: Callable[..., Any]) -> None:

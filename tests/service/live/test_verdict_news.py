@@ -71,16 +71,16 @@ async def test_a_machine_in_which_nothing_changes_costs_no_verdicts(
     live = make_live(max_age_s=1800.0)
     monkeypatch.setattr("service.live.asset.FORECAST_EVERY_S", 1e6)
     made = 0
-    verdict = live.runtime.verdict
+    verdict = live.documents.verdict
 
     def counted() -> Any:
         nonlocal made
         made += 1
         return verdict()
 
-    monkeypatch.setattr(live.runtime, "verdict", counted)
+    monkeypatch.setattr(live.documents, "verdict", counted)
     live.start()
-    await live.until(live.runtime.forecast, "a forecast", WARM)
+    await live.until(live.documents.forecast, "a forecast", WARM)
     looks = 0
     before = made
     end_us = live.clock.now_us() + 4 * 3600 * 1_000_000

@@ -239,7 +239,7 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
         return means(speed, load, truth, min(max(second, STEP_S), speed.size - 1))
 
     def labels(live: Any) -> list[str]:
-        forecast = live.runtime.forecast()
+        forecast = live.documents.forecast()
         return [] if forecast is None else [one for one in forecast.labels if LABEL in one]
 
     async def until(live: Any, look: Callable[[], Any], what: str) -> None:
@@ -253,14 +253,14 @@ async def test_the_label_stays_over_a_restart_and_goes_when_the_filter_has_learn
     first = make_live(section, motor)
     begun_us = first.clock.now_us()
     first.start()
-    await until(first, first.runtime.forecast, "a forecast")
-    assert labels(first), first.runtime.forecast().labels
+    await until(first, first.runtime.documents.forecast, "a forecast")
+    assert labels(first), first.runtime.documents.forecast().labels
     await first.stop()
     kept = json.loads(json.dumps(first.saved[-1]))
     assert 0.0 <= kept["followed_s"] < FOLLOWED_S
     second = make_live(section, motor)
     second.start(kept)
-    await until(second, second.runtime.forecast, "a forecast after the restart")
+    await until(second, second.runtime.documents.forecast, "a forecast after the restart")
     assert labels(second), "what was kept is known no better for it"
     await until(second, lambda: not labels(second), "the end of the label")
     assert course_known(second.runtime.estimate.followed_s) == 1.0

@@ -92,6 +92,7 @@ class MemoryTwin:
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
         }
         self.asked: list[tuple[float, str]] = []
+        self.documents = self
 
     def description(self) -> AssetFacts:
         return AssetFacts(
