@@ -9,7 +9,8 @@ from adapters.protocol import Clock
 from service.domain.errors import JobConflictError, RequestRefusedError
 from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
-from service.jobs.manager import AUTOMATIC, IdentificationJobs
+from service.jobs.manager import IdentificationJobs
+from service.jobs.runner import AUTOMATIC
 from twin_core.windows import Window
 
 LOOK_EVERY_S = 300.0

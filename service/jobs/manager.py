@@ -9,45 +9,26 @@ goes on from there.
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from concurrent.futures.process import BrokenProcessPool
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import anyio.to_thread
 import structlog
 
 from adapters.protocol import Clock
-from service.clock import rfc3339, wall_us
+from service.clock import rfc3339
 from service.documents.identification import JobDocument
 from service.documents.interfaces import Publisher
 from service.documents.models import ModelDocument
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
-from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.domain.requests import IdentificationRequest
 from service.jobs.activation import Activations
-from service.jobs.documents import ProgressCache, shown
-from service.jobs.drift import tell, with_drift
-from service.jobs.executor import (
-    STALLED_AFTER_WALL_S,
-    WorkerStalledError,
-    end_executor,
-    watched,
-)
+from service.jobs.documents import shown
 from service.jobs.history import AssetHistory
-from service.jobs.models import identified_document, machine_of
-from service.jobs.worker import JobOrder, JobResult, run_identification
+from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
 from service.jobs.workspace import JobFolder, clear_folders
 from service.live.asset import AssetRuntime
 from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
-from service.store.records import Job, ModelStatus, ModelVersion
-
-STORE_RETRY_WALL_S = 2.0
-STOP_WALL_S = 1.0
-MOST_ATTEMPTS = 3
-#: A job is given up when its worker hangs in this attempt or in a later one.
-MOST_STALLED_ATTEMPTS = 2
-AUTOMATIC = "automatic"
 
 _log = structlog.get_logger(__name__)
 
@@ -72,9 +53,8 @@ class IdentificationJobs:
 
     Attributes
     ----------
-    stalled_after_wall_s : float
-        A worker without a sign of life for this many wall seconds is ended; its job goes on once
-        from the checkpoint, then it fails. Until then the jobs of other assets wait.
+    runner : JobRunner
+        Runs them.
     """
 
     def __init__(
@@ -90,51 +70,45 @@ class IdentificationJobs:
     ) -> None:
         self._store = store
         self._clock = clock
-        self._bus = bus
         self._assets = assets
         self._histories = histories
-        self._make_executor = make_executor
-        self._executor: Executor | None = None
         self._folder = folder
-        self._observe_seconds = observe_seconds
-        self.stalled_after_wall_s = STALLED_AFTER_WALL_S
-        self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._one_at_a_time = asyncio.Lock()
         self._activations = Activations(store, clock, assets)
-        self._progress = ProgressCache()
-        # Jobs whose latest attempt the store broke off, and whose progress it does not have.
-        self._interrupted: set[str] = set()
-        self._behind: set[str] = set()
-        # Whether a job is cancelled or its result takes effect is decided for good under this.
-        self._deciding = asyncio.Lock()
+        self.runner = JobRunner(
+            store,
+            clock,
+            bus,
+            assets,
+            histories,
+            self._activations,
+            make_executor,
+            folder,
+            observe_seconds,
+        )
 
     # ------------------------------------------------------------------ life
     async def start(self) -> None:
         """Take up the jobs that an earlier run of the service left unfinished."""
-        self._executor = self._make_executor()
+        self.runner.start()
         unfinished = await anyio.to_thread.run_sync(self._store.jobs.unfinished)
         kept = {job.id for job in unfinished}
         await anyio.to_thread.run_sync(clear_folders, self._folder, kept)
         for job in unfinished:
             if job.asset not in self._assets:
                 continue
-            await self._change(job.id, "interrupt", progress=0.0)
-            self._begin(job)
+            await self.runner.change(job.id, "interrupt", progress=0.0)
+            self.runner.begin(job)
 
     async def stop(self) -> None:
         """Stop the workers; what was running waits in the store for the next start."""
-        for task in self._tasks.values():
-            task.cancel()
-        if self._tasks:  # one may wait for a store that does not answer
-            await asyncio.wait(self._tasks.values(), timeout=STOP_WALL_S)
-        self._shut_down_executor()
+        await self.runner.stop()
         try:
             async with asyncio.timeout(STOP_WALL_S):
                 for job in await anyio.to_thread.run_sync(
                     self._store.jobs.unfinished, abandon_on_cancel=True
                 ):
                     # A clean stop is no failed attempt.
-                    await self._change(
+                    await self.runner.change(
                         job.id, "interrupt", progress=0.0, attempts=max(job.attempts - 1, 0)
                     )
         except (StoreUnavailableError, TimeoutError) as error:
@@ -161,7 +135,7 @@ class IdentificationJobs:
             "asked": request.model_dump(mode="json"),
         }
         if who == AUTOMATIC:
-            audit = _line("identification.start", f"asset {asset_id}")
+            audit = audit_line("identification.start", f"asset {asset_id}")
         try:
             job, created = await anyio.to_thread.run_sync(
                 self._store.jobs.add,
@@ -185,8 +159,8 @@ class IdentificationJobs:
             )
         if created:
             _log.info("job_queued", asset=asset_id, job=job.id, who=who, windows=len(windows))
-            self._publish(job)
-            self._begin(job)
+            self.runner.publish(job)
+            self.runner.begin(job)
         return shown(job), created
 
     async def _windows(
@@ -221,7 +195,7 @@ class IdentificationJobs:
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
-        document = shown(job, self._progress.get(job_id), convergence=True)
+        document = shown(job, self.runner.progress.get(job_id), convergence=True)
         if job.model_version is None:
             return document
         # What came of the job has its whole course; what was told last ends somewhat before.
@@ -235,7 +209,7 @@ class IdentificationJobs:
     async def jobs(self, asset_id: str) -> Sequence[JobDocument]:
         """Jobs of an asset, newest first."""
         jobs = await anyio.to_thread.run_sync(self._store.jobs.of_asset, asset_id)
-        return [shown(job, self._progress.get(job.id)) for job in jobs]
+        return [shown(job, self.runner.progress.get(job.id)) for job in jobs]
 
     async def cancel(
         self, asset_id: str, job_id: str, audit: AuditEntry | None = None
@@ -244,15 +218,15 @@ class IdentificationJobs:
         job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
         if job is None or job.asset != asset_id:
             return None
-        async with self._deciding:
-            cancelled = await self._change(
+        async with self.runner.deciding:
+            cancelled = await self.runner.change(
                 job_id, "cancel", ended_at_us=self._clock.now_us(), error="cancelled", line=audit
             )
         if cancelled is None:  # it had ended before
             return await self.job(asset_id, job_id)
         await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
-        self._publish(cancelled)
-        return shown(cancelled, self._progress.get(job_id))
+        self.runner.publish(cancelled)
+        return shown(cancelled, self.runner.progress.get(job_id))
 
     async def activate(
         self,
@@ -268,231 +242,4 @@ class IdentificationJobs:
 
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running in this service."""
-        return any(task.get_name() == asset_id for task in self._tasks.values())
-
-    # ------------------------------------------------------------------ running
-    def _begin(self, job: Job) -> None:
-        task = asyncio.create_task(self._run(job.id), name=job.asset)
-        self._tasks[job.id] = task
-        task.add_done_callback(lambda _: self._forget(job.id))
-
-    def _forget(self, job_id: str) -> None:
-        self._tasks.pop(job_id, None)
-        self._interrupted.discard(job_id)
-        self._behind.discard(job_id)
-
-    async def _run(self, job_id: str) -> None:
-        async with self._one_at_a_time:
-            folder = JobFolder(self._folder / job_id)
-            try:
-                while not await self._has_ended(job_id, folder):
-                    pass
-            finally:
-                folder.cancel()  # a worker that is still at it has nothing left to do
-            folder.remove()
-
-    async def _has_ended(self, job_id: str, folder: JobFolder) -> bool:
-        """Try once to bring a job to its end; False when it is to be tried again."""
-        try:
-            job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
-            if job is None or job.status not in UNFINISHED:
-                return True  # cancelled while it waited
-            known = await self._model_of(job)
-            if known is not None:
-                await self._take_effect(job, known)
-                return True
-            if job.attempts >= MOST_ATTEMPTS:
-                await self._end(job_id, "fail", f"gave up after {job.attempts} attempts")
-                return True
-            await self._attempt(job, folder)
-        except BrokenProcessPool:
-            _log.error("job_worker_died", job=job_id)
-            self._replace_worker()
-            return False
-        except WorkerStalledError as error:
-            _log.error("job_worker_stalled", job=job_id, reason=str(error))
-            self._replace_worker()
-            if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
-                return False
-            await self._end(job_id, "fail", str(error))
-        except StoreUnavailableError as error:
-            _log.warning("job_waits_for_the_store", job=job_id, error=str(error))
-            await asyncio.sleep(STORE_RETRY_WALL_S)
-            return False
-        except Exception as error:
-            # Whatever went wrong in one job is that job's failure, not the service's.
-            _log.exception("job_failed", job=job_id)
-            await self._end(job_id, "fail", f"{type(error).__name__}: {error}")
-        return True
-
-    async def _attempt(self, job: Job, folder: JobFolder) -> None:
-        # The folder comes first: from now on a cancellation leaves its mark there.
-        await anyio.to_thread.run_sync(folder.make)
-        started = await self._change(
-            job.id,
-            "start",
-            attempts=job.attempts if job.id in self._interrupted else job.attempts + 1,
-            progress=0.0,
-            started_at_us=self._clock.now_us(),
-        )
-        if started is None:
-            return
-        self._interrupted.discard(job.id)
-        self._publish(started)
-        began = asyncio.get_running_loop().time()
-        try:
-            await self._finish(started, await self._work(started, folder))
-        except StoreUnavailableError:
-            self._interrupted.add(job.id)  # the attempt did not fail: it is made again
-            raise
-        self._observe_seconds(asyncio.get_running_loop().time() - began)
-
-    async def _model_of(self, job: Job) -> ModelVersion | None:
-        """Find the version that a job stored before the service was stopped or killed."""
-        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
-        return next((one for one in versions if one.document["job"] == job.id), None)
-
-    async def _work(self, job: Job, folder: JobFolder) -> JobResult | None:
-        asset, history = self._assets[job.asset], self._histories[job.asset]
-        spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
-        data = await history.identification_data(spans)
-        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
-        order = JobOrder(
-            folder=folder,
-            machine=machine_of(asset.settings),
-            data=data,
-            active=asset.active.posterior,
-            earlier=versions,
-            method=job.request["method"],
-            seed=job.request["seed"],
-            budget=job.request["budget"],
-        )
-        if self._executor is None:
-            raise RuntimeError("the job manager has not started")
-        future = asyncio.wrap_future(self._executor.submit(run_identification, order))
-        return await watched(
-            future,
-            folder.life,
-            lambda: self.stalled_after_wall_s,
-            lambda: self._pass_progress_on(job.id, folder),
-        )
-
-    async def _pass_progress_on(self, job_id: str, folder: JobFolder) -> None:
-        progress = await anyio.to_thread.run_sync(folder.read_progress)
-        if progress is None:
-            return
-        self._progress.remember(job_id, progress, asyncio.get_running_loop().time())
-        try:
-            changed = await self._change(
-                job_id,
-                "progress",
-                progress=round(progress.fraction, 4),
-                best_fitness=progress.best_fitness,
-                evaluations=progress.evaluations,
-            )
-        except StoreUnavailableError as error:
-            # The worker goes on; the row gets what it has done when the store is back.
-            if job_id not in self._behind:
-                _log.warning("job_progress_waits_for_the_store", job=job_id, error=str(error))
-            self._behind.add(job_id)
-            return
-        self._behind.discard(job_id)
-        if changed is not None:
-            self._publish(changed)
-
-    async def _finish(self, job: Job, result: JobResult | None) -> None:
-        if result is None:
-            await self._end(job.id, "cancel", "cancelled")
-            return
-        document = identified_document(job, result, self._assets[job.asset].settings)
-        status: ModelStatus = "candidate" if result.gates.accepted else "rejected"
-        async with self._deciding:
-            still_wanted = await self._change(
-                job.id,
-                "progress",
-                best_fitness=result.best_fitness,
-                evaluations=result.evaluations,
-            )
-            if still_wanted is None:
-                return  # cancelled at the very end: the result must not take effect
-            number = await anyio.to_thread.run_sync(
-                self._store.models.add,
-                job.asset,
-                status,
-                with_drift(result.gates.reason, result.drift),
-                document,
-                self._clock.now_us(),
-            )
-            version = await anyio.to_thread.run_sync(self._store.models.version, job.asset, number)
-            if version is None:
-                raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
-            tell(job.asset, version, self._assets[job.asset].drift_reported)
-            await self._take_effect(still_wanted, version)
-
-    async def _take_effect(self, job: Job, version: ModelVersion) -> None:
-        """Activate what may be activated by itself; whoever sees the job's end sees that too."""
-        ladder = self._assets[job.asset].settings.identification.ladder
-        if version.status == "candidate" and ladder == "apply":
-            number, reason = version.version, version.reason
-            line = _line("model.activate", f"asset {job.asset}, version {number}", reason)
-            # In one transaction: a service that is killed leaves no change without its line.
-            await self._activations.activate(
-                job.asset, number, AUTOMATIC, reason, force=False, line=line
-            )
-        ended = await self._change(
-            job.id,
-            "succeed",
-            progress=1.0,
-            ended_at_us=self._clock.now_us(),
-            model_version=version.version,
-        )
-        if ended is not None:
-            _log.info(
-                "job_succeeded",
-                asset=job.asset,
-                version=version.version,
-                status=version.status,
-                reason=version.reason,
-            )
-            self._publish(ended)
-
-    async def _end(self, job_id: str, event: JobEvent, error: str) -> None:
-        while True:
-            try:
-                ended = await self._change(
-                    job_id, event, error=error, ended_at_us=self._clock.now_us()
-                )
-            except StoreUnavailableError as away:
-                _log.warning("job_waits_for_the_store", job=job_id, error=str(away))
-                await asyncio.sleep(STORE_RETRY_WALL_S)
-                continue
-            if ended is not None:
-                self._publish(ended)
-            return
-
-    async def _change(self, job_id: str, event: JobEvent, **changes: Any) -> Job | None:
-        """Let an event change a job; None when its state is one that the event does not change."""
-        transition = TRANSITIONS[event]
-        # A service that stops does not wait for a store that does not answer.
-        return await anyio.to_thread.run_sync(
-            lambda: self._store.jobs.update(
-                job_id, only_if=transition.before, status=transition.after, **changes
-            ),
-            abandon_on_cancel=True,
-        )
-
-    def _publish(self, job: Job) -> None:
-        self._bus.publish("job", job.asset, shown(job, self._progress.get(job.id)))
-
-    def _replace_worker(self) -> None:
-        self._shut_down_executor()
-        self._executor = self._make_executor()
-
-    def _shut_down_executor(self) -> None:
-        if self._executor is not None:
-            end_executor(self._executor)
-
-
-def _line(action: str, target: str, detail: str = "") -> AuditEntry:
-    """Line of the audit trail about what the service does by itself."""
-    return AuditEntry(wall_us(), AUTOMATIC, "", action, target, detail)
+        return self.runner.busy(asset_id)

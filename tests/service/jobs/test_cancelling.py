@@ -76,7 +76,7 @@ async def test_a_queued_job_that_is_cancelled_never_runs(shop: Shop) -> None:
     jobs = await shop.open(held)
     await jobs.create(ASSET, QUICK, None, "x")
     job, _ = shop.store.jobs.add("bench-2", {"windows": [], "windows_us": []} | WHO, 1)
-    jobs._begin(job)  # the API would refuse it: this asset has no data
+    jobs.runner.begin(job)  # the API would refuse it: this asset has no data
     await asyncio.wait_for(held.computed.wait(), 120)
     answer = await jobs.cancel("bench-2", job.id)
     assert answer is not None

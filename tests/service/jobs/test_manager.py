@@ -182,7 +182,7 @@ async def test_a_job_waits_for_a_store_that_is_away(
     jobs = await shop.open(held)
     shown, _ = await jobs.create(ASSET, QUICK, None, "x")
     await asyncio.wait_for(held.computed.wait(), 120)
-    monkeypatch.setattr("service.jobs.manager.STORE_RETRY_WALL_S", 0.1)
+    monkeypatch.setattr("service.jobs.runner.STORE_RETRY_WALL_S", 0.1)
     with away(tmp_path, table), capture_logs() as logs:
         held.let_go.set()
         await until(lambda: len([one for one in logs if "waits_for_the_store" in one["event"]]) > 2)

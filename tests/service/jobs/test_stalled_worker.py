@@ -22,7 +22,7 @@ async def suspend(jobs: IdentificationJobs, job_id: str, shop: Shop) -> BaseProc
     folder = JobFolder(shop.folder / job_id)
     await until(lambda: folder.life() and folder.read_progress(), PATIENCE_S)
     await until(folder.read_checkpoint, PATIENCE_S)
-    [process] = jobs._executor._processes.values()  # type: ignore[union-attr]
+    [process] = jobs.runner._executor._processes.values()  # type: ignore[union-attr]
     assert process.pid is not None
     os.kill(process.pid, signal.SIGSTOP)
     return process
@@ -35,9 +35,9 @@ async def test_a_worker_that_hangs_once_goes_on_from_its_checkpoint(shop: Shop) 
     folder = JobFolder(shop.folder / hung.id)
     kept = folder.read_checkpoint()
     assert kept is not None
-    jobs.stalled_after_wall_s = HANGS_S
+    jobs.runner.stalled_after_wall_s = HANGS_S
     await until(lambda: shop.row(hung.id).attempts == 2, PATIENCE_S)
-    jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
+    jobs.runner.stalled_after_wall_s = STALLED_AFTER_WALL_S
     await until(lambda: not process.is_alive(), PATIENCE_S)
     await until(folder.read_progress, PATIENCE_S)
     progress = folder.read_progress()
@@ -58,14 +58,14 @@ async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(sho
     hung, _ = await jobs.create(ASSET, LONG, None, "x")
     waiting, _ = await jobs.create("bench-2", LONG, None, "x")
     await suspend(jobs, hung.id, shop)
-    jobs.stalled_after_wall_s = HANGS_S
+    jobs.runner.stalled_after_wall_s = HANGS_S
     await until(lambda: shop.row(hung.id).attempts == 2, PATIENCE_S)
-    jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
+    jobs.runner.stalled_after_wall_s = STALLED_AFTER_WALL_S
     assert shop.row(waiting.id).status == "queued"
     await suspend(jobs, hung.id, shop)
-    jobs.stalled_after_wall_s = HANGS_S
+    jobs.runner.stalled_after_wall_s = HANGS_S
     await until(lambda: shop.row(hung.id).ended_at_us, PATIENCE_S)
-    jobs.stalled_after_wall_s = STALLED_AFTER_WALL_S
+    jobs.runner.stalled_after_wall_s = STALLED_AFTER_WALL_S
     job = shop.row(hung.id)
     assert (job.status, job.attempts) == ("failed", 2)
     assert job.error == f"the worker did not respond for {HANGS_S:g} s and was terminated"
