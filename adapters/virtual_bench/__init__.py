@@ -4,6 +4,7 @@ A process of its own that a real bench could replace unnoticed. It shares no cod
 and none with the drivers.
 """
 
+from adapters.virtual_bench.announcements import BenchAnnouncement, FleetAnnouncement
 from adapters.virtual_bench.can_sender import dbc_path
 from adapters.virtual_bench.controller import scenario_profile
 from adapters.virtual_bench.fleet_run import run_fleet
@@ -22,10 +23,12 @@ from adapters.virtual_bench.scenarios import (
 from adapters.virtual_bench.sensors import Measured, SensorParameters, measure
 
 __all__ = [
+    "BenchAnnouncement",
     "BenchParameters",
     "BenchProfile",
     "Change",
     "Condition",
+    "FleetAnnouncement",
     "Measured",
     "PortInUseError",
     "Scenario",

@@ -5,8 +5,8 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from adapters.virtual_bench.announcements import FleetAnnouncement
 from adapters.virtual_bench.fleet import BEARING, TRUTH_COLUMNS, BenchFleet
 from adapters.virtual_bench.fleet_server import UNITS, FleetModbusServer
 from adapters.virtual_bench.run import wait
@@ -25,7 +25,7 @@ async def run_fleet(
     host: str = "127.0.0.1",
     modbus_port: int = 5020,
     truth: Path | None = None,
-    announce: Callable[[dict[str, Any]], None],
+    announce: Callable[[FleetAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
     """Run many benches until told to stop.

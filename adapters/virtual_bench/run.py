@@ -5,8 +5,8 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from adapters.virtual_bench.announcements import BenchAnnouncement
 from adapters.virtual_bench.can_sender import BenchCanSender
 from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 from adapters.virtual_bench.modbus_server import BenchModbusServer
@@ -27,7 +27,7 @@ async def run(
     can_port: int = 5021,
     truth: Path | None = None,
     wait_for_start: bool = False,
-    announce: Callable[[dict[str, Any]], None],
+    announce: Callable[[BenchAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
     """Run a scenario until told to stop.
@@ -95,7 +95,7 @@ async def _serve(
     can_port: int,
     truth_file: TruthFile | None,
     wait_for_start: bool,
-    announce: Callable[[dict[str, Any]], None],
+    announce: Callable[[BenchAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
     bench = LiveBench(plan, seed)

@@ -20,7 +20,7 @@ from service.bus.stream import Bus, Message, heartbeats
 from service.cell.acquisition import Acquisition
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
-from service.cell.retention import Upkeep
+from service.cell.retention import StoreMaintenance
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
 from service.documents.messages import ServiceHealth, SourceDocument
@@ -148,7 +148,9 @@ class Cell:
             settings.data_dir / "jobs",
             job_seconds.observe,
         )
-        self.upkeep = Upkeep(store, clock, Retention(**settings.retention.model_dump()))
+        self.maintenance = StoreMaintenance(
+            store, clock, Retention(**settings.retention.model_dump())
+        )
         self.answers = Answers(
             Parts(
                 clock=clock,
@@ -250,9 +252,9 @@ class Cell:
             for name, one in (("spool", spool.mended), ("outbox", self.outbox.mended))
             if one is not None
         )
-        files = [*([self.upkeep.damage] if self.upkeep.damage else []), *mended]
+        files = [*([self.maintenance.damage] if self.maintenance.damage else []), *mended]
         return {
-            "history": ingest.too_old_problem or self.upkeep.problem,
+            "history": ingest.too_old_problem or self.maintenance.problem,
             "files": "; ".join(files) or None,
         }
 
@@ -321,8 +323,8 @@ class Cell:
                     ("jobs", self._take_up_jobs()),
                     ("health", self._tell_health()),
                     ("heartbeat", heartbeats(self.bus)),
-                    ("upkeep", self.upkeep.run()),
-                    ("check of the store", self.upkeep.check()),
+                    ("maintenance", self.maintenance.run()),
+                    ("check of the store", self.maintenance.check()),
                     ("bus", self._others.serve(self.answers.handlers())),
                     ("state", self._report()),
                 ):

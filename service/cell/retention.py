@@ -1,4 +1,4 @@
-"""Upkeep of the store next to the work: rollups are computed, what is old is removed."""
+"""Maintenance of the store next to the work: rollups are computed, what is old is removed."""
 
 import asyncio
 import ctypes
@@ -30,7 +30,7 @@ _TIME_ERROR = 5
 _log = structlog.get_logger(__name__)
 
 
-class Upkeep:
+class StoreMaintenance:
     """Keeps rollups up to date and the store within its retention.
 
     A clock that is wrong must not empty the store: nothing is removed before the clock has

@@ -3,13 +3,16 @@
 import asyncio
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.errors import BadInputError
 from service.logs import configure_logging
 from service.signals import stop_on_signals
+
+if TYPE_CHECKING:
+    from adapters.virtual_bench import BenchAnnouncement
 
 # The bench itself is imported later, see below; a test holds the two together.
 SCENARIO_NAMES = (
@@ -55,7 +58,7 @@ def virtual_bench(
     configure_logging("warning")
     chosen = find_scenario(scenario_name)
 
-    def announce(facts: dict[str, Any]) -> None:
+    def announce(facts: "BenchAnnouncement") -> None:
         if as_json:
             typer.echo(json.dumps(facts))
             return

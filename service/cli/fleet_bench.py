@@ -3,13 +3,16 @@
 import asyncio
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.errors import BadInputError
 from service.logs import configure_logging
 from service.signals import stop_on_signals
+
+if TYPE_CHECKING:
+    from adapters.virtual_bench import FleetAnnouncement
 
 
 def virtual_fleet(
@@ -38,7 +41,7 @@ def virtual_fleet(
 
     configure_logging("warning")
 
-    def announce(facts: dict[str, Any]) -> None:
+    def announce(facts: "FleetAnnouncement") -> None:
         if configuration is not None:
             try:
                 write_fleet_configuration(configuration, facts)

@@ -1,8 +1,8 @@
 """Configuration of a service that reads a fleet of virtual benches."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+from adapters.virtual_bench.announcements import FleetAnnouncement
 
 _HEAD = """\
 # Written for {count} virtual benches behind {ports} Modbus gateway(s).
@@ -54,7 +54,7 @@ def fleet_assets(count: int) -> list[str]:
 
 
 def write_fleet_configuration(
-    path: Path, fleet: Mapping[str, Any], *, port: int = 0, poll_interval_s: float = 1.0
+    path: Path, fleet: FleetAnnouncement, *, port: int = 0, poll_interval_s: float = 1.0
 ) -> Path:
     """Write the configuration for a fleet that announced where it listens.
 
@@ -64,7 +64,7 @@ def write_fleet_configuration(
     ----------
     path : pathlib.Path
         The file.
-    fleet : mapping
+    fleet : FleetAnnouncement
         What ``bearing-twin virtual-fleet --json`` announced.
     port : int
         Port of the page; 0 takes a free one.

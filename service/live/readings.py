@@ -141,10 +141,6 @@ class Readings:
         learned_s = min(INTERVALS_UNTIL_STALE * pace.usual_s, LONGEST_AGE_S)
         return allowed_age_s(max(floor_s, learned_s), self.rate)
 
-    def has_spoken(self, channel: str) -> bool:
-        """Tell whether anything has come of the channel since the start."""
-        return channel in self.latest
-
     def is_silent(self, channel: str, now_us: int) -> bool:
         """Tell whether nothing comes of a channel that has spoken: stale, or its line is lost."""
         sample = self.latest.get(channel)

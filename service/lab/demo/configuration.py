@@ -2,7 +2,8 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TypedDict
+
+from adapters.virtual_bench.announcements import BenchAnnouncement
 
 ASSET = "bench-1"
 
@@ -69,30 +70,14 @@ _TEMPERATURE = (
 )
 
 
-class _Modbus(TypedDict):
-    host: str
-    port: int
-
-
-class _Can(TypedDict):
-    channel: str
-
-
-class BenchFacts(TypedDict):
-    """What the virtual bench announces: where it listens."""
-
-    modbus: _Modbus
-    can: _Can
-
-
-def write_configuration(folder: Path, bench: BenchFacts, rate: float, port: int) -> Path:
+def write_configuration(folder: Path, bench: BenchAnnouncement, rate: float, port: int) -> Path:
     """Write configuration and DBC for a bench that announced where it listens.
 
     Parameters
     ----------
     folder : pathlib.Path
         Existing directory; the data directory will be below it.
-    bench : BenchFacts
+    bench : BenchAnnouncement
         What the virtual bench announced.
     rate : float
         Process seconds per wall second.

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import httpx2
 from pymodbus.client import AsyncModbusTcpClient
 
-from adapters.virtual_bench import find_scenario
-from service.lab.demo.configuration import BenchFacts, write_configuration
+from adapters.virtual_bench import BenchAnnouncement, find_scenario
+from service.lab.demo.configuration import write_configuration
 from service.lab.demo.processes import DemoError, Process, running
 from service.lab.demo.score import Account
 from service.lab.demo.story import Story
@@ -182,7 +182,7 @@ async def _prepare(folder: Path, tell: Callable[[str], None]) -> None:
 
 async def _start_bench(
     stack: contextlib.AsyncExitStack, folder: Path, rate: float, seed: int, watch: Watch
-) -> tuple[Process, BenchFacts]:
+) -> tuple[Process, BenchAnnouncement]:
     """Start the virtual bench; its process and where it listens."""
     arguments = (
         "virtual-bench", "--scenario", SCENARIO, "--rate", f"{rate:g}", "--seed", str(seed),
@@ -199,7 +199,7 @@ async def _start_bench(
 async def _start_service(
     stack: contextlib.AsyncExitStack,
     folder: Path,
-    bench: BenchFacts,
+    bench: BenchAnnouncement,
     rate: float,
     port: int,
     watch: Watch,
@@ -216,7 +216,7 @@ async def _start_service(
     return process.first_line, key
 
 
-async def set_coil(bench: BenchFacts, coil: int, value: bool) -> None:
+async def set_coil(bench: BenchAnnouncement, coil: int, value: bool) -> None:
     """Set a coil of the bench controller, as a SCADA system would.
 
     Raises

@@ -5,7 +5,7 @@ from pathlib import Path
 from jumping import LoopClock
 
 from adapters.samples import Sample
-from service.cell.retention import Upkeep
+from service.cell.retention import StoreMaintenance
 from service.clock import ProcessClock
 from service.store import AlarmTransition, AuditEntry, Retention, Store
 
@@ -27,7 +27,9 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
             event = AlarmTransition(None, "a", "", "", "", at_us, "", "", "", "", None, "")
             store.alarms.save(None, [event])
         retention = Retention(raw_days=1.0, journal_days=100.0, audit_days=400.0)
-        task = asyncio.create_task(Upkeep(store, clock, retention, trust_after_s=0.0).run())
+        task = asyncio.create_task(
+            StoreMaintenance(store, clock, retention, trust_after_s=0.0).run()
+        )
         async with asyncio.timeout(60):
             while len(store.audit.page().items) > 1:  # noqa: ASYNC110 - the last that goes
                 await asyncio.sleep(0.02)
@@ -83,8 +85,8 @@ def test_a_clock_ten_years_ahead_empties_nothing(tmp_path: Path) -> None:
     ten_years_us = 3660 * 24 * HOUR_US
     with Store.open("", tmp_path) as store:
         _filled(store, now_us)
-        upkeep = Upkeep(store, clock, retention)
-        assert upkeep._expire(now_us, now_us) == 0
+        maintenance = StoreMaintenance(store, clock, retention)
+        assert maintenance._expire(now_us, now_us) == 0
         # What is recorded while the clock is wrong must not vouch for it.
         later_us = now_us + ten_years_us
         store.samples.write([Sample("a", "x", later_us, 1.0, 192, 0)])
@@ -93,9 +95,9 @@ def test_a_clock_ten_years_ahead_empties_nothing(tmp_path: Path) -> None:
         store.audit.add(AuditEntry(later_us, "eva", "", "alarm.shelve"))
         for look in range(5):
             at_us = later_us + look * 600_000_000
-            assert upkeep._expire(at_us, at_us) == 0
+            assert maintenance._expire(at_us, at_us) == 0
         assert _count(store) == (42, 42, 42)
-        assert upkeep._expire(now_us, now_us) == 0
+        assert maintenance._expire(now_us, now_us) == 0
         # The clock is right again: everything is stored.
         assert store.samples.write([Sample("a", "x", now_us + 1, 1.0, 192, 0)]) == (1, 0)
 
@@ -105,8 +107,10 @@ async def test_nothing_is_removed_before_the_clock_has_agreed_for_a_while(tmp_pa
     now_us = clock.now_us()
     with Store.open("", tmp_path) as store:
         _filled(store, now_us)
-        upkeep = Upkeep(store, clock, Retention(raw_days=100.0), trust_after_s=3600.0)
-        task = asyncio.create_task(upkeep.run())
+        maintenance = StoreMaintenance(
+            store, clock, Retention(raw_days=100.0), trust_after_s=3600.0
+        )
+        task = asyncio.create_task(maintenance.run())
         await asyncio.sleep(3000.0)
         clock.ahead_us = -5_000_000  # set: the time of agreement begins again
         await asyncio.sleep(3500.0)
@@ -126,18 +130,18 @@ def test_a_clock_far_ahead_waits_for_a_proof_or_a_person(tmp_path: Path) -> None
     now_us = clock.now_us()
     with Store.open("", tmp_path) as store:
         _filled(store, now_us)
-        upkeep = Upkeep(store, clock, Retention(raw_days=100.0))
-        upkeep._judge(store.rollups.retention_time("process", now_us))
-        assert upkeep.problem is None
+        maintenance = StoreMaintenance(store, clock, Retention(raw_days=100.0))
+        maintenance._judge(store.rollups.retention_time("process", now_us))
+        assert maintenance.problem is None
         later_us = now_us + 30 * day_us  # as after a month without power
         store.samples.write([Sample("a", "x", later_us, 1.0, 192, 0)])
-        upkeep._judge(store.rollups.retention_time("process", later_us))
-        assert upkeep.problem is not None
-        assert "30 days ahead" in upkeep.problem
+        maintenance._judge(store.rollups.retention_time("process", later_us))
+        assert maintenance.problem is not None
+        assert "30 days ahead" in maintenance.problem
         assert store.rollups.retention_time("process", later_us).at_us == now_us
         proven = store.rollups.retention_time("process", later_us, HOUR_US, clock_proven=True)
         assert (proven.at_us, proven.ahead_us) == (now_us + HOUR_US, 0)
         store.rollups.confirm_clock(later_us, later_us)
-        upkeep._judge(store.rollups.retention_time("process", later_us))
-        assert upkeep.problem is None
+        maintenance._judge(store.rollups.retention_time("process", later_us))
+        assert maintenance.problem is None
         assert store.rollups.retention_time("process", later_us).at_us == later_us
