@@ -90,7 +90,7 @@ def digest(text: bytes) -> bytes:
 
 
 class AssetReplica:
-    """One asset of the cell; see `service.documents.interfaces.AssetTwin`.
+    """One asset of the cell as callers see it. The synchronous methods answer from memory.
 
     Parameters
     ----------
@@ -246,17 +246,20 @@ class AssetReplica:
     # ------------------------------------------------------------------ what routes ask
     @property
     def running(self) -> bool:
-        """See `AssetTwin`."""
+        """True while the live twin is at work."""
         return self._facts().running and self.age_s("facts") <= UNCERTAIN_AFTER_S
 
     @property
     def channels(self) -> Mapping[str, str]:
-        """See `AssetTwin`."""
+        """Every channel of the asset with the name of its source.
+
+        ``push`` for a pushed one, ``twin`` for the stored estimates of the service.
+        """
         return self._facts().channels
 
     @property
     def temperature_names(self) -> Sequence[str]:
-        """See `AssetTwin`."""
+        """Sensors and nodes that a forecast can be asked for."""
         return self._facts().temperature_names
 
     def _facts(self) -> AssetFacts:
@@ -264,17 +267,17 @@ class AssetReplica:
         return facts
 
     def summary(self) -> AssetDocument:
-        """See `AssetTwin`."""
+        """Return configuration, health and active model, as `GET /assets/{id}` shows them."""
         summary: AssetDocument = self._data("summary")
         return summary
 
     def snapshot(self) -> Snapshot:
-        """See `AssetTwin`."""
+        """Return the flat tags; the same object until one of them changes."""
         snapshot: Snapshot = self._data("snapshot")
         return snapshot
 
     def verdict(self) -> VerdictDocument:
-        """See `AssetTwin`."""
+        """Return the verdict, as `GET /assets/{id}/verdict` shows it."""
         verdict: VerdictDocument = self._data("verdict")
         return verdict
 
@@ -284,27 +287,53 @@ class AssetReplica:
         step_s: float | None,
         nodes: Collection[str] | None,
     ) -> WhatIf:
-        """See `AssetTwin`."""
+        """Forecast a profile from the present state.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        """
         machine = await self._machine()
         return await self._asked().what_if(self.id, machine, profile, step_s, nodes)
 
     async def envelope(self) -> EnvelopeDocument:
-        """See `AssetTwin`."""
+        """Give the safe operating envelope.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        """
         return await self._asked().envelope(self.id, await self._machine())
 
     async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
-        """See `AssetTwin`."""
+        """Rank low-risk steps by what they teach about a point.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        NotIdentifiedError
+            While the active model is not identified.
+        """
         target = speed_rpm, load_n, duration_s
         return await self._asked().advice(self.id, await self._machine(), target)
 
     async def windows(self) -> Sequence[WindowDocument]:
-        """See `AssetTwin`."""
+        """Find the low-risk windows in the store, with operating points and score."""
         return await self._asked().windows(self.id)
 
     async def renew_grease(
         self, who: str, comment: str, audit: AuditEntry | None = None
     ) -> GreaseRenewed:
-        """See `AssetTwin`."""
+        """Count the revolutions since the grease was fresh from zero again.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet.
+        """
         text = await self._reader.ask(RenewGrease(self.id, who, comment, audit), 10.0)
         return GreaseRenewed.model_validate_json(text)
 

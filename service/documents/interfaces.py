@@ -1,19 +1,13 @@
-"""What a live twin and a manager of jobs are, for those who use one."""
+"""What takes live messages, and what a manager of jobs is, for those who use one."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
-from service.documents.advice import AdviceDocument
-from service.documents.assets import AssetDocument, GreaseRenewed
 from service.documents.base import Document
-from service.documents.envelope import EnvelopeDocument
-from service.documents.forecasts import WhatIf
-from service.documents.identification import JobDocument, WindowDocument
+from service.documents.identification import JobDocument
 from service.documents.messages import MessageType
 from service.documents.models import ModelDocument
-from service.documents.tags import Snapshot
-from service.documents.verdicts import VerdictDocument
-from service.domain.requests import IdentificationRequest, ProfileStep
+from service.domain.requests import IdentificationRequest
 from service.store import AuditEntry
 
 DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "facts", "machine"]
@@ -41,103 +35,6 @@ class Publisher(Protocol):
             What the type of message carries; NaN and infinities become null.
         time_us : int, optional
             Process time of the data in microseconds; default now.
-        """
-
-
-class AssetTwin(Protocol):
-    """One asset as callers see it. The synchronous methods answer from memory."""
-
-    async def refresh(self, *kinds: DocumentKind) -> None:
-        """Bring what these methods answer up to date; what cannot be had stays as it was.
-
-        Raises
-        ------
-        CellUnavailableError
-            If nothing was ever known.
-        """
-
-    def text(self, kind: DocumentKind) -> tuple[bytes, bytes]:
-        """A document as JSON text, with a digest of it."""
-
-    def age_s(self, kind: DocumentKind) -> float:
-        """Wall seconds since a document was known to be right."""
-
-    @property
-    def id(self) -> str:
-        """The asset's id in the configuration."""
-
-    @property
-    def running(self) -> bool:
-        """True while the live twin is at work."""
-
-    @property
-    def channels(self) -> Mapping[str, str]:
-        """Every channel of the asset with the name of its source.
-
-        ``push`` for a pushed one, ``twin`` for the stored estimates of the service.
-        """
-
-    @property
-    def temperature_names(self) -> Sequence[str]:
-        """Sensors and nodes that a forecast can be asked for."""
-
-    def summary(self) -> AssetDocument:
-        """Return configuration, health and active model, as `GET /assets/{id}` shows them."""
-
-    def snapshot(self) -> Snapshot:
-        """Return the flat tags; the same object until one of them changes."""
-
-    def verdict(self) -> VerdictDocument:
-        """Return the verdict, as `GET /assets/{id}/verdict` shows it."""
-
-    async def what_if(
-        self,
-        profile: Sequence[ProfileStep],
-        step_s: float | None,
-        nodes: Collection[str] | None,
-    ) -> WhatIf:
-        """Forecast a profile from the present state.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        """
-
-    async def renew_grease(
-        self, who: str, comment: str, audit: AuditEntry | None = None
-    ) -> GreaseRenewed:
-        """Count the revolutions since the grease was fresh from zero again.
-
-        The line of the audit trail is written in the transaction that keeps the new count.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        """
-
-    async def windows(self) -> Sequence[WindowDocument]:
-        """Find the low-risk windows in the store, with operating points and score."""
-
-    async def envelope(self) -> EnvelopeDocument:
-        """Give the safe operating envelope.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        """
-
-    async def advice(self, speed_rpm: float, load_n: float, duration_s: float) -> AdviceDocument:
-        """Rank low-risk steps by what they teach about a point.
-
-        Raises
-        ------
-        NotReadyError
-            While the twin has no state yet.
-        NotIdentifiedError
-            While the active model is not identified.
         """
 
 

@@ -4,7 +4,7 @@ from service.documents.base import Document
 
 
 class AssetFacts(Document):
-    """What others must know of an asset before they ask anything; see `AssetTwin`."""
+    """What others must know of an asset before they ask anything; see `AssetReplica`."""
 
     running: bool
     channels: dict[str, str]

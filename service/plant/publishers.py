@@ -7,8 +7,8 @@ from importlib.util import find_spec
 from prometheus_client import CollectorRegistry, Gauge
 
 from adapters.configuration import suggestion
+from service.bus.replica import AssetReplica
 from service.bus.stream import Bus
-from service.documents.interfaces import AssetTwin
 from service.plant import mqtt, opcua
 from service.plant.endpoints import check_endpoint
 from service.plant.protocol import Endpoint, Host, PublisherEntry
@@ -73,7 +73,7 @@ def endpoints(settings: Settings) -> list[Endpoint]:
 
 def make_publishers(
     settings: Settings,
-    assets: Mapping[str, AssetTwin],
+    assets: Mapping[str, AssetReplica],
     bus: Bus,
     host: Host,
     registry: CollectorRegistry,

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import structlog
 
 from adapters.backoff import Backoff
+from service.bus.replica import AssetReplica
 from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedError
-from service.documents.interfaces import AssetTwin
 from service.live.guard import Guard
 from service.plant.protocol import Host, Publisher, TagValue
 
@@ -52,7 +52,7 @@ class PublisherRounds:
         name: str,
         publisher: Publisher,
         period_s: float,
-        assets: Mapping[str, AssetTwin],
+        assets: Mapping[str, AssetReplica],
         bus: Bus,
         host: Host,
     ) -> None:

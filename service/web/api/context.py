@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock
+from service.bus.replica import AssetReplica
 from service.bus.stream import Bus
-from service.documents.interfaces import AssetTwin, JobManager
+from service.documents.interfaces import JobManager
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.web.cell import CellAlarms, CellHealth, CellIngest
@@ -49,7 +50,7 @@ class ServiceContext:
     bus: Bus
     ingest: CellIngest
     alarms: CellAlarms
-    assets: Mapping[str, AssetTwin]
+    assets: Mapping[str, AssetReplica]
     jobs: JobManager
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing

@@ -7,8 +7,9 @@ from fastapi import Depends, Path
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
+from service.bus.replica import AssetReplica
 from service.documents.base import Document
-from service.documents.interfaces import AssetTwin, DocumentKind
+from service.documents.interfaces import DocumentKind
 from service.security import AuditTrail, Authenticator
 from service.web.api.context import ServiceContext
 from service.web.api.problems import parameter_problem
@@ -42,7 +43,7 @@ async def get_asset(
     asset_id: Annotated[
         str, Path(description="The asset's id in the configuration.", examples=["bench-1"])
     ],
-) -> AssetTwin:
+) -> AssetReplica:
     """Give the asset that the path names."""
     asset = context.assets.get(asset_id)
     if asset is None:
@@ -51,10 +52,10 @@ async def get_asset(
     return asset
 
 
-Asset = Annotated[AssetTwin, Depends(get_asset)]
+Asset = Annotated[AssetReplica, Depends(get_asset)]
 
 
-def copy_response(asset: AssetTwin, kind: DocumentKind) -> Response:
+def copy_response(asset: AssetReplica, kind: DocumentKind) -> Response:
     """Answer with a document of the cell, as it came."""
     text, _ = asset.text(kind)
     return Response(text, media_type="application/json")

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.documents.interfaces import AssetTwin
+from service.bus.replica import AssetReplica
 from service.domain.errors import CellUnavailableError
 from service.domain.roles import VIEWER
 from service.web.api.access import known_caller
@@ -23,12 +23,12 @@ AGE_FROM_S: Final = 1.0
 _PATH: Final = re.compile(r"/api/v1/assets/([^/]+)/snapshot")
 
 
-async def snapshot_response(asset: AssetTwin, if_none_match: str | None) -> Response:
+async def snapshot_response(asset: AssetReplica, if_none_match: str | None) -> Response:
     """Answer with the snapshot, or with 304 to who has it already.
 
     Parameters
     ----------
-    asset : AssetTwin
+    asset : AssetReplica
         Whose snapshot.
     if_none_match : str, optional
         The header of the request.
@@ -57,11 +57,11 @@ class SnapshotShortcut:
     ----------
     app
         What lies behind.
-    assets : mapping of str to AssetTwin
+    assets : mapping of str to AssetReplica
         The assets by id.
     """
 
-    def __init__(self, app: ASGIApp, assets: Mapping[str, AssetTwin]) -> None:
+    def __init__(self, app: ASGIApp, assets: Mapping[str, AssetReplica]) -> None:
         self.app = app
         self.assets = assets
 

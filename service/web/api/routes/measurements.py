@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from adapters.tables import TableFileError
-from service.documents.interfaces import AssetTwin
+from service.bus.replica import AssetReplica
 from service.documents.measurements import Measurements, Pushed
 from service.documents.problems import FieldError
 from service.domain.errors import PushRefusedError
@@ -309,7 +309,7 @@ class _Made(TypedDict):
     headers: dict[str, str]
 
 
-def _options(request: Request, asset: AssetTwin, format: str, following: str | None) -> _Made:
+def _options(request: Request, asset: AssetReplica, format: str, following: str | None) -> _Made:
     """What the response is to be made with."""
     headers = dict(next_link(request, following))
     if format != "json":
@@ -319,7 +319,7 @@ def _options(request: Request, asset: AssetTwin, format: str, following: str | N
 
 def _new_query(
     context: ServiceContext,
-    asset: AssetTwin,
+    asset: AssetReplica,
     channels: list[str] | None,
     start_us: int | None,
     end_us: int | None,
