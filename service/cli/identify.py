@@ -235,7 +235,7 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
         )
     console.print(table)
     _print_combinations(console, found)
-    if found.paper_view is not None:
+    if found.paper_view:
         view = Table("the paper's number", "value", "95 % interval")
         for name, number in found.paper_view.items():
             view.add_row(name, f"{number.value:.4g}", f"{number.low:.4g} … {number.high:.4g}")

@@ -1,6 +1,7 @@
 """What the cell shows of an asset to the other processes, and to no caller."""
 
 from service.documents.base import Document
+from service.documents.profiles import OperatingPoint
 
 
 class AssetFacts(Document):
@@ -11,11 +12,9 @@ class AssetFacts(Document):
     temperature_names: list[str]
 
 
-class Point(Document):
+class Point(OperatingPoint):
     """What the machine runs at."""
 
-    speed_rpm: float
-    load_n: float
     ambient_c: float
     inputs: tuple[float, ...]
 

@@ -56,8 +56,6 @@ class Identified:
         For MODEL.json.
     method
         How it was identified.
-    parameters
-        Value, unit, 95 % interval and verdict by name.
     rms_k, rms_by_sensor_k
         Error in the data, over all sensors and of each; a robust loss gives outliers less weight.
     naive_k
@@ -74,7 +72,6 @@ class Identified:
 
     model: IdentifiedModel
     method: str
-    parameters: dict[str, ParameterDocument]
     rms_k: float
     rms_by_sensor_k: dict[str, float]
     naive_k: dict[str, dict[str, float | None]]
@@ -108,44 +105,45 @@ class Identified:
         return found
 
     @property
+    def parameters(self) -> dict[str, ParameterDocument]:
+        """Every parameter with its interval."""
+        rows = self.model.posterior.parameters(self.model.model)
+        return {name: ParameterDocument.model_validate(row) for name, row in rows.items()}
+
+    @property
     def identifiability(self) -> IdentifiabilityDocument:
         """Rank, condition and combinations of parameters."""
         document = self.model.posterior.identifiability_document(self.model.model)
         return IdentifiabilityDocument.model_validate(document)
 
     @property
-    def paper_view(self) -> dict[str, Interval] | None:
-        """The paper's 15 numbers with intervals, of the model ``paper-reduced`` only."""
-        view = paper_view(self.model.model, self.model.posterior)
-        if view is None:
-            return None
+    def paper_view(self) -> dict[str, Interval]:
+        """The paper's 15 numbers with intervals; of the model ``paper-reduced`` only, else none."""
+        view = paper_view(self.model.model, self.model.posterior) or {}
         return {name: Interval.model_validate(one) for name, one in view.items()}
 
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON types as the command line prints them."""
-        posterior = self.model.posterior
-        view = self.paper_view
-        document: dict[str, object] = {
-            "model": self.model.model.name,
+        model, posterior = self.model.model, self.model.posterior
+        view = paper_view(model, posterior)
+        return {
+            "model": model.name,
             "method": self.method,
-            "bearing": self.model.model.machine,
-            "parameters": {name: row.model_dump() for name, row in self.parameters.items()},
+            "bearing": model.machine,
+            "parameters": posterior.parameters(model),
             "rms_error_k": self.rms_k,
             "rms_error_by_sensor_k": self.rms_by_sensor_k,
             "evaluations": self.evaluations,
             "rank": posterior.rank,
             "condition": posterior.condition,
             "informed_combinations": posterior.informed_combinations,
-            "identifiability": self.identifiability.model_dump(),
+            "identifiability": posterior.identifiability_document(model),
             "naive": self.naive_k,
             "windows": self.windows,
             "rows": self.rows,
             "gates": self.gates.to_dict(),
             "warnings": self.warnings,
-        }
-        if view is not None:
-            document["paper_view"] = {name: one.model_dump() for name, one in view.items()}
-        return document
+        } | ({} if view is None else {"paper_view": view})
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,10 +275,6 @@ def identify_recording(
             machine, model, result.posterior, RunIn.of(recording, minutes, at_rest)
         ),
         method=procedure.name,
-        parameters={
-            name: ParameterDocument.model_validate(row)
-            for name, row in result.posterior.parameters(model).items()
-        },
         rms_k=_total_rms(data, rms_by_sensor),
         rms_by_sensor_k=rms_by_sensor,
         naive_k=_naive_rms([window.minutes for window in data.windows]),
