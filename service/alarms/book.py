@@ -72,6 +72,9 @@ class AlarmBook:
         # Of those the ones that come back by themselves, looked at with every condition.
         self._shelved = {key for key, one in self._open.items() if one.shelved_until_us is not None}
         self._conditions: dict[AlarmKey, AlarmCondition] = {}
+        # The latest figures of normal alarms, put in when somebody looks at them: of hundreds of
+        # machines all that is normal is renewed every few seconds.
+        self._figures: dict[AlarmKey, AlarmCondition] = {}
         self._outbox = outbox
 
     # ------------------------------------------------------------------ what the rules say
@@ -238,7 +241,7 @@ class AlarmBook:
             self._end_shelving(self._clock.now_us())
             for alarm in (*self._open.values(), *self._normal.values()):
                 if alarm.id == alarm_id:
-                    return alarm
+                    return self._with_figures(alarm)
         raise UnknownAlarmError(f"no open alarm {alarm_id!r}")
 
     def is_present(self, key: AlarmKey) -> bool:
@@ -259,8 +262,19 @@ class AlarmBook:
     def _listed(self, asset: str | None, alarms: dict[AlarmKey, Alarm]) -> list[Alarm]:
         with self._lock:
             self._end_shelving(self._clock.now_us())
-            wanted = [one for one in alarms.values() if asset is None or one.asset == asset]
+            wanted = [
+                self._with_figures(one)
+                for one in alarms.values()
+                if asset is None or one.asset == asset
+            ]
         return sorted(wanted, key=urgency)
+
+    def _with_figures(self, alarm: Alarm) -> Alarm:
+        """A normal alarm with its latest figures; any other one as it is."""
+        if alarm.state != AlarmState.NORM:
+            return alarm
+        condition = self._figures.get(key_of(alarm))
+        return alarm if condition is None else updated(alarm, condition)
 
     def _act(
         self,
@@ -363,6 +377,9 @@ class AlarmBook:
         normal = alarm.state == AlarmState.NORM
         if not (alarm.present or normal):
             return alarm  # what was wrong when it returned stays to be read
+        if normal and not alarm.present:
+            self._figures[condition.key] = condition
+            return alarm
         renewed = with_peak(updated(alarm, condition), now_us)
         if normal or (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
             self._keep(renewed)
@@ -400,6 +417,7 @@ class AlarmBook:
             moved = replace(moved, suppressed_reason=None)
         key = key_of(moved)
         self._normal.pop(key, None)
+        self._figures.pop(key, None)
         if state == AlarmState.NORM:
             self._open.pop(key, None)
             condition = self._conditions.get(key)

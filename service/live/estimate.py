@@ -108,6 +108,7 @@ class LiveEstimate:
         self._revolutions = 0.0
         self._ambient_measured = False
         self._floor_c: float | None = None
+        self._known_c: NDArray[np.float64] | None = None
 
     @property
     def started(self) -> bool:
@@ -125,9 +126,12 @@ class LiveEstimate:
     def temperatures_c(self) -> NDArray[np.float64]:
         """Mean of the node temperatures in degC: the observer's, not colder than is possible."""
         observer = self.observer
-        if self._floor_c is None:
-            return observer.temperatures_c
-        return not_colder_than(self._floor_c, observer.temperatures_c, observer.covariance)
+        if self._known_c is None:  # of this step; who shows it asks a dozen times
+            means_c = observer.temperatures_c
+            if self._floor_c is not None:
+                means_c = not_colder_than(self._floor_c, means_c, observer.covariance)
+            self._known_c = means_c
+        return self._known_c.copy()
 
     def state(self) -> EstimatedState | None:
         """The present state, for forecasts, maps and advice; None before there is an estimate."""
@@ -152,6 +156,7 @@ class LiveEstimate:
 
     def swap(self, active: ActiveModel) -> None:
         """Go on with another model version from the present temperatures."""
+        self._known_c = None
         if self._observer is not None:
             self._observer = self._observer.with_parameters(active.model, active.values)
         self.active = active
@@ -172,6 +177,7 @@ class LiveEstimate:
         ValueError
             If the machine cannot have such a speed, load or ambient; nothing is taken in then.
         """
+        self._known_c = None
         for name, (low, high) in self._bounds.items():
             if name in means and not low <= means[name] <= high:
                 raise ValueError(
@@ -203,6 +209,7 @@ class LiveEstimate:
 
     def stop(self) -> None:
         """Give the estimate up; the next good temperatures start it again."""
+        self._known_c = None
         if self._observer is not None:
             self._revolutions = self._observer.revolutions
         self._observer = None
@@ -305,4 +312,5 @@ class LiveEstimate:
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"kept estimate: {error!r}") from error
         self._observer, self.point, self.time_us = observer, point, time_us
+        self._known_c = None
         self._ambient_measured, self.followed_s = ambient_measured, followed_s
