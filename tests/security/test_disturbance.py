@@ -66,6 +66,7 @@ ATTACKS: dict[str, Role] = {
     "assets": "viewer",
     "cookies": "viewer",
     "opcua_frame": "viewer",
+    "streams": "viewer",
 }
 
 
@@ -137,7 +138,7 @@ def all_at_once(stand: Stand, elsewhere: httpx2.Client) -> tuple[Course, Course,
     with contextlib.ExitStack() as attacks, ThreadPoolExecutor(1) as looking:
         running = [
             attacks.enter_context(stand.attack(name, role, 2 * ALL_S))
-            for name, role in (ATTACKS | {"streams": "viewer"}).items()
+            for name, role in ATTACKS.items()
         ]
         for attacker in running:
             assert attacker.stdout is not None
