@@ -2,10 +2,10 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 from anyio import to_thread
 
+from service.live.kept import KeptState
 from service.store import AuditEntry
 
 #: Wall seconds in which others may join a transaction.
@@ -23,17 +23,15 @@ class StateKeeper:
 
     def __init__(
         self,
-        write: Callable[[Mapping[str, Mapping[str, Any]], Sequence[AuditEntry]], None],
+        write: Callable[[Mapping[str, KeptState], Sequence[AuditEntry]], None],
     ) -> None:
         self._write = write
-        self._waiting: dict[str, Mapping[str, Any]] = {}
+        self._waiting: dict[str, KeptState] = {}
         self._lines: list[AuditEntry] = []
         self._next: asyncio.Task[None] | None = None
         self._writing = asyncio.Lock()
 
-    async def save(
-        self, asset: str, document: Mapping[str, Any], lines: Sequence[AuditEntry] = ()
-    ) -> None:
+    async def save(self, asset: str, document: KeptState, lines: Sequence[AuditEntry] = ()) -> None:
         """Keep a document, with lines of the audit trail about what changed it.
 
         Returns when all of it is kept, and raises what the store raises: then nothing is.

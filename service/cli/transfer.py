@@ -124,7 +124,7 @@ def export(
     """
     from service.store import Store
     from service.transfer.exporting import export_file, export_minutes
-    from service.transfer.pages import Place, is_resolution
+    from service.transfer.pages import ExportPosition, is_resolution
 
     settings = load_settings(config)
     start_us = 0 if start is None else _time_us("--start", start)
@@ -148,7 +148,9 @@ def export(
         if minutes:
             rows = export_minutes(out, store, asset, channel or known, start_us, end_us)
         else:
-            place = Place(resolution=resolution, start_us=start_us, end_us=end_us, channels=channel)
+            place = ExportPosition(
+                resolution=resolution, start_us=start_us, end_us=end_us, channels=channel
+            )
             rows = export_file(out, store, asset, place)
     if as_json:
         typer.echo(json.dumps({"out": str(out), "rows": rows}))

@@ -18,11 +18,11 @@ from service.documents.forecasts import (
 from service.domain.channels import OPERATING_CHANNELS
 from service.domain.requests import ProfileStep
 from service.live import presentation
-from service.live.ahead import Step, held, operating_profile, planned
 from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.outlook import Outlook, step_outlooks
 from service.live.presentation import ForecastSummary
+from service.live.profiles import Step, held, operating_profile, planned
 from service.live.readings import Readings, allowed_age_s
 from service.site.settings import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast

@@ -7,8 +7,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from service.live.ahead import Step
 from service.live.presentation import LimitCrossing, LimitCrossings
+from service.live.profiles import Step
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast
 

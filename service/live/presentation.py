@@ -14,8 +14,8 @@ from service.documents.limits import Crossing, Crossings, Level
 from service.documents.measurements import SampleItem, sample_item
 from service.documents.profiles import ForecastStep
 from service.documents.tags import Tag, tag
-from service.live.ahead import Step
 from service.live.estimate import LiveEstimate
+from service.live.profiles import Step
 from service.site.settings import Limits
 from service.store import Alarm
 from twin_core.forecasting import Forecast

@@ -12,7 +12,7 @@ from service.bus.following import Following
 from service.bus.interface import AWAY_AFTER_S
 from service.bus.local import LocalReaderBus
 from service.bus.presence import tell_presence
-from service.bus.replica import Replicas
+from service.bus.replicas import Replicas
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError

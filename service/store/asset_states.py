@@ -2,7 +2,7 @@
 
 from base64 import b64decode, b64encode
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 from sqlalchemy import delete, insert, select
@@ -23,13 +23,13 @@ class AssetStates(StorePart):
     """One document per asset; a new one replaces the old one."""
 
     def save(
-        self, asset: str, document: Mapping[str, Any], lines: Sequence[AuditEntry] = ()
+        self, asset: str, document: Mapping[str, object], lines: Sequence[AuditEntry] = ()
     ) -> None:
         """Keep a document for `load`, with lines of the audit trail about what changed it."""
         self.save_all({asset: document}, lines)
 
     def save_all(
-        self, documents: Mapping[str, Mapping[str, Any]], lines: Sequence[AuditEntry] = ()
+        self, documents: Mapping[str, Mapping[str, object]], lines: Sequence[AuditEntry] = ()
     ) -> None:
         """Keep the documents of many assets in one transaction, as `save` does."""
         if not documents:
@@ -64,5 +64,5 @@ def _unpacked(document: JsonDocument) -> JsonDocument:
     packed = document.get(_PACKED)
     if packed is None:
         return document
-    unpacked: dict[str, Any] = msgspec.msgpack.decode(b64decode(packed))
+    unpacked: JsonDocument = msgspec.msgpack.decode(b64decode(packed))
     return unpacked

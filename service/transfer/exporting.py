@@ -13,12 +13,12 @@ from service.files import replacing
 from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
 from service.transfer.errors import TransferError
-from service.transfer.pages import RAW, Place, as_csv, csv_header, read_pages
+from service.transfer.pages import RAW, ExportPosition, as_csv, csv_header, read_pages
 
 PAGE_ROWS = 20_000
 
 
-def write_csv(file: BinaryIO, store: Store, asset: str, place: Place) -> int:
+def write_csv(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -> int:
     """Write the rows of a query as CSV; returns how many."""
     rows = 0
     file.write(csv_header(place.resolution).encode())
@@ -28,7 +28,7 @@ def write_csv(file: BinaryIO, store: Store, asset: str, place: Place) -> int:
     return rows
 
 
-def write_parquet(file: Any, store: Store, asset: str, place: Place) -> int:
+def write_parquet(file: Any, store: Store, asset: str, place: ExportPosition) -> int:
     """Write the rows of a query as Parquet, with units in the metadata of the schema.
 
     Parameters
@@ -71,7 +71,9 @@ class ParquetPages:
         If pyarrow is not installed.
     """
 
-    def __init__(self, file: Any, asset: str, place: Place, channels: Sequence[str]) -> None:
+    def __init__(
+        self, file: Any, asset: str, place: ExportPosition, channels: Sequence[str]
+    ) -> None:
         self._pa, parquet = load_pyarrow()
         pa = self._pa
         units = {f"unit:{name}": unit_of(name) or "1" for name in channels}
@@ -107,7 +109,7 @@ class ParquetPages:
         self._writer.close()
 
 
-def export_file(path: Path, store: Store, asset: str, place: Place) -> int:
+def export_file(path: Path, store: Store, asset: str, place: ExportPosition) -> int:
     """Write a query to a file, CSV or Parquet by its suffix; complete, or not at all.
 
     Returns

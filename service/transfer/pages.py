@@ -24,7 +24,7 @@ _BUCKETS = {
 RAW = "raw"
 
 
-class Place(BaseModel):
+class ExportPosition(BaseModel):
     """A query and how far it has been answered; what a cursor holds."""
 
     resolution: str = Field(max_length=8)
@@ -45,7 +45,7 @@ class PageOfHistory:
     """Rows in order, and where to go on; None when that was all."""
 
     rows: Sequence[StoredSample | Rollup]
-    following: Place | None
+    following: ExportPosition | None
 
 
 def bucket_us(resolution: str) -> int:
@@ -77,7 +77,7 @@ def choose_resolution(
     return next(fitting, list(_BUCKETS)[-1])
 
 
-def read_page(store: Store, asset: str, place: Place, limit: int) -> PageOfHistory:
+def read_page(store: Store, asset: str, place: ExportPosition, limit: int) -> PageOfHistory:
     """Read the next rows of a query, `limit` at most."""
     rows: Sequence[StoredSample | Rollup]
     span = (place.start_us, place.end_us)
@@ -93,10 +93,10 @@ def read_page(store: Store, asset: str, place: Place, limit: int) -> PageOfHisto
 
 
 def read_pages(
-    store: Store, asset: str, place: Place, page_rows: int
+    store: Store, asset: str, place: ExportPosition, page_rows: int
 ) -> Iterator[Sequence[StoredSample | Rollup]]:
     """Read all rows of a query, page by page, so that memory stays small."""
-    following: Place | None = place
+    following: ExportPosition | None = place
     while following is not None:
         page = read_page(store, asset, following, page_rows)
         yield page.rows

@@ -15,6 +15,7 @@ import httpx2
 import numpy as np
 from pymodbus.client import AsyncModbusTcpClient
 
+from adapters.virtual_bench.announcements import GatewayAddress
 from adapters.virtual_bench.fleet_server import COUNTER_ADDRESS, UNITS
 from service.lab.benchmarks.common import BenchmarkError, Measurement, Progress
 from service.lab.demo.processes import running
@@ -196,7 +197,7 @@ async def _forecast_ages(client: httpx2.AsyncClient) -> list[float]:
     return [age for age in ages if not math.isnan(age)]
 
 
-async def _answers(gateways: Sequence[Mapping[str, Any]]) -> list[int]:
+async def _answers(gateways: Sequence[GatewayAddress]) -> list[int]:
     """How many polls each bench has answered, as it says itself."""
     counts = []
     for gateway in gateways:

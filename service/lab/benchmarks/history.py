@@ -12,7 +12,7 @@ from adapters.samples import Quality, Sample
 from service.lab.benchmarks.common import Measurement, Progress, shortest_s
 from service.store import Store
 from service.store.opening import FILE_NAME
-from service.transfer.pages import Place, choose_resolution, read_page
+from service.transfer.pages import ExportPosition, choose_resolution, read_page
 
 _ASSET = "bench"
 _CHANNELS = (
@@ -35,7 +35,7 @@ def query_auto(tell: Progress, *, days: float = 30.0) -> Measurement:
         def query() -> None:
             nonlocal rows
             chosen = choose_resolution(store, _ASSET, list(_CHANNELS), _BEGIN_US, end_us)
-            place = Place(
+            place = ExportPosition(
                 resolution=chosen, start_us=_BEGIN_US, end_us=end_us, channels=list(_CHANNELS)
             )
             rows = len(read_page(store, _ASSET, place, 100_000).rows)

@@ -1,7 +1,7 @@
-"""Who may make which call: credentials at the door, roles at each route.
+"""Who may make which call: credentials at the access gate, roles at each route.
 
-The door (`make_door`) knows only who is calling, and lets no unknown caller past ``/api``; each
-route says by `secured` which roles it is for. OpenAPI shows both.
+The access gate (`make_access_check`) knows only who is calling, and refuses an unknown caller
+everything below ``/api``; each route says by `secured` which roles it is for. OpenAPI shows both.
 """
 
 import base64
@@ -152,7 +152,7 @@ def require(roles: Roles) -> Callable[[HTTPConnection], Coroutine[Any, Any, Prin
 
 
 def known_caller(scope: Scope) -> Principal | None:
-    """Who is calling, as the door found out; None for an unknown caller."""
+    """Who is calling, as the access gate found out; None for an unknown caller."""
     principal = scope.get(_PRINCIPAL)
     return principal if isinstance(principal, Principal) else None
 
@@ -169,7 +169,7 @@ def _refuse_repetitions(connection: HTTPConnection) -> None:
 
 
 async def caller(connection: HTTPConnection) -> Principal:
-    """Who is calling, as the door found out."""
+    """Who is calling, as the access gate found out."""
     principal = known_caller(connection.scope)
     if principal is None:
         raise unauthorized(connection)
@@ -180,7 +180,7 @@ Caller = Annotated[Principal, Depends(caller)]
 
 
 def actor(connection: HTTPConnection, who: str | None = None) -> Actor:
-    """Who changes something, for the audit trail; `who` where the door has not found out."""
+    """Who changes something, for the audit trail; `who` where the access gate does not know."""
     principal = connection.scope.get(_PRINCIPAL)
     if who is None:
         who = principal.who if isinstance(principal, Principal) else "unknown"
@@ -192,12 +192,12 @@ def address_of(connection: HTTPConnection) -> str:
     return connection.client.host if connection.client else ""
 
 
-def make_door(
+def make_access_check(
     authenticator: Authenticator, trail: AuditTrail
 ) -> Callable[[Request], Coroutine[Any, Any, None]]:
     """Make the check that every request passes before anything else happens to it."""
 
-    async def door(request: Request) -> None:
+    async def check(request: Request) -> None:
         if not request.scope["path"].startswith("/api/"):
             return
         if "\x00" in request.scope["path"] or b"%00" in request.scope["query_string"]:
@@ -218,7 +218,7 @@ def make_door(
             refuse_other_sites(request, principal)
         request.scope[_PRINCIPAL] = principal
 
-    return door
+    return check
 
 
 async def authenticate(

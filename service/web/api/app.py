@@ -13,17 +13,17 @@ from starlette.middleware import Middleware
 import service.web.pages
 from service.documents.messages import asyncapi_document
 from service.security import AuditTrail, Authenticator
-from service.web.api.access import make_door
+from service.web.api.access import make_access_check
 from service.web.api.context import ServiceContext
 from service.web.api.docs import STREAM_PATH, install_docs
 from service.web.api.middleware import (
-    AtTheDoor,
+    AccessGate,
     BodyLimit,
+    Compression,
     Gunzip,
     JsonBodies,
-    LastResort,
-    Packing,
     SecurityHeaders,
+    UnhandledErrors,
 )
 from service.web.api.own_writes import OwnWrites
 from service.web.api.page import page_route
@@ -75,9 +75,9 @@ def create_app(context: ServiceContext) -> FastAPI:
         middleware=[
             Middleware(KnownProxies, proxies=context.settings.service.trusted_proxies),
             Middleware(SecurityHeaders),
-            Middleware(Packing, excluded=(measurements.PARQUET,)),
-            Middleware(LastResort),
-            Middleware(AtTheDoor, door=make_door(authenticator, trail)),
+            Middleware(Compression, excluded=(measurements.PARQUET,)),
+            Middleware(UnhandledErrors),
+            Middleware(AccessGate, check=make_access_check(authenticator, trail)),
             Middleware(SnapshotShortcut, assets=context.assets),
             Middleware(JsonBodies),
             Middleware(BodyLimit),  # of what comes over the wire

@@ -14,7 +14,7 @@ from service.web.api.problems import parameter_problem
 LIMIT = 200
 LIMIT_MAX = 1000
 
-Place = TypeVar("Place", bound=BaseModel)
+Position = TypeVar("Position", bound=BaseModel)
 Item = TypeVar("Item")
 
 Limit = Annotated[int, Query(ge=1, le=LIMIT_MAX, description="Items of a page, at most.")]
@@ -40,7 +40,7 @@ def encode_cursor(place: BaseModel) -> str:
     return base64.urlsafe_b64encode(place.model_dump_json().encode()).decode().rstrip("=")
 
 
-def decode_cursor(cursor: str, kind: type[Place]) -> Place:
+def decode_cursor(cursor: str, kind: type[Position]) -> Position:
     """Unwrap a cursor.
 
     Raises

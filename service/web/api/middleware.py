@@ -1,4 +1,4 @@
-"""What every request passes on its way in: headers, the last resort, the door, the size limit."""
+"""What every request passes on its way in: headers, unhandled errors, access gate, size limit."""
 
 import re
 import traceback
@@ -64,13 +64,13 @@ _ADDED_HEADERS: Final = {
 
 # Those who poll a snapshot every second get a little sooner than compressed; a page of fifty small
 # files is a quarter lighter compressed. The first levels pack nearly as well as the last.
-_API_PACKED_FROM_BYTES = 4 * KIB
-_PAGE_PACKED_FROM_BYTES = 1 * KIB
-_PACKED_LEVEL = 4
+_API_COMPRESSED_FROM_BYTES = 4 * KIB
+_PAGE_COMPRESSED_FROM_BYTES = 1 * KIB
+_COMPRESSION_LEVEL = 4
 
 _log = structlog.get_logger(__name__)
 
-Door = Callable[[Request], Awaitable[None]]
+AccessCheck = Callable[[Request], Awaitable[None]]
 
 
 class SecurityHeaders:
@@ -99,7 +99,7 @@ class SecurityHeaders:
         await self.app(scope, receive, send_with_headers)
 
 
-class Packing:
+class Compression:
     """Send answers compressed to those who can decompress them.
 
     Parameters
@@ -115,12 +115,12 @@ class Packing:
             return GZipMiddleware(
                 app,
                 minimum_size=from_bytes,
-                compresslevel=_PACKED_LEVEL,
+                compresslevel=_COMPRESSION_LEVEL,
                 exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, *excluded),
             )
 
-        self._api = packing(_API_PACKED_FROM_BYTES)
-        self._page = packing(_PAGE_PACKED_FROM_BYTES)
+        self._api = packing(_API_COMPRESSED_FROM_BYTES)
+        self._page = packing(_PAGE_COMPRESSED_FROM_BYTES)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on and compress the answer."""
@@ -128,7 +128,7 @@ class Packing:
         await (self._api if of_api else self._page)(scope, receive, send)
 
 
-class LastResort:
+class UnhandledErrors:
     """Turn whatever no handler knew into a problem without internals, and log it."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -161,20 +161,20 @@ class LastResort:
             await response(scope, receive, send)
 
 
-class AtTheDoor:
-    """Nothing under ``/api`` is even read for a caller that the door does not know.
+class AccessGate:
+    """Nothing under ``/api`` is even read for an unknown caller.
 
     Parameters
     ----------
     app
         What lies behind.
-    door : callable
-        Raises `Problem` for a caller who may not come in.
+    check : callable
+        Raises `Problem` for a caller without access.
     """
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
+    def __init__(self, app: ASGIApp, check: AccessCheck) -> None:
         self.app = app
-        self.door = door
+        self.check = check
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the request through, or answer 401."""
@@ -186,7 +186,7 @@ class AtTheDoor:
             return
         if scope["type"] == "http":
             try:
-                await self.door(Request(scope))
+                await self.check(Request(scope))
             except Problem as problem:
                 response = problem_response(
                     problem.status_code,

@@ -1,7 +1,7 @@
 """The snapshot as it goes out: the copy of the cell's bytes, answered without the detours.
 
 Twenty SCADA clients that poll every second, and as many dashboards, all want the same bytes. A
-request for them is answered as soon as the door has let it in.
+request for them is answered right behind the access gate.
 """
 
 import re
@@ -50,7 +50,7 @@ async def snapshot_response(asset: AssetReplica, if_none_match: str | None) -> R
 class SnapshotShortcut:
     """Answer polls of a snapshot here; all else, and all that is not in order, goes on.
 
-    It stands behind the door, which knows the caller. What the route would refuse the route
+    It stands behind the access gate, which knows the caller. What the route would refuse the route
     refuses.
 
     Parameters

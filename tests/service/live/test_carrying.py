@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from service.clock import from_rfc3339
-from service.live.ahead import Step, held, operating_profile
 from service.live.carrying import CARRIED_FOR_S, Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.presentation import limit_crossings
+from service.live.profiles import Step, held, operating_profile
 from service.site.settings import Limits
 from twin_core.forecasting import forecast
 from twin_core.simulation import OperatingProfile

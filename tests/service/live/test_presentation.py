@@ -13,9 +13,9 @@ from service.documents.forecasts import ForecastDocument, Quantiles, forecast_do
 from service.documents.tags import tag
 from service.domain.channels import unit_of
 from service.live import presentation
-from service.live.ahead import Step, operating_profile
 from service.live.estimate import LiveEstimate
 from service.live.presentation import ForecastSummary, LimitCrossing, LimitCrossings
+from service.live.profiles import Step, operating_profile
 from service.site.settings import Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.machine_state import MachineState

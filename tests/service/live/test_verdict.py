@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 
 from adapters.samples import Quality, Sample
 from service.bus.memory import MemoryBus
-from service.bus.replica import Replicas
+from service.bus.replicas import Replicas
 from service.cell.answers import Answers, Parts
 from service.documents.interfaces import JobManager
 from service.documents.limits import Limit

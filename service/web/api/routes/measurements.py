@@ -20,7 +20,7 @@ from service.domain.times import Instant
 from service.store import Store
 from service.transfer.exporting import ParquetPages
 from service.transfer.pages import (
-    Place,
+    ExportPosition,
     Resolution,
     as_csv,
     as_items,
@@ -129,7 +129,7 @@ async def get_measurements(
     """Ascending by time, then by channel; `start` is included, `end` is not."""
     turns, caller = turns_of(request), caller_of(request)
     if cursor is not None:
-        place = decode_cursor(cursor, Place)
+        place = decode_cursor(cursor, ExportPosition)
         if not is_resolution(place.resolution):
             raise parameter_problem("cursor", "expected the `next` of the page before")
     else:
@@ -225,7 +225,7 @@ router.include_router(_pushing)
 
 
 def _page(
-    store: Store, asset: str, place: Place, format: str, rows_max: int
+    store: Store, asset: str, place: ExportPosition, format: str, rows_max: int
 ) -> tuple[list[bytes], str | None]:
     """One page of the answer, in pieces that are compressed one at a time, and the next cursor."""
     page = read_page(store, asset, place, rows_max)
@@ -242,23 +242,23 @@ def _page(
 
 
 async def _csv(
-    turns: Turns, caller: str, store: Store, asset: str, place: Place
+    turns: Turns, caller: str, store: Store, asset: str, place: ExportPosition
 ) -> AsyncIterator[bytes]:
     """Give the whole answer of a query as CSV, page by page."""
 
-    def read(place: Place) -> tuple[bytes, Place | None]:
+    def read(place: ExportPosition) -> tuple[bytes, ExportPosition | None]:
         page = read_page(store, asset, place, _CSV_PAGE_ROWS)
         return as_csv(page.rows).encode(), page.following
 
     yield csv_header(place.resolution).encode()
-    following: Place | None = place
+    following: ExportPosition | None = place
     while following is not None:
         text, following = await turns.read(caller, read, following)
         yield text
 
 
 async def _parquet(
-    turns: Turns, caller: str, store: Store, asset: str, place: Place
+    turns: Turns, caller: str, store: Store, asset: str, place: ExportPosition
 ) -> AsyncIterator[bytes]:
     """Give the whole answer of a query as Parquet, page by page; no file is needed for it."""
     sink = _Sink()
@@ -266,13 +266,13 @@ async def _parquet(
     def begin() -> ParquetPages:
         return ParquetPages(sink, asset, place, place.channels or store.samples.channels(asset))
 
-    def write(place: Place) -> Place | None:
+    def write(place: ExportPosition) -> ExportPosition | None:
         page = read_page(store, asset, place, _PARQUET_PAGE_ROWS)
         file.write(page.rows)
         return page.following
 
     async def pieces() -> AsyncIterator[bytes]:
-        following: Place | None = place
+        following: ExportPosition | None = place
         while following is not None:
             following = await turns.read(caller, write, following)
             yield sink.take()
@@ -324,7 +324,7 @@ def _new_query(
     start_us: int | None,
     end_us: int | None,
     resolution: Resolution,
-) -> Place:
+) -> ExportPosition:
     store = context.store
     if channels is not None:
         known = set(asset.channels) | set(store.samples.channels(asset.id))
@@ -341,4 +341,4 @@ def _new_query(
     chosen: str = resolution
     if resolution == "auto":
         chosen = choose_resolution(store, asset.id, channels, start_us, end_us)
-    return Place(resolution=chosen, start_us=start_us, end_us=end_us, channels=channels)
+    return ExportPosition(resolution=chosen, start_us=start_us, end_us=end_us, channels=channels)

@@ -19,7 +19,7 @@ from adapters.protocol import SourceHealth
 from adapters.samples import Batch, Sample
 from service.alarms import AlarmBook, AlarmCondition
 from service.bus.memory import MemoryBus
-from service.bus.replica import Replicas
+from service.bus.replicas import Replicas
 from service.bus.stream import Bus
 from service.cell.answers import Answers, Parts
 from service.clock import ProcessClock, rfc3339

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adapters.samples import PlannedProfile, PlanStep
-from service.live.ahead import Step, held, operating_profile, planned
+from service.live.profiles import Step, held, operating_profile, planned
 from twin_core.profiles import OperatingPoint
 
 NOW_US = 1_763_700_000_000_000

@@ -1,0 +1,69 @@
+"""All assets of the cell as other processes see them, brought up to date together."""
+
+import contextlib
+import time
+from dataclasses import dataclass, field
+from typing import Final
+
+from service.bus.commands import AssetNames, GetDocuments, Wanted
+from service.bus.interface import ReaderBus
+from service.bus.replica import FRESH_S, PATIENCE_S, AssetReplica, Questions
+from service.documents.interfaces import DocumentKind
+from service.domain.errors import CellUnavailableError
+
+#: Documents asked for at once: the answers about thousands of assets are too long for one message,
+#: and take the cell longer than who asks waits.
+PORTION: Final = 32
+
+
+@dataclass(slots=True)
+class Replicas:
+    """All assets of the cell.
+
+    Attributes
+    ----------
+    assets : mapping of str to AssetReplica
+        By id, in the order of the configuration.
+    """
+
+    reader: ReaderBus
+    questions: Questions | None = None
+    fresh_s: float = FRESH_S
+    assets: dict[str, AssetReplica] = field(default_factory=dict)
+
+    async def load(self) -> None:
+        """Learn which assets there are; to be done again when the cell has started again.
+
+        Raises
+        ------
+        CellUnavailableError
+            If the cell does not answer.
+        """
+        for name in await self.reader.ask(AssetNames(), PATIENCE_S):
+            if name not in self.assets:
+                self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
+        await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
+
+    def changed(self, asset: str | None = None) -> None:
+        """Take no copy of an asset, or of any, from before this moment for fresh."""
+        for id, replica in self.assets.items():
+            if asset in (None, id):
+                replica.changed()
+
+    async def refresh(self, *kinds: DocumentKind) -> None:
+        """Bring the documents of all assets up to date, some with each question."""
+        due = [
+            (asset, kind) for asset in self.assets.values() for kind in kinds if asset.is_due(kind)
+        ]
+        for begin in range(0, len(due), PORTION):
+            portion = due[begin : begin + PORTION]
+            wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
+            asked_s = time.monotonic()
+            documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
+            for (asset, kind), document in zip(portion, documents, strict=True):
+                asset.take(kind, document, asked_s)
+
+    async def refresh_known(self, *kinds: DocumentKind) -> None:
+        """As `refresh`; where the cell does not answer what is known must do."""
+        with contextlib.suppress(CellUnavailableError):
+            await self.refresh(*kinds)
