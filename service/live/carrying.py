@@ -26,6 +26,8 @@ CLEAR_OF_LIMIT_K = 5.0
 MOVED_K = 3.0
 #: By how much the operating point may differ: a part of it, and at least so much.
 _SAME_PART, _SAME_RPM, _SAME_N, _SAME_AMBIENT_K = 0.02, 20.0, 50.0, 2.0
+#: By how much less may be known of the nodes: a part of their spread, and at least so much.
+_WIDER_PART, _WIDER_K = 0.2, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,17 +42,14 @@ class Ensemble:
         Path of the best parameters from the same state.
     profile : OperatingProfile
         What it followed: one operating point, held.
-    version : int
-        Of the model.
-    time_us : int
-        Process time of the state that it began from.
+    state : EstimatedState
+        What it began from.
     """
 
     result: Forecast
     path_c: NDArray[np.float64]
     profile: OperatingProfile
-    version: int
-    time_us: int
+    state: EstimatedState
 
 
 def keep_ensemble(
@@ -86,17 +85,19 @@ def keep_ensemble(
         quantiles=result.quantiles.astype(np.float32),
         members_c=np.empty((0, 0, 0)),
     )
-    return Ensemble(
-        without_members, path_c.astype(np.float32), profile, state.active.version, state.time_us
-    )
+    return Ensemble(without_members, path_c.astype(np.float32), profile, state)
 
 
 def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) -> bool:
-    """Whether a machine goes on as it did when its ensemble was made."""
-    before = kept.profile
+    """Whether a machine goes on as it did when its ensemble was made, and is known as well."""
+    before, then, now = kept.profile, kept.state.machine, state.machine
     if (
-        kept.version != state.active.version
-        or not 0.0 <= (state.time_us - kept.time_us) / 1e6 <= CARRIED_FOR_S
+        kept.state.active.version != state.active.version
+        or not 0.0 <= (state.time_us - kept.state.time_us) / 1e6 <= CARRIED_FOR_S
+        # Fresh grease, an estimate that has begun again, a sensor that is lost.
+        or now.revolutions < then.revolutions
+        or now.course_known < then.course_known
+        or _is_wider(then.covariance, now.covariance)
         or before.size != profile.size
         or not np.array_equal(before.time_s, profile.time_s)
     ):
@@ -111,6 +112,11 @@ def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) ->
         bool(np.all(np.abs(new - old) <= np.maximum(least, _SAME_PART * np.abs(old))))
         for old, new, least in pairs
     )
+
+
+def _is_wider(then_k2: NDArray[np.float64], now_k2: NDArray[np.float64]) -> bool:
+    then_k, now_k = np.sqrt(np.diagonal(then_k2)), np.sqrt(np.diagonal(now_k2))
+    return bool(np.any(now_k > then_k + np.maximum(_WIDER_PART * then_k, _WIDER_K)))
 
 
 def carried(

@@ -200,7 +200,7 @@ def _make_live(
     if kept is not None and is_like(kept, state, profile):
         result = carried(kept, state, profile, limits)
         if result is not None:
-            return _Live(_shown(result, state, limits), kept, kept.time_us)
+            return _Live(_shown(result, state, limits), kept, kept.state.time_us)
     made = _make(state, profile, limits)
     ensemble = None
     if keeps:

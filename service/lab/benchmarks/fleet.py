@@ -26,6 +26,8 @@ from service.store import Store
 
 SIZES = (10, 50, 200)
 _PATIENCE_S = 600.0
+# Until the machines run at their first operating points and have a forecast there.
+_SETTLE_S = 120.0
 _LOOK_EVERY_S = 10.0
 _MOST_SAMPLES = 10_000_000
 _FORECAST_AGE = "bearing_twin_forecast_age_seconds{"
@@ -65,13 +67,17 @@ class _Cost:
 
 
 def assets_cpu(
-    tell: Progress, *, sizes: Sequence[int] = SIZES, duration_s: float = 120.0
+    tell: Progress,
+    *,
+    sizes: Sequence[int] = SIZES,
+    duration_s: float = 120.0,
+    settle_s: float = _SETTLE_S,
 ) -> Measurement:
     """Processor time and memory per asset, at growing numbers of assets."""
     costs = []
     for number, size in enumerate(sizes):
         tell(number / len(sizes), f"{size} assets")
-        costs.append(asyncio.run(_cost(size, duration_s)))
+        costs.append(asyncio.run(_cost(size, duration_s, settle_s)))
     first, last = costs[0], costs[-1]
     assets = np.array([cost.assets for cost in costs], np.float64)
     spent = np.array([cost.processor_s for cost in costs])
@@ -116,7 +122,7 @@ def _slope(assets: Any, values: Any) -> float | None:
     return float(np.polyfit(np.log(assets), np.log(values), 1)[0])
 
 
-async def _cost(assets: int, duration_s: float) -> _Cost:
+async def _cost(assets: int, duration_s: float, settle_s: float) -> _Cost:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bench = ("virtual-fleet", "--benches", str(assets), "--modbus-port", "0", "--json")
@@ -137,6 +143,7 @@ async def _cost(assets: int, duration_s: float) -> _Cost:
                 )
                 async with client:
                     await _until_forecasts(client, assets)
+                    await asyncio.sleep(settle_s)
                     before, cell_before = _processor_s(service.pid)
                     polls = await _answers(facts["modbus"])
                     began = time.monotonic()

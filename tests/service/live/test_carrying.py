@@ -125,6 +125,21 @@ def test_another_point_model_or_age_needs_an_ensemble(
     assert not is_like(kept, now, operating_profile(steps, 60.0, now.point.inputs))
 
 
+def test_fresh_grease_a_new_start_or_a_lost_sensor_need_an_ensemble(
+    states: tuple[EstimatedState, EstimatedState],
+) -> None:
+    before, now = states
+    kept = ensemble(before)
+    assert kept is not None
+    for change in (
+        {"revolutions": 0.0},
+        {"course_known": 0.0},
+        {"covariance": 2.0 * now.machine.covariance},
+    ):
+        changed = replace(now, machine=replace(now.machine, **change))
+        assert not is_like(kept, changed, profile_of(now)), change
+
+
 def test_a_state_that_has_moved_far_needs_an_ensemble(
     states: tuple[EstimatedState, EstimatedState],
 ) -> None:

@@ -18,7 +18,7 @@ def quiet(fraction: float, text: str) -> None:
 @pytest.mark.wires
 @pytest.mark.timeout(600)
 def test_cost_of_assets_and_no_sample_lost() -> None:
-    found = fleet.assets_cpu(quiet, sizes=(2, 6), duration_s=5.0)
+    found = fleet.assets_cpu(quiet, sizes=(2, 6), duration_s=5.0, settle_s=1.0)
     assert found.unit == "s/s"
     assert found.value > 0.0
     assert found.reference is not None
