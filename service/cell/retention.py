@@ -1,14 +1,15 @@
-"""Maintenance of the store next to the work: rollups are computed, what is old is removed."""
+"""Maintenance of the store next to the work: rollups, packing, and what is old is removed."""
 
 import asyncio
 import ctypes
+import time
 from functools import partial
 
 import structlog
 from anyio import to_thread
 
 from adapters.protocol import Clock
-from service.clock import DAY_US, MICROSECONDS, ClockWatch, rfc3339, wall_us
+from service.clock import DAY_US, HOUR_US, MICROSECONDS, ClockWatch, rfc3339, wall_us
 from service.store import Retention, RetentionTime, Store, StoreError, StoreUnavailableError
 
 #: Wall seconds between two looks for hours to condense, and for samples that are too old.
@@ -23,6 +24,10 @@ CHECK_EVERY_S = 86_400.0
 #: Process time that a finished hour is given for late samples; later ones are right as well,
 #: but cost another computation.
 _SETTLE_US = 120_000_000
+#: Process time after which an hour is packed: nearly all late samples have come by then.
+_PACK_AFTER_US = HOUR_US
+#: Wall seconds of one look in which hours are packed.
+PACKING_S = 5.0
 _HOUR_S = 3600.0
 #: What the kernel answers while no time server disciplines its clock.
 _TIME_ERROR = 5
@@ -167,4 +172,8 @@ def is_clock_disciplined() -> bool:
 
 def _refresh(store: Store, before_us: int) -> None:
     while store.rollups.refresh(before_us):
+        pass
+    # A store of an earlier version has years to pack: the rest waits for the next look.
+    until_s = time.monotonic() + PACKING_S
+    while store.packing.pack(before_us - _PACK_AFTER_US) and time.monotonic() < until_s:
         pass

@@ -69,5 +69,10 @@ def restore(
 
 
 def _told(rows: dict[str, int]) -> str:
-    names = {"samples": "samples", "model_versions": "models", "api_keys": "keys"}
+    names = {
+        "samples": "samples",
+        "packed_hours": "packed hours of channels",
+        "model_versions": "models",
+        "api_keys": "keys",
+    }
     return ", ".join(f"{rows.get(name, 0)} {label}" for name, label in names.items())

@@ -19,7 +19,7 @@ from service.store.tables import Base
 
 _TABLES = sorted([*Base.metadata.tables, "alembic_version"])
 #: Tables whose rows make a store that someone would miss.
-_MISSED = ("samples", "model_versions", "api_keys", "alarms")
+_MISSED = ("samples", "packed_hours", "model_versions", "api_keys", "alarms")
 
 
 def back_up(url: URL, out: Path) -> dict[str, int]:

@@ -3,9 +3,12 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import numpy as np
 from sqlalchemy import ColumnElement, Connection, Select, case, func, select
 
 from adapters.samples import Quality
+from service.store import packed
+from service.store.blocks import Samples
 from service.store.tables import RollupRow, SampleRow
 
 #: Lengths of the buckets that are kept computed, coarsest first; each divides the one before.
@@ -60,6 +63,45 @@ def of_samples(channel_id: int, begin_us: int, end_us: int, bucket_us: int) -> B
         )
         .group_by(start)
     )
+
+
+def of_block(samples: Samples, bucket_us: int, offset_us: int = 0) -> list[tuple[Bucket, int]]:
+    """Compute the buckets of packed samples, and how many samples of any quality each has."""
+    times_us, values, qualities = samples
+    if not times_us.size:
+        return []
+    starts_us = times_us - (times_us - offset_us) % bucket_us
+    first = np.flatnonzero(np.diff(starts_us, prepend=starts_us[0] - 1))
+    counts = np.diff(np.append(first, times_us.size))
+    is_good = (qualities >= Quality.GOOD) & ~np.isnan(values)
+    good = np.add.reduceat(is_good, first, dtype=np.int64)
+    total = np.add.reduceat(np.where(is_good, values, 0.0), first)
+    low = np.minimum.reduceat(np.where(is_good, values, np.inf), first)
+    high = np.maximum.reduceat(np.where(is_good, values, -np.inf), first)
+    worst = np.minimum.reduceat(qualities, first)
+    found = []
+    for number, start in enumerate(starts_us[first].tolist()):
+        if count := int(good[number]):
+            mean = float(total[number] / count)
+            extremes = (mean, float(low[number]), float(high[number]))
+            bucket = Bucket(start, *extremes, count, int(Quality.GOOD))
+        else:
+            bucket = Bucket(start, None, None, None, 0, int(worst[number]))
+        found.append((bucket, int(counts[number])))
+    return found
+
+
+def of_raw(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int, bucket_us: int
+) -> list[Bucket]:
+    """Compute the buckets of a span from all raw samples, those in the table and those in blocks.
+
+    A bucket that reaches over the end of an hour may come in two parts, see `merged`.
+    """
+    parts = read(connection, of_samples(channel_id, begin_us, end_us, bucket_us))
+    for samples in packed.read(connection, channel_id, begin_us, end_us):
+        parts += [bucket for bucket, _ in of_block(samples, bucket_us)]
+    return merged(parts)
 
 
 def of_rollups(

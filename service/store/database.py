@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from itertools import compress
 from typing import NamedTuple
 
 from sqlalchemy import Connection, Engine
@@ -31,6 +32,17 @@ class SampleColumns(NamedTuple):
     times_us: Sequence[int]
     values: Sequence[float | None]
     qualities: Sequence[int]
+
+
+def chosen(columns: SampleColumns, kept: Sequence[bool]) -> SampleColumns:
+    """Give some of the rows."""
+    ids, times_us, values, qualities = columns
+    return SampleColumns(
+        list(compress(ids, kept)),
+        list(compress(times_us, kept)),
+        list(compress(values, kept)),
+        list(compress(qualities, kept)),
+    )
 
 
 @dataclass(frozen=True, slots=True)

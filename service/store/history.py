@@ -6,7 +6,7 @@ import numpy as np
 from sqlalchemy import Connection, func, select
 
 from service.clock import HOUR_US, MINUTE_US
-from service.store import buckets
+from service.store import buckets, packed
 from service.store.buckets import LEVELS_S, Bucket
 from service.store.merging import merged
 from service.store.part import StorePart
@@ -106,10 +106,16 @@ class History(StorePart):
                     SampleRow.time_us >= start_us,
                     SampleRow.time_us < end_us,
                 )
-                per_channel[name] = [
+                rows: list[tuple[int, float | None, int, int]] = [
                     (time_us, mean, good, count)
                     for time_us, mean, good, count in connection.execute(query.group_by(minute))
                 ]
+                for samples in packed.read(connection, channel_id, start_us, end_us):
+                    rows += [
+                        (bucket.time_us, bucket.mean, bucket.good, count)
+                        for bucket, count in buckets.of_block(samples, step_us, offset_us)
+                    ]
+                per_channel[name] = _joined(rows)
         minute_us = np.array(
             sorted({row[0] for rows in per_channel.values() for row in rows}), dtype=np.int64
         )
@@ -118,8 +124,8 @@ class History(StorePart):
             mean = np.full(minute_us.size, np.nan)
             good = np.zeros(minute_us.size, dtype=np.int64)
             bad = np.zeros(minute_us.size, dtype=np.int64)
-            if rows := per_channel.get(name):
-                times, means, goods, counts = zip(*rows, strict=True)
+            if found := per_channel.get(name):
+                times, means, goods, counts = zip(*found, strict=True)
                 at = np.searchsorted(minute_us, np.array(times, dtype=np.int64))
                 mean[at] = [np.nan if value is None else value for value in means]
                 good[at] = goods
@@ -128,6 +134,23 @@ class History(StorePart):
             table.good_count[name] = good
             table.bad_count[name] = bad
         return table
+
+
+def _joined(
+    rows: list[tuple[int, float | None, int, int]],
+) -> list[tuple[int, float | None, int, int]]:
+    """Join the parts of a minute that reaches over the end of an hour: mean, good ones, all."""
+    minutes: dict[int, tuple[int, float | None, int, int]] = {}
+    for row in rows:
+        time_us, mean, good, count = row
+        if time_us not in minutes:
+            minutes[time_us] = row
+            continue
+        _, other_mean, other_good, other_count = minutes[time_us]
+        total = (mean or 0.0) * good + (other_mean or 0.0) * other_good
+        both = good + other_good
+        minutes[time_us] = (time_us, total / both if both else None, both, count + other_count)
+    return list(minutes.values())
 
 
 def _read(
@@ -158,8 +181,7 @@ def _chunk(
     """All buckets of a span of whole buckets."""
 
     def raw(from_us: int, to_us: int) -> list[Bucket]:
-        query = buckets.of_samples(channel_id, from_us, to_us, bucket_us)
-        return buckets.read(connection, query)
+        return buckets.of_raw(connection, channel_id, from_us, to_us, bucket_us)
 
     def condensed(resolution_s: int, from_us: int, to_us: int) -> list[Bucket]:
         query = buckets.of_rollups(channel_id, resolution_s, from_us, to_us, bucket_us)

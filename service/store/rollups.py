@@ -6,7 +6,7 @@ from typing import Literal
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from service.clock import DAY_US, HOUR_US, MINUTE_US
-from service.store import buckets
+from service.store import buckets, packed
 from service.store.buckets import LEVELS_S
 from service.store.database import Database
 from service.store.part import StorePart
@@ -243,6 +243,7 @@ class Rollups(StorePart):
             removed += connection.execute(
                 delete(SampleRow).where(SampleRow.channel_id == channel_id, *in_hour)
             ).rowcount
+            removed += packed.remove(connection, channel_id, hour_us)
         return removed
 
 
@@ -287,8 +288,8 @@ def _compute(connection: Connection, channel_id: int, hour_us: int) -> None:
 def _insert(
     connection: Connection, channel_id: int, resolution_s: int, begin_us: int, end_us: int
 ) -> None:
-    query = buckets.of_samples(channel_id, begin_us, end_us, resolution_s * MINUTE_US // 60)
-    found = buckets.read(connection, query)
+    bucket_us = resolution_s * MINUTE_US // 60
+    found = buckets.of_raw(connection, channel_id, begin_us, end_us, bucket_us)
     if found:
         connection.execute(
             insert(RollupRow),

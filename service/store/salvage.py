@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import JSON, Boolean, Column, Double, Integer, Table
+from sqlalchemy import JSON, Boolean, Column, Double, Integer, LargeBinary, Table
 from sqlalchemy.engine import URL
 
 from service.clock import HOUR_US
+from service.store.blocks import Block, is_damaged
 from service.store.errors import StoreError
 from service.store.pages import PageRow, log_rows, page_rows
 from service.store.queue_file import set_aside
@@ -205,6 +206,8 @@ def _fits(column: "Column[Any]") -> Callable[[object], bool]:
             return isinstance(value, int)
         if isinstance(kind, Double):
             return isinstance(value, int | float)
+        if isinstance(kind, LargeBinary):
+            return isinstance(value, bytes)
         if not isinstance(value, str):
             return False
         return not isinstance(kind, JSON) or _is_json(value)
@@ -225,6 +228,14 @@ def _makes_sense(table: str, values: list[Any]) -> bool:
     if table == "samples":
         channel_id, time_us, _, quality = values
         return bool(channel_id > 0 and time_us >= 0 and 0 <= quality <= 255)
+    if table == "packed_hours":
+        channel_id, hour_us, _, position, first_us, last_us, count = values
+        return bool(
+            channel_id > 0
+            and 0 <= hour_us <= first_us <= last_us < hour_us + HOUR_US
+            and position >= 0
+            and count > 0
+        )
     if table in ("retention_marks", "deliveries"):
         return (values[0] in ("process", "wall")) == (table == "retention_marks")
     return True
@@ -245,13 +256,24 @@ def _complete(target: sqlite3.Connection) -> int:
     """Make up for what is missing; returns how many channels have lost their names."""
     unnamed = target.execute(
         "INSERT INTO channels (id, asset, name) "
-        "SELECT DISTINCT channel_id, 'salvaged', 'channel-' || channel_id FROM samples "
+        "SELECT channel_id, 'salvaged', 'channel-' || channel_id FROM "
+        "(SELECT channel_id FROM samples UNION SELECT channel_id FROM packed_hours) "
         "WHERE channel_id NOT IN (SELECT id FROM channels)"
     ).rowcount
+    blocks = target.execute("SELECT id, codec, crc, data FROM sample_blocks")
+    broken = [(number,) for number, *block in blocks if is_damaged(Block(*block))]
+    target.executemany("DELETE FROM sample_blocks WHERE id = ?", broken)
+    # A free page may still hold rows of an hour as they were before it was packed.
+    target.execute("DELETE FROM packed_hours WHERE block_id NOT IN (SELECT id FROM sample_blocks)")
+    target.execute(
+        f"DELETE FROM samples WHERE (channel_id, time_us - time_us % {HOUR_US}) IN "
+        "(SELECT channel_id, hour_us FROM packed_hours)"
+    )
     # Rollups are computed again where there are samples.
     target.execute(
         "INSERT OR IGNORE INTO stale_rollups (channel_id, hour_us) "
-        f"SELECT DISTINCT channel_id, time_us - time_us % {HOUR_US} FROM samples"
+        f"SELECT channel_id, time_us - time_us % {HOUR_US} FROM samples "
+        "UNION SELECT channel_id, hour_us FROM packed_hours"
     )
     for table, column, other in (
         ("alarm_journal", "alarm_id", "alarms"),

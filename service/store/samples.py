@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from itertools import compress
+from operator import itemgetter
 from typing import NoReturn
 
 from sqlalchemy import Connection, func, insert, select, text
 
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.clock import HOUR_US
-from service.store.database import PATIENCE_S, Database, SampleColumns
+from service.store import packed
+from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
+from service.store.packing import make_room
 from service.store.part import StorePart
 from service.store.records import StoredSample, WriteCounts
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
@@ -70,8 +72,10 @@ class Samples(StorePart):
             columns = SampleColumns(numbers, times_us, *cleaned)
             horizon_us = self._kept_from_us = raw_horizon_us(connection)
             if first_us < horizon_us:
-                columns = _since(horizon_us, columns)
-            stored = 0
+                columns = chosen(columns, [time_us >= horizon_us for time_us in columns.times_us])
+            stored, known = 0, 0
+            if columns.times_us:
+                columns, known = make_room(connection, self._database, columns)
             if columns.times_us:
                 stored = self._database.dialect.upsert_samples(connection, columns)
             if fresh := _hours(columns) - self._stale:
@@ -79,7 +83,7 @@ class Samples(StorePart):
         # Only now: had the transaction failed, neither channels nor marks would be there.
         self._ids = ids
         self._stale |= fresh
-        return WriteCounts(stored, len(columns.times_us) - stored)
+        return WriteCounts(stored, len(columns.times_us) - stored + known)
 
     def mark_again(self, channel_id: int, hour_us: int) -> None:
         """Mark an hour again when it gets a sample: its rollups have been computed."""
@@ -132,7 +136,19 @@ class Samples(StorePart):
                     .order_by(SampleRow.time_us)
                     .limit(count)
                 )
-                return [StoredSample(name, *row) for row in connection.execute(query)]
+                rows: list[tuple[int, float | None, int]] = [
+                    (time_us, value, quality)
+                    for time_us, value, quality in connection.execute(query)
+                ]
+                until_us = rows[-1][0] if len(rows) == count else end_us
+                from_blocks: list[tuple[int, float | None, int]] = []
+                for samples in packed.read(connection, ids[name], from_us, until_us):
+                    from_blocks += packed.rows(samples)
+                    if len(from_blocks) >= count:
+                        break
+                if from_blocks:
+                    rows = sorted(rows + from_blocks, key=itemgetter(0))[:count]
+                return [StoredSample(name, *row) for row in rows]
 
             def first_us(name: str) -> int:
                 return start_us if after is None else max(start_us, after[0] + (name <= after[1]))
@@ -177,13 +193,15 @@ class Samples(StorePart):
                 )
                 some = select(SampleRow.time_us).where(*inside)
                 first = connection.scalar(some.order_by(SampleRow.time_us).limit(1))
-                if first is None:
-                    continue
-                firsts.append(first)
                 last = connection.scalar(some.order_by(SampleRow.time_us.desc()).limit(1))
-                lasts.append(first if last is None else last)
-                count = select(func.count()).select_from(some.limit(count_max).subquery())
-                counts.append(connection.scalar(count) or 0)
+                counted = select(func.count()).select_from(some.limit(count_max).subquery())
+                spans = [packed.span(connection, channel_id, start_us, end_us)]
+                if first is not None and last is not None:
+                    spans.append((first, last, connection.scalar(counted) or 0))
+                found = [span for span in spans if span is not None]
+                firsts += [span[0] for span in found]
+                lasts += [span[1] for span in found]
+                counts.append(min(sum(span[2] for span in found), count_max))
         return (min(firsts), max(lasts), max(counts)) if firsts else None
 
     def raw_kept_from_us(self) -> int:
@@ -219,7 +237,8 @@ class Samples(StorePart):
             for asset, name, channel_id in channels.all():
                 some = select(SampleRow.time_us).where(SampleRow.channel_id == channel_id)
                 count = select(func.count()).select_from(some.limit(count_max).subquery())
-                counts[asset, name] = connection.scalar(count) or 0
+                total = (connection.scalar(count) or 0) + packed.count(connection, channel_id)
+                counts[asset, name] = min(total, count_max)
         return counts
 
     def open_ends(self) -> dict[tuple[str, str], int]:
@@ -268,7 +287,8 @@ def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int
         .order_by(SampleRow.time_us)
         .limit(1)
     )
-    return connection.scalar(query)
+    firsts = (connection.scalar(query), packed.first_time_us(connection, channel_id, start_us))
+    return min((first for first in firsts if first is not None), default=None)
 
 
 def last_time_us(connection: Connection, channel_id: int) -> int | None:
@@ -284,9 +304,10 @@ def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None,
         .order_by(SampleRow.time_us.desc())
         .limit(1)
     )
+    newest = None
     for time_us, value, quality in connection.execute(query):
-        return time_us, value, quality
-    return None
+        newest = (time_us, value, quality)
+    return packed.newest(connection, channel_id, newest[0] if newest else -1) or newest
 
 
 def _make_channel(connection: Connection, asset: str, name: str) -> int:
@@ -325,17 +346,6 @@ def _cleaned(
         int(Quality.BAD) if is_good(quality) and not isfinite(value) else quality
         for value, quality in pairs
     ]
-
-
-def _since(begin_us: int, columns: SampleColumns) -> SampleColumns:
-    kept = [time_us >= begin_us for time_us in columns.times_us]
-    ids, times_us, values, qualities = columns
-    return SampleColumns(
-        list(compress(ids, kept)),
-        list(compress(times_us, kept)),
-        list(compress(values, kept)),
-        list(compress(qualities, kept)),
-    )
 
 
 def _hours(columns: SampleColumns) -> set[tuple[int, int]]:

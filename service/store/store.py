@@ -13,6 +13,7 @@ from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
+from service.store.packing import Packing
 from service.store.rollups import Rollups
 from service.store.salvage import damage_of
 from service.store.samples import Samples
@@ -32,6 +33,8 @@ class Store(Closable):
     ----------
     samples : Samples
         Raw samples.
+    packing : Packing
+        Hours of raw samples that are over, in blocks.
     rollups : Rollups
         Statistics per minute and hour, and what is kept for how long.
     history : History
@@ -53,6 +56,7 @@ class Store(Closable):
     def __init__(self, database: Database) -> None:
         self._database = database
         self.samples = Samples(database)
+        self.packing = Packing(database)
         self.rollups = Rollups(database, self.samples)
         self.history = History(database)
         self.models = ModelVersions(database)
@@ -87,15 +91,17 @@ class Store(Closable):
         return cls(open_database(database_url, data_dir, migrate=migrate))
 
     def find_damage(self) -> str | None:
-        """Look through an SQLite file for damage; one line that says what to do, or None.
+        """Look for damage, of an SQLite file and of blocks; one line that says what to do, or None.
 
-        It reads the whole file. A PostgreSQL server has its own ways (`amcheck`): always None.
+        It reads the whole store. For its tables a PostgreSQL server has its own ways (`amcheck`).
         """
         path = self._database.engine.url.database
-        if self._database.engine.dialect.name != "sqlite" or path is None:
-            return None
-        problem = damage_of(Path(path))
-        return None if problem is None else damaged(path, ValueError(problem))
+        if self._database.engine.dialect.name == "sqlite" and path is not None:
+            problem = damage_of(Path(path))
+            if problem is not None:
+                return damaged(path, ValueError(problem))
+        problem = self.packing.find_damage()
+        return None if problem is None else f"store {self._database.name}: {problem}"
 
     def close(self) -> None:
         """Close all connections."""

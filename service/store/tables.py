@@ -9,6 +9,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    LargeBinary,
     MetaData,
     SmallInteger,
     false,
@@ -64,6 +65,36 @@ class SampleRow(Base):
     time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     value: Mapped[float | None]
     quality: Mapped[int] = mapped_column(SmallInteger)
+
+
+class SampleBlockRow(Base):
+    """Compressed samples of an hour of some channels, see `service.store.blocks`."""
+
+    __tablename__ = "sample_blocks"
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    codec: Mapped[int] = mapped_column(SmallInteger)
+    crc: Mapped[int]
+    data: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class PackedHourRow(Base):
+    """An hour of a channel whose samples are in a block, and not in the table of samples."""
+
+    __tablename__ = "packed_hours"
+    __table_args__ = (
+        Index("ix_packed_hours_hour_us", "hour_us"),
+        Index("ix_packed_hours_block_id", "block_id"),
+        {"sqlite_with_rowid": False},
+    )
+
+    channel_id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    hour_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    block_id: Mapped[int]
+    position: Mapped[int] = mapped_column(SmallInteger)
+    first_us: Mapped[int]
+    last_us: Mapped[int]
+    sample_count: Mapped[int] = mapped_column(Integer)
 
 
 class RollupRow(Base):

@@ -1,0 +1,183 @@
+"""Hours whose samples are in blocks: what is in them, and how they are removed.
+
+An hour of a channel is either in the table of samples or in a block, never in both. A block that
+is damaged has no samples, and costs no other its own.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import structlog
+from sqlalchemy import Connection, Select, delete, func, select
+
+from service.clock import HOUR_US, rfc3339
+from service.store.blocks import Block, BlockDamagedError, Samples, unpack
+from service.store.tables import PackedHourRow, SampleBlockRow
+
+#: Hours that are looked up at a time.
+_HOURS = 64
+_NOTHING = Samples(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint16))
+
+_log = structlog.get_logger(__name__)
+
+
+class PackedHour(NamedTuple):
+    """Where an hour of a channel is, and its times of the first and the last sample."""
+
+    channel_id: int
+    hour_us: int
+    block_id: int
+    position: int
+    first_us: int
+    last_us: int
+    sample_count: int
+
+
+def read(connection: Connection, channel_id: int, begin_us: int, end_us: int) -> Iterator[Samples]:
+    """Give the packed samples of a span, hour by hour as they are asked for."""
+    for hour in _hours(connection, channel_id, begin_us, end_us):
+        yield samples_of(connection, hour).within(begin_us, end_us)
+
+
+def span(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int
+) -> tuple[int, int, int] | None:
+    """Give the times of the first and the last packed sample of a span, and the count."""
+    firsts, lasts, count = [], [], 0
+    for hour in _hours(connection, channel_id, begin_us, end_us):
+        if begin_us <= hour.first_us and hour.last_us < end_us:
+            inside = (hour.first_us, hour.last_us, hour.sample_count)
+        else:
+            times_us = samples_of(connection, hour).within(begin_us, end_us).times_us
+            if not times_us.size:
+                continue
+            inside = (int(times_us[0]), int(times_us[-1]), times_us.size)
+        firsts.append(inside[0])
+        lasts.append(inside[1])
+        count += inside[2]
+    return (firsts[0], lasts[-1], count) if firsts else None
+
+
+def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int | None:
+    """Time of the first packed sample of a channel at or after a time."""
+    for hour in _hours(connection, channel_id, start_us, 2**63 - 1):
+        if hour.first_us >= start_us:
+            return hour.first_us
+        times_us = samples_of(connection, hour).times_us
+        later = times_us[np.searchsorted(times_us, start_us) :]
+        if later.size:
+            return int(later[0])
+    return None
+
+
+def newest(
+    connection: Connection, channel_id: int, after_us: int
+) -> tuple[int, float | None, int] | None:
+    """Give the newest packed sample of a channel, if there is one after a time."""
+    query = _select().where(
+        PackedHourRow.channel_id == channel_id,
+        PackedHourRow.hour_us > after_us - HOUR_US,
+        PackedHourRow.last_us > after_us,
+    )
+    for row in connection.execute(query.order_by(PackedHourRow.hour_us.desc()).limit(1)).all():
+        samples = samples_of(connection, PackedHour(*row))
+        if samples.times_us.size:
+            return rows(samples)[-1]
+    return None
+
+
+def count(connection: Connection, channel_id: int) -> int:
+    """Count the packed samples of a channel."""
+    total = select(func.sum(PackedHourRow.sample_count)).where(
+        PackedHourRow.channel_id == channel_id
+    )
+    return int(connection.scalar(total) or 0)
+
+
+def rows(samples: Samples) -> list[tuple[int, float | None, int]]:
+    """Time, value and quality of each sample, as the table of samples has them."""
+    times_us, values, qualities = (column.tolist() for column in samples)
+    return [
+        (time_us, None if value != value else value, quality)
+        for time_us, value, quality in zip(times_us, values, qualities, strict=True)
+    ]
+
+
+def samples_of(connection: Connection, hour: PackedHour) -> Samples:
+    """Give the samples of a packed hour; none if its block is lost."""
+    query = select(SampleBlockRow.codec, SampleBlockRow.crc, SampleBlockRow.data)
+    block = connection.execute(query.where(SampleBlockRow.id == hour.block_id)).one_or_none()
+    try:
+        if block is None:
+            raise BlockDamagedError("it is missing")
+        return unpack(Block(*block), hour.position)
+    except BlockDamagedError as error:
+        _log.error(
+            "block_damaged",
+            block=hour.block_id,
+            channel_id=hour.channel_id,
+            hour=rfc3339(hour.hour_us),
+            reason=str(error),
+        )
+        return _NOTHING
+
+
+def hours_of(
+    connection: Connection, channel_ids: set[int], begin_us: int, end_us: int
+) -> list[PackedHour]:
+    """Find the packed hours of channels that begin in a span."""
+    query = _select().where(PackedHourRow.hour_us >= begin_us, PackedHourRow.hour_us < end_us)
+    hours = [PackedHour(*row) for row in connection.execute(query).all()]
+    return [hour for hour in hours if hour.channel_id in channel_ids]
+
+
+def remove(connection: Connection, channel_id: int, hour_us: int) -> int:
+    """Remove a packed hour, and its block when nothing else is in it; returns its samples."""
+    this = (PackedHourRow.channel_id == channel_id, PackedHourRow.hour_us == hour_us)
+    found = connection.execute(
+        delete(PackedHourRow)
+        .where(*this)
+        .returning(PackedHourRow.block_id, PackedHourRow.sample_count)
+    ).one_or_none()
+    if found is None:
+        return 0
+    others = select(PackedHourRow.block_id).where(PackedHourRow.block_id == found.block_id)
+    if connection.scalar(others.limit(1)) is None:
+        connection.execute(delete(SampleBlockRow).where(SampleBlockRow.id == found.block_id))
+    return int(found.sample_count)
+
+
+def _select() -> Select[int, int, int, int, int, int, int]:
+    return select(
+        PackedHourRow.channel_id,
+        PackedHourRow.hour_us,
+        PackedHourRow.block_id,
+        PackedHourRow.position,
+        PackedHourRow.first_us,
+        PackedHourRow.last_us,
+        PackedHourRow.sample_count,
+    )
+
+
+def _hours(
+    connection: Connection, channel_id: int, begin_us: int, end_us: int
+) -> Iterator[PackedHour]:
+    """Walk along the packed hours of a channel that reach into a span."""
+    after_us = begin_us - HOUR_US
+    while True:
+        query = (
+            _select()
+            .where(
+                PackedHourRow.channel_id == channel_id,
+                PackedHourRow.hour_us > after_us,
+                PackedHourRow.hour_us < end_us,
+            )
+            .order_by(PackedHourRow.hour_us)
+            .limit(_HOURS)
+        )
+        found = [PackedHour(*row) for row in connection.execute(query).all()]
+        yield from found
+        if len(found) < _HOURS:
+            return
+        after_us = found[-1].hour_us

@@ -1,0 +1,314 @@
+"""Hours that are over are packed: everything that is read and written stays the same."""
+
+import math
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sqlalchemy import select, text
+
+from adapters.samples import Sample
+from service.clock import HOUR_US, MINUTE_US
+from service.store import Retention, Store
+from service.store.blocks import BlockDamagedError, Samples, pack, unpack
+from service.store.packed import hours_of
+from service.store.salvage import salvage_store
+from service.store.tables import SampleBlockRow, SampleRow
+
+NAN = float("nan")
+START_US = 1_790_000_000_000_000 // HOUR_US * HOUR_US
+SECOND_US = 1_000_000
+#: SQLite stores minus nought as nought, packed or not.
+VALUES = st.one_of(st.floats(-1e6, 1e6).map(lambda value: value + 0.0), st.just(NAN))
+TIMES = st.builds(
+    lambda hour, second, us: START_US + hour * HOUR_US + second * SECOND_US + us,
+    st.integers(0, 2),
+    st.sampled_from([0, 1, 59, 60, 61, 1800, 3598, 3599]),
+    st.sampled_from([0, 1, 999_999]),
+)
+BATCHES = st.lists(
+    st.tuples(
+        st.sampled_from(["a", "b"]), TIMES, VALUES, st.sampled_from([0, 24, 64, 192, 216])
+    ),
+    min_size=1,
+    max_size=12,
+)  # fmt: skip
+
+
+def packed(store: Store, before_us: int = START_US + 10 * HOUR_US) -> int:
+    while store.rollups.refresh(before_us):
+        pass
+    done = 0
+    while count := store.packing.pack(before_us):
+        done += count
+    return done
+
+
+def polled(
+    store: Store, seconds: int = 3600, channels: int = 8, start_us: int = START_US, seed: int = 1
+) -> int:
+    """What a poll once a second of transmitters with steps of 0.1 °C brings."""
+    rng = np.random.default_rng(seed)
+    times_us = start_us + SECOND_US * np.arange(seconds) + rng.integers(0, 3000, seconds)
+    walks = np.round(50 + np.cumsum(rng.normal(0, 0.05, (channels, seconds)), axis=1), 1)
+    batch = [
+        Sample("bench-1", f"t_{channel}", time_us, value, 192, time_us)
+        for channel, values in enumerate(walks.tolist())
+        for time_us, value in zip(times_us.tolist(), values, strict=True)
+    ]
+    return store.samples.write(batch).stored
+
+
+def in_table(store: Store) -> int:
+    with store._database.reading() as connection:
+        return len(connection.execute(select(SampleRow.time_us)).all())
+
+
+def blocks(store: Store) -> list[bytes]:
+    with store._database.reading() as connection:
+        return list(connection.scalars(select(SampleBlockRow.data)))
+
+
+@pytest.fixture(scope="module")
+def plain_store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
+    """In which nothing is ever packed."""
+    with Store.open("", tmp_path_factory.mktemp("plain")) as store:
+        yield store
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    steps=st.lists(st.one_of(BATCHES, st.integers(1, 4)), min_size=2, max_size=8),
+    start_us=TIMES,
+    end_us=TIMES,
+    limit=st.integers(1, 12),
+)
+def test_a_packed_store_reads_and_counts_as_one_that_is_not(
+    shared_store: Store,
+    plain_store: Store,
+    steps: list[Any],
+    start_us: int,
+    end_us: int,
+    limit: int,
+) -> None:
+    asset = uuid.uuid4().hex
+    for step in steps:
+        if isinstance(step, int):
+            packed(shared_store, START_US + step * HOUR_US)
+            continue
+        batch = [
+            Sample(asset, name, time_us, value, quality, 0)
+            for name, time_us, value, quality in step
+        ]
+        assert shared_store.samples.write(batch) == plain_store.samples.write(batch)
+    packed(shared_store)
+
+    def same(read: Any) -> None:
+        assert bits(read(shared_store)) == bits(read(plain_store))
+
+    same(lambda store: store.samples.read(asset, None, 0, 2**62, 1000))
+    same(lambda store: store.samples.read(asset, None, start_us, end_us, limit))
+    same(lambda store: store.samples.read(asset, ["a"], 0, 2**62, limit, (start_us, "b")))
+    same(lambda store: store.samples.span(asset, None, start_us, end_us, 1000))
+    same(lambda store: store.samples.latest(asset))
+    same(lambda store: store.samples.first_time_us(asset))
+    same(lambda store: [n for (a, _), n in store.samples.counts(1000).items() if a == asset])
+    same(lambda store: [t for (a, _), t in store.samples.open_ends().items() if a == asset])
+    for bucket_us in (SECOND_US, 7 * SECOND_US, MINUTE_US, HOUR_US):
+        rollups = [
+            store.history.read(asset, None, start_us, end_us, bucket_us, 1000)
+            for store in (shared_store, plain_store)
+        ]
+        assert len(rollups[0]) == len(rollups[1])
+        for mine, other in zip(*rollups, strict=True):
+            assert (mine.channel, mine.time_us, mine.min, mine.max, mine.count, mine.quality) == (
+                other.channel, other.time_us, other.min, other.max, other.count, other.quality
+            )  # fmt: skip
+            if mine.count:
+                assert mine.mean == pytest.approx(other.mean, rel=1e-9, abs=1e-6)
+
+
+def bits(found: Any) -> str:
+    return repr(found)
+
+
+@pytest.mark.parametrize("offset_us", [0, -MINUTE_US // 2])
+def test_minutes_that_reach_over_the_end_of_an_hour_are_one(
+    store: Store, plain_store: Store, offset_us: int
+) -> None:
+    for one in (store, plain_store):
+        polled(one, seconds=7300, channels=2)
+    assert packed(store, START_US + HOUR_US) == 2
+    span = (START_US, START_US + 3 * HOUR_US)
+    tables = [
+        one.history.minute_averages("bench-1", ["t_0", "t_1"], *span, offset_us=offset_us)
+        for one in (store, plain_store)
+    ]
+    assert tables[0].minute_us.tolist() == tables[1].minute_us.tolist()
+    for name in ("t_0", "t_1"):
+        np.testing.assert_allclose(tables[0].mean[name], tables[1].mean[name], rtol=1e-14)
+        assert tables[0].good_count[name].tolist() == tables[1].good_count[name].tolist()
+
+
+def test_what_one_poll_brought_takes_less_than_two_and_a_half_bytes_a_sample(
+    store: Store,
+) -> None:
+    count = polled(store)
+    assert packed(store) == 8
+    assert in_table(store) == 0
+    assert len(blocks(store)) == 1, "one column of times for all"
+    assert sum(map(len, blocks(store))) / count < 2.5
+
+
+def test_a_channel_of_its_own_times_takes_less_than_seven_bytes_a_sample(store: Store) -> None:
+    rng = np.random.default_rng(4)
+    times_us = START_US + np.sort(rng.integers(0, HOUR_US, 600))
+    values = 2650 + np.cumsum(rng.normal(0, 0.5, 600)).round(2)
+    store.samples.write(
+        [
+            Sample("bench-1", "load_n", time_us, value, 192, 0)
+            for time_us, value in zip(times_us.tolist(), values.tolist(), strict=True)
+        ]
+    )
+    packed(store)
+    assert sum(map(len, blocks(store))) / 600 < 7
+
+
+def test_an_hour_that_is_not_over_or_not_computed_stays_as_it_is(store: Store) -> None:
+    polled(store, seconds=60)
+    assert store.packing.pack(START_US + 2 * HOUR_US) == 0, "its rollups are not computed"
+    assert packed(store, START_US + HOUR_US - 1) == 0
+    assert packed(store, START_US + HOUR_US) == 8
+
+
+def test_what_is_sent_again_leaves_an_hour_packed(store: Store) -> None:
+    count = polled(store, seconds=100)
+    packed(store)
+    rows = store.samples.read("bench-1", None, 0, 2**62, 10_000)
+    again = [Sample("bench-1", *row, 0) for row in rows]
+    assert store.samples.write(again) == (0, count)
+    assert in_table(store) == 0
+    # One that is new brings back the hour of its channel, and of no other.
+    late = Sample("bench-1", "t_3", START_US + 7, 1.0, 192, 0)
+    assert store.samples.write([late, *again]) == (1, count)
+    assert in_table(store) == 101
+    assert packed(store) == 1
+    assert in_table(store) == 0
+    assert len(store.samples.read("bench-1", None, 0, 2**62, 10_000)) == count + 1
+
+
+@pytest.mark.parametrize("keeps_seconds", [True, False])
+def test_retention_removes_packed_hours_as_it_removes_others(
+    store: Store, tmp_path: Path, keeps_seconds: bool
+) -> None:
+    retention = Retention(raw_days=1 / 24, second_days=30.0 if keeps_seconds else 0.0)
+
+    def after_expiry(one: Store, pack_first: bool) -> tuple[Any, ...]:
+        for hour in range(4):
+            polled(one, 90, 3, START_US + hour * HOUR_US, seed=hour)
+        if pack_first:
+            assert packed(one, START_US + 3 * HOUR_US) == 9
+        removed = one.rollups.expire(retention, START_US + 4 * HOUR_US)
+        left = one.samples.read("bench-1", None, 0, 2**62, 10_000)
+        seconds = one.history.read("bench-1", None, 0, START_US + 9 * HOUR_US, SECOND_US, 10_000)
+        return removed, left, [(s.channel, s.time_us, s.min, s.max, s.count) for s in seconds]
+
+    with Store.open("", tmp_path / "plain") as plain:
+        expected = after_expiry(plain, pack_first=False)
+    assert after_expiry(store, pack_first=True) == expected
+    assert expected[0] == 2 * 90 * 3
+
+
+def damaged_block(store: Store) -> None:
+    """Change one bit of the oldest block."""
+    with store._database.writing() as connection:
+        number, data = connection.execute(
+            select(SampleBlockRow.id, SampleBlockRow.data).order_by(SampleBlockRow.id).limit(1)
+        ).one()
+        broken = bytearray(data)
+        broken[len(broken) // 2] ^= 1
+        connection.execute(
+            text("UPDATE sample_blocks SET data = :data WHERE id = :number"),
+            {"data": bytes(broken), "number": number},
+        )
+
+
+def test_a_damaged_block_costs_only_itself(store: Store) -> None:
+    for hour in range(3):
+        polled(store, 100, 2, START_US + hour * HOUR_US)
+    packed(store)
+    assert store.packing.find_damage() is None
+    damaged_block(store)
+    rows = store.samples.read("bench-1", None, 0, 2**62, 10_000)
+    assert len(rows) == 400
+    assert min(row.time_us for row in rows) > START_US + HOUR_US
+    problem = store.find_damage()
+    assert problem is not None
+    assert "1 blocks of samples are damaged: 200 samples of bench-1" in problem
+    # It gets samples again, and is packed again.
+    assert polled(store, 50, 2) == 100
+    assert packed(store) == 2
+    assert len(store.samples.read("bench-1", None, 0, 2**62, 10_000)) == 500
+    assert store.find_damage() is None
+
+
+def test_an_hour_whose_block_is_gone_is_one_without_samples(store: Store) -> None:
+    polled(store, 100, 1)
+    packed(store)
+    with store._database.writing() as connection:
+        connection.execute(text("DELETE FROM sample_blocks"))
+    assert store.samples.read("bench-1", None, 0, 2**62, 10) == []
+    assert store.samples.latest("bench-1") == {}
+    assert polled(store, 100, 1) == 100
+
+
+def test_salvage_brings_packed_hours_over_and_no_row_twice(tmp_path: Path) -> None:
+    with Store.open("", tmp_path) as store:
+        for hour in range(3):
+            polled(store, 100, 2, START_US + hour * HOUR_US)
+        packed(store)
+        damaged_block(store)
+        with store._database.writing() as connection:
+            path = Path(store._database.name)
+            assert len(hours_of(connection, {1, 2}, 0, 2**62)) == 6
+    # The pages that the rows were on before are free, and still hold them.
+    salvaged = salvage_store(path, "a test")
+    assert salvaged.rows["sample_blocks"] == 2
+    with Store.open("", tmp_path) as store:
+        assert store.find_damage() is None
+        rows = store.samples.read("bench-1", None, START_US + HOUR_US, 2**62, 10_000)
+        assert len(rows) == 400
+        assert len({(row.channel, row.time_us) for row in rows}) == 400
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2**62), st.floats(), st.integers(0, 255)),
+        min_size=1, max_size=50, unique_by=lambda row: row[0],
+    )
+)  # fmt: skip
+def test_a_block_holds_every_bit(rows: list[tuple[int, float, int]]) -> None:
+    times_us, values, qualities = zip(*sorted(rows, key=lambda row: row[0]), strict=True)
+    samples = Samples(
+        np.array(times_us, np.int64), np.array(values), np.array(qualities, np.uint16)
+    )
+    other = samples._replace(values=-samples.values)
+    block = pack([samples, other])
+    for position, expected in enumerate((samples, other)):
+        found = unpack(block, position)
+        for mine, column in zip(found, expected, strict=True):
+            assert mine.dtype == column.dtype
+            assert mine.tobytes() == column.tobytes()
+
+
+def test_a_block_of_a_later_version_says_so() -> None:
+    samples = Samples(np.array([1]), np.array([math.pi]), np.array([192], np.uint16))
+    with pytest.raises(BlockDamagedError, match="codec 2: expected 1"):
+        unpack(pack([samples])._replace(codec=2), 0)
+    with pytest.raises(ValueError, match="the same times"):
+        pack([samples, samples._replace(times_us=np.array([2]))])
