@@ -307,7 +307,9 @@ def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None,
     newest = None
     for time_us, value, quality in connection.execute(query):
         newest = (time_us, value, quality)
-    return packed.newest(connection, channel_id, newest[0] if newest else -1) or newest
+    # A damaged page may give a row without a time.
+    after_us = newest[0] if newest and newest[0] else -1
+    return packed.newest(connection, channel_id, after_us) or newest
 
 
 def _make_channel(connection: Connection, asset: str, name: str) -> int:
