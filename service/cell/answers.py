@@ -22,10 +22,10 @@ from service.bus.messages import Command
 from service.bus.presence import resident_bytes
 from service.bus.replica import digest
 from service.bus.stream import Bus
-from service.documents.interfaces import JobManager
 from service.domain.errors import NotKeptError, PushRefusedError
 from service.domain.requests import IdentificationRequest
 from service.ingest import Ingest
+from service.jobs.manager import IdentificationJobs
 from service.live.asset import AssetRuntime
 from service.live.asset_documents import TWIN_SOURCE, AssetDocuments
 from service.store import Alarm, AuditEntry, Outbox, Store, StoreUnavailableError
@@ -54,7 +54,7 @@ class Parts:
     ingest: Ingest
     alarms: AlarmBook
     assets: Mapping[str, AssetRuntime]
-    jobs: JobManager
+    jobs: IdentificationJobs
     registry: CollectorRegistry
     sources: Callable[[], Sequence[SourceHealth]]
     problems: Callable[[], Mapping[str, str | None]] = dict

@@ -40,7 +40,7 @@ class Activations:
         force: bool,
         line: AuditEntry | None = None,
     ) -> ModelDocument:
-        """Make a version the active one; see `service.documents.interfaces.JobManager`.
+        """Make a version the active one; see `service.jobs.manager.IdentificationJobs`.
 
         The line of the audit trail, where there is one, is written in the same transaction.
         """

@@ -123,7 +123,17 @@ class IdentificationJobs:
         who: str,
         audit: AuditEntry | None = None,
     ) -> tuple[JobDocument, bool]:
-        """Queue a job; see `service.documents.interfaces.JobManager`."""
+        """Queue a job; returns it and whether it is new (False: the idempotency key matched).
+
+        Raises
+        ------
+        JobConflictError
+            While another job runs for this asset.
+        RequestRefusedError
+            When the request cannot be served, for example windows without data.
+        KeyUsedBeforeError
+            When the idempotency key stands for another request.
+        """
         windows = await self._windows(asset_id, request)
         document = {
             "windows": [{"start": rfc3339(start), "end": rfc3339(end)} for start, end in windows],
@@ -237,7 +247,15 @@ class IdentificationJobs:
         force: bool,
         audit: AuditEntry | None = None,
     ) -> ModelDocument:
-        """Make a version the active one and switch the live twin to it."""
+        """Make a version the active one and switch the live twin to it.
+
+        Raises
+        ------
+        ActivationRefusedError
+            When the version was rejected and is not forced.
+        KeyError
+            When there is no such version.
+        """
         return await self._activations.activate(asset_id, version, who, comment, force, audit)
 
     def busy(self, asset_id: str) -> bool:

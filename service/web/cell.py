@@ -173,7 +173,7 @@ class CellIngest:
 
 
 class CellJobs:
-    """The jobs of the cell; see `service.documents.interfaces.JobManager`."""
+    """The jobs of the cell; see `service.jobs.manager.IdentificationJobs`."""
 
     def __init__(self, reader: ReaderBus, shared: Shared) -> None:
         self._reader = reader

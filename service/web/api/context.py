@@ -8,10 +8,9 @@ from prometheus_client import CollectorRegistry
 from adapters.protocol import Clock
 from service.bus.replica import AssetReplica
 from service.bus.stream import Bus
-from service.documents.interfaces import JobManager
 from service.site.settings import Settings
 from service.store import Outbox, Store
-from service.web.cell import CellAlarms, CellHealth, CellIngest
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs
 
 
 async def _nothing() -> None:
@@ -51,7 +50,7 @@ class ServiceContext:
     ingest: CellIngest
     alarms: CellAlarms
     assets: Mapping[str, AssetReplica]
-    jobs: JobManager
+    jobs: CellJobs
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
     changed: Callable[[str | None], None] = lambda asset: None

@@ -18,10 +18,10 @@ from adapters.samples import Quality, Sample
 from service.bus.memory import MemoryBus
 from service.bus.replicas import Replicas
 from service.cell.answers import Answers, Parts
-from service.documents.interfaces import JobManager
 from service.documents.limits import Limit
 from service.documents.verdicts import VerdictDocument
 from service.ingest import Ingest, Spool
+from service.jobs.manager import IdentificationJobs
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_over
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
@@ -298,7 +298,7 @@ async def open_web(
             ingest=ingest,
             alarms=live.alarms,
             assets={"bench-1": live.runtime},
-            jobs=cast(JobManager, None),
+            jobs=cast(IdentificationJobs, None),
             registry=registry,
             sources=lambda: [],
         )
