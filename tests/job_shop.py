@@ -16,6 +16,7 @@ from service.bus.stream import Bus
 from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
+from service.jobs.runner import JobRunner
 from service.jobs.worker import JobOrder, JobResult
 from service.live.asset import AssetRuntime
 from service.store import Job, Outbox, Store
@@ -86,14 +87,16 @@ class Shop:
     ) -> IdentificationJobs:
         """Start a manager, as a start of the service would."""
         jobs = IdentificationJobs(
-            self.store,
-            self.clock,
-            self.bus,
-            self.assets,
-            self.histories,
-            make_executor or (lambda: executor or ThreadPoolExecutor(1)),
-            self.folder,
-            self.seconds.append,
+            JobRunner(
+                self.store,
+                self.clock,
+                self.bus,
+                self.assets,
+                self.histories,
+                make_executor or (lambda: executor or ThreadPoolExecutor(1)),
+                self.folder,
+                self.seconds.append,
+            )
         )
         self.managers.append(jobs)
         await jobs.start()

@@ -30,6 +30,7 @@ from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
+from service.jobs.runner import JobRunner
 from service.live.asset import AssetRuntime
 from service.live.kept import KeptState
 from service.site.settings import AssetSection, Settings
@@ -139,14 +140,16 @@ class Cell:
             buckets=(1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600),
         )
         self.jobs = IdentificationJobs(
-            store,
-            clock,
-            self.bus,
-            self.assets,
-            self.histories,
-            make_executor,
-            settings.data_dir / "jobs",
-            job_seconds.observe,
+            JobRunner(
+                store,
+                clock,
+                self.bus,
+                self.assets,
+                self.histories,
+                make_executor,
+                settings.data_dir / "jobs",
+                job_seconds.observe,
+            )
         )
         self.maintenance = StoreMaintenance(
             store, clock, Retention(**settings.retention.model_dump())

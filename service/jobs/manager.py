@@ -7,28 +7,21 @@ goes on from there.
 """
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import anyio.to_thread
 import structlog
 
-from adapters.protocol import Clock
 from service.clock import rfc3339
 from service.documents.identification import JobDocument
-from service.documents.interfaces import Publisher
 from service.documents.models import ModelDocument
 from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestRefusedError
 from service.domain.requests import IdentificationRequest
-from service.jobs.activation import Activations
 from service.jobs.documents import shown
-from service.jobs.history import AssetHistory
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
 from service.jobs.workspace import JobFolder, clear_folders
-from service.live.asset import AssetRuntime
-from service.store import ActiveJobError, AuditEntry, Store, StoreUnavailableError
+from service.store import ActiveJobError, AuditEntry, StoreUnavailableError
 
 _log = structlog.get_logger(__name__)
 
@@ -38,53 +31,13 @@ class IdentificationJobs:
 
     Parameters
     ----------
-    store, clock, bus
-        Where rows live, process time, live messages.
-    assets : mapping of str to AssetRuntime
-        The live twins to be switched.
-    histories : mapping of str to AssetHistory
-        Where the data of each asset come from.
-    make_executor : callable
-        Makes the background executor; called again after a worker died or was ended.
-    folder : pathlib.Path
-        Where the workers' folders are made.
-    observe_seconds : callable
-        Takes the wall seconds of a job that has ended.
-
-    Attributes
-    ----------
     runner : JobRunner
         Runs them.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        clock: Clock,
-        bus: Publisher,
-        assets: Mapping[str, AssetRuntime],
-        histories: Mapping[str, AssetHistory],
-        make_executor: Callable[[], Executor],
-        folder: Path,
-        observe_seconds: Callable[[float], None],
-    ) -> None:
-        self._store = store
-        self._clock = clock
-        self._assets = assets
-        self._histories = histories
-        self._folder = folder
-        self._activations = Activations(store, clock, assets)
-        self.runner = JobRunner(
-            store,
-            clock,
-            bus,
-            assets,
-            histories,
-            self._activations,
-            make_executor,
-            folder,
-            observe_seconds,
-        )
+    def __init__(self, runner: JobRunner) -> None:
+        self.runner = runner
+        self._store, self._clock, self._assets = runner.store, runner.clock, runner.assets
 
     # ------------------------------------------------------------------ life
     async def start(self) -> None:
@@ -92,7 +45,7 @@ class IdentificationJobs:
         self.runner.start()
         unfinished = await anyio.to_thread.run_sync(self._store.jobs.unfinished)
         kept = {job.id for job in unfinished}
-        await anyio.to_thread.run_sync(clear_folders, self._folder, kept)
+        await anyio.to_thread.run_sync(clear_folders, self.runner.folder, kept)
         for job in unfinished:
             if job.asset not in self._assets:
                 continue
@@ -176,7 +129,7 @@ class IdentificationJobs:
     async def _windows(
         self, asset_id: str, request: IdentificationRequest
     ) -> list[tuple[int, int]]:
-        history = self._histories[asset_id]
+        history = self.runner.histories[asset_id]
         if request.windows == "auto":
             found = await history.windows()
             if not found:
@@ -234,7 +187,7 @@ class IdentificationJobs:
             )
         if cancelled is None:  # it had ended before
             return await self.job(asset_id, job_id)
-        await anyio.to_thread.run_sync(JobFolder(self._folder / job_id).cancel)
+        await anyio.to_thread.run_sync(JobFolder(self.runner.folder / job_id).cancel)
         self.runner.publish(cancelled)
         return shown(cancelled, self.runner.progress.get(job_id))
 
@@ -256,7 +209,7 @@ class IdentificationJobs:
         KeyError
             When there is no such version.
         """
-        return await self._activations.activate(asset_id, version, who, comment, force, audit)
+        return await self.runner.activations.activate(asset_id, version, who, comment, force, audit)
 
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running in this service."""

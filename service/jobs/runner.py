@@ -55,8 +55,6 @@ class JobRunner:
         The live twins to be switched.
     histories : mapping of str to AssetHistory
         Where the data of each asset come from.
-    activations : Activations
-        Make a version the active one.
     make_executor : callable
         Makes the background executor; called again after a worker died or was ended.
     folder : pathlib.Path
@@ -71,6 +69,8 @@ class JobRunner:
         from the checkpoint, then it fails. Until then the jobs of other assets wait.
     progress : ProgressCache
         What the workers last reported.
+    activations : Activations
+        Makes a version the active one.
     deciding : asyncio.Lock
         Whether a job is cancelled or its result takes effect is decided for good under this.
     """
@@ -82,7 +82,6 @@ class JobRunner:
         bus: Publisher,
         assets: Mapping[str, AssetRuntime],
         histories: Mapping[str, AssetHistory],
-        activations: Activations,
         make_executor: Callable[[], Executor],
         folder: Path,
         observe_seconds: Callable[[float], None],
@@ -90,15 +89,12 @@ class JobRunner:
         self.stalled_after_wall_s = STALLED_AFTER_WALL_S
         self.progress = ProgressCache()
         self.deciding = asyncio.Lock()
-        self._store = store
-        self._clock = clock
+        self.store, self.clock, self.folder = store, clock, folder
+        self.assets, self.histories = assets, histories
+        self.activations = Activations(store, clock, assets)
         self._bus = bus
-        self._assets = assets
-        self._histories = histories
-        self._activations = activations
         self._make_executor = make_executor
         self._executor: Executor | None = None
-        self._folder = folder
         self._observe_seconds = observe_seconds
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
@@ -135,7 +131,7 @@ class JobRunner:
 
     async def _run(self, job_id: str) -> None:
         async with self._one_at_a_time:
-            folder = JobFolder(self._folder / job_id)
+            folder = JobFolder(self.folder / job_id)
             try:
                 while not await self._has_ended(job_id, folder):
                     pass
@@ -146,7 +142,7 @@ class JobRunner:
     async def _has_ended(self, job_id: str, folder: JobFolder) -> bool:
         """Try once to bring a job to its end; False when it is to be tried again."""
         try:
-            job = await anyio.to_thread.run_sync(self._store.jobs.get, job_id)
+            job = await anyio.to_thread.run_sync(self.store.jobs.get, job_id)
             if job is None or job.status not in UNFINISHED:
                 return True  # cancelled while it waited
             known = await self._model_of(job)
@@ -185,7 +181,7 @@ class JobRunner:
             "start",
             attempts=job.attempts if job.id in self._interrupted else job.attempts + 1,
             progress=0.0,
-            started_at_us=self._clock.now_us(),
+            started_at_us=self.clock.now_us(),
         )
         if started is None:
             return
@@ -201,14 +197,14 @@ class JobRunner:
 
     async def _model_of(self, job: Job) -> ModelVersion | None:
         """Find the version that a job stored before the service was stopped or killed."""
-        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
+        versions = await anyio.to_thread.run_sync(self.store.models.versions, job.asset)
         return next((one for one in versions if one.document["job"] == job.id), None)
 
     async def _work(self, job: Job, folder: JobFolder) -> JobResult | None:
-        asset, history = self._assets[job.asset], self._histories[job.asset]
+        asset, history = self.assets[job.asset], self.histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
-        versions = await anyio.to_thread.run_sync(self._store.models.versions, job.asset)
+        versions = await anyio.to_thread.run_sync(self.store.models.versions, job.asset)
         order = JobOrder(
             folder=folder,
             machine=machine_of(asset.settings),
@@ -256,7 +252,7 @@ class JobRunner:
         if result is None:
             await self._end(job.id, "cancel", "cancelled")
             return
-        document = identified_document(job, result, self._assets[job.asset].settings)
+        document = identified_document(job, result, self.assets[job.asset].settings)
         status: ModelStatus = "candidate" if result.gates.accepted else "rejected"
         async with self.deciding:
             still_wanted = await self.change(
@@ -268,34 +264,34 @@ class JobRunner:
             if still_wanted is None:
                 return  # cancelled at the very end: the result must not take effect
             number = await anyio.to_thread.run_sync(
-                self._store.models.add,
+                self.store.models.add,
                 job.asset,
                 status,
                 with_drift(result.gates.reason, result.drift),
                 document,
-                self._clock.now_us(),
+                self.clock.now_us(),
             )
-            version = await anyio.to_thread.run_sync(self._store.models.version, job.asset, number)
+            version = await anyio.to_thread.run_sync(self.store.models.version, job.asset, number)
             if version is None:
                 raise RuntimeError(f"model version {number} of {job.asset!r} is gone")
-            tell(job.asset, version, self._assets[job.asset].drift_reported)
+            tell(job.asset, version, self.assets[job.asset].drift_reported)
             await self._take_effect(still_wanted, version)
 
     async def _take_effect(self, job: Job, version: ModelVersion) -> None:
         """Activate what may be activated by itself; whoever sees the job's end sees that too."""
-        ladder = self._assets[job.asset].settings.identification.ladder
+        ladder = self.assets[job.asset].settings.identification.ladder
         if version.status == "candidate" and ladder == "apply":
             number, reason = version.version, version.reason
             line = audit_line("model.activate", f"asset {job.asset}, version {number}", reason)
             # In one transaction: a service that is killed leaves no change without its line.
-            await self._activations.activate(
+            await self.activations.activate(
                 job.asset, number, AUTOMATIC, reason, force=False, line=line
             )
         ended = await self.change(
             job.id,
             "succeed",
             progress=1.0,
-            ended_at_us=self._clock.now_us(),
+            ended_at_us=self.clock.now_us(),
             model_version=version.version,
         )
         if ended is not None:
@@ -312,7 +308,7 @@ class JobRunner:
         while True:
             try:
                 ended = await self.change(
-                    job_id, event, error=error, ended_at_us=self._clock.now_us()
+                    job_id, event, error=error, ended_at_us=self.clock.now_us()
                 )
             except StoreUnavailableError as away:
                 _log.warning("job_waits_for_the_store", job=job_id, error=str(away))
@@ -327,7 +323,7 @@ class JobRunner:
         transition = TRANSITIONS[event]
         # A service that stops does not wait for a store that does not answer.
         return await anyio.to_thread.run_sync(
-            lambda: self._store.jobs.update(
+            lambda: self.store.jobs.update(
                 job_id, only_if=transition.before, status=transition.after, **changes
             ),
             abandon_on_cancel=True,
