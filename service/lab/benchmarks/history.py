@@ -1,12 +1,13 @@
 """Reading a month of history for a screen, and what a stored sample costs."""
 
 import contextlib
-import math
 import sqlite3
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from adapters.samples import Quality, Sample
 from service.lab.benchmarks.common import Measurement, Progress, shortest_s
@@ -59,37 +60,68 @@ def query_auto(tell: Progress, *, days: float = 30.0) -> Measurement:
 
 
 def bytes_per_sample(tell: Progress, *, days: float = 1.0) -> Measurement:
-    """Size of the SQLite file per sample, rollups and everything else included."""
+    """Size of the SQLite file per sample, rollups and everything else included.
+
+    Hours are packed as they pass, as a service does.
+    """
     seconds = round(86_400 * days)
     with tempfile.TemporaryDirectory() as folder:
         with Store.open("", Path(folder)) as store:
             empty = _file_bytes(Path(folder))
-            _fill(store, seconds, lambda done: tell(done, f"storing {days:g} days at 1 Hz"))
+            doing = f"storing {days:g} days at 1 Hz"
+            _fill(store, seconds, lambda done: tell(done, doing), packed=True)
         full = _file_bytes(Path(folder))
+        block_bytes = _block_bytes(Path(folder) / FILE_NAME)
     count = seconds * len(_CHANNELS)
     return Measurement(
         (full - empty) / count,
         "B",
         _RAW_BYTES,
         "8 bytes of time, 8 of value, 1 of quality",
-        {"samples": count, "file_bytes": full},
+        {"samples": count, "file_bytes": full, "block_bytes_per_sample": block_bytes / count},
     )
 
 
-def _fill(store: Store, seconds: int, tell: Callable[[float], None]) -> None:
-    """Store this many seconds of all channels at 1 Hz, in order of time, and the rollups."""
+def _fill(
+    store: Store, seconds: int, tell: Callable[[float], None], *, packed: bool = False
+) -> None:
+    """Store this many seconds of all channels at 1 Hz, in order of time, and the rollups.
+
+    Polls come up to 3 ms late, and transmitters have steps of 0.1 °C.
+    """
+    noise = np.random.default_rng(1)
     for begin in range(0, seconds, _BATCH_S):
-        samples = []
-        for second in range(begin, min(begin + _BATCH_S, seconds)):
-            time_us = _BEGIN_US + second * _SECOND_US
-            value = 60.0 + 20.0 * math.sin(second / 7000.0) + second % 10 * 0.1
-            samples += [
-                Sample(_ASSET, name, time_us, value, Quality.GOOD, time_us) for name in _CHANNELS
-            ]
+        at_s = np.arange(begin, min(begin + _BATCH_S, seconds))
+        times_us = _BEGIN_US + at_s * _SECOND_US + noise.integers(0, 3000, at_s.size)
+        course = 60.0 + 20.0 * np.sin(at_s / 7000.0)
+        samples = [
+            Sample(_ASSET, name, time_us, value, Quality.GOOD, time_us)
+            for name in _CHANNELS
+            for time_us, value in zip(
+                times_us.tolist(),
+                np.round(course + noise.normal(0.0, 0.05, at_s.size), 1).tolist(),
+                strict=True,
+            )
+        ]
         store.samples.write(samples)
+        if packed:
+            _keep(store, _BEGIN_US + begin * _SECOND_US, packed=True)
         tell(0.9 * begin / seconds)
-    while store.rollups.refresh(_BEGIN_US + seconds * _SECOND_US):
-        tell(0.95)
+    _keep(store, _BEGIN_US + seconds * _SECOND_US, packed=packed)
+
+
+def _keep(store: Store, before_us: int, *, packed: bool) -> None:
+    """Do what the service does next to its work."""
+    while store.rollups.refresh(before_us):
+        pass
+    while packed and store.packing.pack(before_us):
+        pass
+
+
+def _block_bytes(path: Path) -> int:
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        (total,) = connection.execute("SELECT SUM(LENGTH(data)) FROM sample_blocks").fetchone()
+    return int(total or 0)
 
 
 def _read_raw(path: Path) -> tuple[float, int]:
