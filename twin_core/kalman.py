@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from twin_core.simulation.assembly import driving_value, modal_basis
 from twin_core.simulation.compiling import compiled
-from twin_core.simulation.kernels import simulate_kernel
 from twin_core.simulation.laws import (
     COPPER,
     edge_conductance,
@@ -21,6 +20,7 @@ from twin_core.simulation.laws import (
     friction_heat_w,
     loss_at_zero_w,
 )
+from twin_core.simulation.linear import product, solve_in_place, transposed
 
 FloatArray = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def generated_heat_w(  # type: ignore[no-untyped-def]
     for e in range(net.edge_kind.size):
         loss = net.edge_kind[e]
         if loss >= COPPER:
-            driving = driving_value(net, e, given)
+            driving = driving_value(net.edge_input, e, given)
             heat += loss_at_zero_w(loss, coefficient[e], speed, driving)
             slope = -edge_conductance(loss, coefficient[e], speed, 0.0, driving)
             heat += slope * temperature[net.edge_nodes[e, 0]]
@@ -171,7 +171,7 @@ def transition_and_noise(  # type: ignore[no-untyped-def]
     white = np.empty((count, count))
     near = np.empty(count)
     mixed = np.empty(count)
-    response = np.dot(modes, disturbance)
+    response = product(modes, disturbance)
     for k in range(count):
         # A mode exactly as fast as the disturbance would divide by zero; a part in 1e4 is moot.
         near[k] = _A * 1.0002 if abs(rate[k] - _A) < 1e-4 * _A else rate[k]
@@ -183,46 +183,39 @@ def transition_and_noise(  # type: ignore[no-untyped-def]
             driven[k, j] = (fade - decay) * response[k, j]
             crossed[k, j] = 2.0 * _A * (own - mixed[k]) * response[k, j]
             white[k, j] = modes[k, j] * density[j]
-    noise = np.dot(white, modes.T)
-    spread = np.dot(response, response.T)
+    noise = product(white, transposed(modes))
+    spread = product(response, transposed(response))
     for k in range(count):
         for j in range(count):
             pair = decay_integral(near[k] + near[j], step)
             noise[k, j] *= pair
             noise[k, j] += 2.0 * _A * spread[k, j] * (own - mixed[k] - mixed[j] + pair)
+    across = transposed(modes)
     return (
-        np.dot(modes.T, decayed),
-        np.dot(modes.T, driven),
+        product(across, decayed),
+        product(across, driven),
         fade,
-        np.dot(np.dot(modes.T, noise), modes),
-        np.dot(modes.T, crossed),
+        product(product(across, noise), modes),
+        product(across, crossed),
         2.0 * _A * own,
     )
 
 
 @compiled
-def predict_range(  # type: ignore[no-untyped-def]
-    net, machines, known, estimates, step_s, speed, load, ambient, given, failed, start, stop
+def disturb_range(  # type: ignore[no-untyped-def]
+    net, machines, known, estimates, step_s, speed, load, given, heat, scale
 ):
-    """Advance machines start..stop-1, each by its own step at its own operating point.
+    """Begin a step of every machine: its modes, and the heats of its disturbances.
 
-    A machine whose model runs away is left as it was, and told in `failed`.
+    `step_s`, `speed` and `load` are (n,), `given` (n, inputs). Fills heat (n, nodes) with the
+    mean heats in W over the step, and scale (n,) with the heat that scales the disturbances.
     """
     count = net.capacity.size
-    time = np.zeros(2)
-    at_speed, at_load, at_ambient = np.empty(2), np.empty(2), np.empty(2)
-    at_inputs = np.empty((2, given.shape[1]))
-    density = np.empty(count)
-    heat = np.empty(count)
-    path = np.empty((2, count))
-    for i in range(start, stop):
-        failed[i] = False
-        step = step_s[i]
+    for i in range(step_s.size):
+        step, n, f = step_s[i], speed[i], load[i]
         if step <= 0.0:
             continue
-        n, f = abs(speed[i]), max(load[i], 0.0)
         capacity, coefficient = machines.capacity[i], machines.coefficient[i]
-        friction = machines.friction[i]
         modes, tie = known.modes[i], known.tie_w_k[i]
         moved = n != known.point[i, 0] or f != known.point[i, 1]
         for k in range(given.shape[1]):
@@ -246,62 +239,76 @@ def predict_range(  # type: ignore[no-untyped-def]
                     tie[j] += modes[k, j] * modes[k, j] * known.rate[i, k]
                 tie[j] *= capacity[j] * capacity[j]
             known.point[i, 0], known.point[i, 1] = n, f
-            known.given[i] = given[i]
-        temperature, state = estimates.temperatures_c[i], estimates.disturbances[i]
-        turned = estimates.revolutions[i]
-        now_w = generated_heat_w(net, coefficient, friction, temperature, n, f, given[i], turned)
-        heat_w = max(now_w, estimates.heat_w[i])
+            for k in range(given.shape[1]):
+                known.given[i, k] = given[i, k]
+        now_w = generated_heat_w(
+            net,
+            coefficient,
+            machines.friction[i],
+            estimates.temperatures_c[i],
+            n,
+            f,
+            given[i],
+            estimates.revolutions[i],
+        )
+        scale[i] = max(now_w, estimates.heat_w[i])
         disturbance = disturbance_heats_w(
-            machines.structure[i], machines.structure_size[i], tie, heat_w
+            machines.structure[i], machines.structure_size[i], tie, scale[i]
         )
         mean_fading = decay_integral(_A, step) / step
         for j in range(count):
-            heat[j] = 0.0
+            heat[i, j] = 0.0
             for k in range(count):
-                heat[j] += disturbance[j, k] * state[k]
-            heat[j] *= mean_fading
-            # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
-            density[j] = min(HEAT_NOISE_W_SQRT_S**2, 2.0 * NOISE_LIMIT_K**2 * tie[j] * capacity[j])
-        time[1] = step
-        at_speed[:] = n
-        at_load[:] = f
-        at_ambient[:] = ambient[i]
-        at_inputs[:] = given[i]
-        bad = simulate_kernel(
-            net,
-            machines.values[i],
-            time,
-            at_speed,
-            at_load,
-            at_ambient,
-            at_inputs,
-            temperature.copy(),
-            turned,
-            heat,
-            0.0,
-            2,
-            path,
-        )
-        if bad >= 0:
-            failed[i] = True
+                heat[i, j] += disturbance[j, k] * estimates.disturbances[i, k]
+            heat[i, j] *= mean_fading
+
+
+@compiled
+def predict_range(  # type: ignore[no-untyped-def]
+    machines, known, estimates, step_s, speed, failed, scale, path
+):
+    """Advance the machines, each by its own step; of those that failed nothing changes.
+
+    `scale` is what `disturb_range` gave, `path` (n, 2, nodes) the simulated temperatures.
+    """
+    count = known.rate.shape[1]
+    density = np.empty(count)
+    for i in range(step_s.size):
+        step = step_s[i]
+        if step <= 0.0 or failed[i] >= 0:
             continue
+        modes, tie = known.modes[i], known.tie_w_k[i]
+        disturbance = disturbance_heats_w(
+            machines.structure[i], machines.structure_size[i], tie, scale[i]
+        )
+        for j in range(count):
+            # White heat of density s alone gives a node the variance s / (2 G C) in the long run.
+            limit = 2.0 * NOISE_LIMIT_K**2 * tie[j] * machines.capacity[i, j]
+            density[j] = min(HEAT_NOISE_W_SQRT_S**2, limit)
         a, b, fade, noise, cross, own = transition_and_noise(
             step, known.rate[i], modes, known.inverse[i], disturbance, density
         )
         tt, td, dd = estimates.tt[i], estimates.td[i], estimates.dd[i]
-        x = np.dot(a, tt) + np.dot(b, td.T)
-        y = np.dot(a, td) + np.dot(b, dd)
-        new = np.dot(x, a.T) + np.dot(y, b.T)
+        x, more = product(a, tt), product(b, transposed(td))
+        y, other = product(a, td), product(b, dd)
+        for j in range(count):
+            for k in range(count):
+                x[j, k] += more[j, k]
+                y[j, k] += other[j, k]
+        new, more = product(x, transposed(a)), product(y, transposed(b))
+        for j in range(count):
+            for k in range(count):
+                new[j, k] += more[j, k]
         for j in range(count):
             for k in range(count):
                 tt[j, k] = 0.5 * (new[j, k] + new[k, j] + noise[j, k] + noise[k, j])
                 td[j, k] = fade * y[j, k] + cross[j, k]
                 dd[j, k] *= fade * fade
             dd[j, j] += own
-            temperature[j] = path[1, j]
-            state[j] *= fade
-        estimates.heat_w[i] = heat_w * math.exp(-step / DISTURBANCE_FADE_S)
-        estimates.revolutions[i] = turned + n * step / 60.0
+            estimates.temperatures_c[i, j] = path[i, 1, j]
+            estimates.disturbances[i, j] *= fade
+        estimates.heat_w[i] = scale[i] * math.exp(-step / DISTURBANCE_FADE_S)
+        estimates.revolutions[i] += speed[i] * step / 60.0
 
 
 @compiled
@@ -315,37 +322,53 @@ def update_range(  # type: ignore[no-untyped-def]
     `expected` (n, sensors) with the innovations in K and their variances, NaN where there is none.
     """
     sensors, count = rows.shape
+    chosen = np.empty(sensors, np.int64)
     for i in range(start, stop):
-        here = np.flatnonzero(np.isfinite(readings[i]))
+        given = 0
         for s in range(sensors):
             difference[i, s] = math.nan
             expected[i, s] = math.nan
-        if here.size == 0:
+            if math.isfinite(readings[i, s]):
+                chosen[given] = s
+                given += 1
+        if given == 0:
             continue
-        chosen = np.empty((here.size, count))
-        missed = np.empty(here.size)
         temperature, state = estimates.temperatures_c[i], estimates.disturbances[i]
-        for m in range(here.size):
-            missed[m] = readings[i, here[m]]
-            for j in range(count):
-                chosen[m, j] = rows[here[m], j]
-                missed[m] -= rows[here[m], j] * temperature[j]
         tt, td, dd = estimates.tt[i], estimates.td[i], estimates.dd[i]
-        to_t, to_d = np.dot(chosen, tt), np.dot(chosen, td)
-        spread = np.dot(to_t, chosen.T)
-        for m in range(here.size):
-            spread[m, m] += variance[i, here[m]]
-            difference[i, here[m]] = missed[m]
-            expected[i, here[m]] = spread[m, m]
-        gain_t, gain_d = np.linalg.solve(spread, to_t), np.linalg.solve(spread, to_d)
-        # The Joseph form, multiplied out: symmetric, and an error of the gain counts squared.
-        left_t, left_d = np.dot(spread, gain_t) - to_t, np.dot(spread, gain_d) - to_d
-        for j in range(count):
-            for m in range(here.size):
-                temperature[j] += gain_t[m, j] * missed[m]
-                state[j] += gain_d[m, j] * missed[m]
+        # The covariance of the readings with [T, d], and that of the readings.
+        to = np.zeros((given, 2 * count))
+        spread = np.zeros((given, given))
+        missed = np.empty(given)
+        for m in range(given):
+            row = rows[chosen[m]]
+            missed[m] = readings[i, chosen[m]]
             for k in range(count):
-                for m in range(here.size):
-                    tt[j, k] += gain_t[m, j] * left_t[m, k] - to_t[m, j] * gain_t[m, k]
-                    td[j, k] += gain_t[m, j] * left_d[m, k] - to_t[m, j] * gain_d[m, k]
-                    dd[j, k] += gain_d[m, j] * left_d[m, k] - to_d[m, j] * gain_d[m, k]
+                missed[m] -= row[k] * temperature[k]
+                if row[k] != 0.0:
+                    for j in range(count):
+                        to[m, j] += row[k] * tt[k, j]
+                        to[m, count + j] += row[k] * td[k, j]
+        for m in range(given):
+            for q in range(given):
+                for k in range(count):
+                    spread[m, q] += to[m, k] * rows[chosen[q], k]
+            spread[m, m] += variance[i, chosen[m]]
+            difference[i, chosen[m]] = missed[m]
+            expected[i, chosen[m]] = spread[m, m]
+        gain, left = to.copy(), spread.copy()
+        solve_in_place(left, gain)
+        # The Joseph form, multiplied out: symmetric, and an error of the gain counts squared.
+        left = product(spread, gain)
+        for m in range(given):
+            for j in range(2 * count):
+                left[m, j] -= to[m, j]
+        for j in range(count):
+            for m in range(given):
+                temperature[j] += gain[m, j] * missed[m]
+                state[j] += gain[m, count + j] * missed[m]
+            for k in range(count):
+                for m in range(given):
+                    gain_t, gain_d, d = gain[m, j], gain[m, count + j], count + k
+                    tt[j, k] += gain_t * left[m, k] - to[m, j] * gain[m, k]
+                    td[j, k] += gain_t * left[m, d] - to[m, j] * gain[m, d]
+                    dd[j, k] += gain_d * left[m, d] - to[m, count + j] * gain[m, d]

@@ -9,6 +9,7 @@ from twin_core.kalman import (
     Estimates,
     Machines,
     Modes,
+    disturb_range,
     disturbance_heats_w,
     predict_range,
     update_range,
@@ -17,7 +18,7 @@ from twin_core.machine_state import MachineState, course_known
 from twin_core.models import ThermalModel
 from twin_core.process_noise import disturbance_structure
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import kernels
+from twin_core.simulation import OperatingProfiles, kernels
 from twin_core.simulation.compiling import kernel_array
 
 FloatArray = NDArray[np.float64]
@@ -209,23 +210,57 @@ class Observers:
             for row in np.atleast_2d(drives):
                 self._model.holding(row)
         drives = np.array(np.broadcast_to(drives, (self.size, count)))
-        failed = np.zeros(self.size, np.bool_)
-        predict_range(
-            self._model.compiled,
+        net, step_s, ambient = self._model.compiled, given["dt_s"], given["ambient_c"]
+        speed, load = np.abs(given["speed_rpm"]), np.maximum(given["load_n"], 0.0)
+        heat = np.zeros(self._estimates.temperatures_c.shape)
+        scale, failed = np.zeros(self.size), np.empty(self.size, np.int64)
+        disturb_range(
+            net,
             self._machines,
             self._modes,
             self._estimates,
-            *given.values(),
+            step_s,
+            speed,
+            load,
             drives,
-            failed,
+            heat,
+            scale,
+        )
+        path = np.empty((self.size, 2, len(self._model.node_names)))
+        rows = np.empty((4, self.size, 2))
+        rows[0] = np.stack((np.zeros(self.size), step_s), axis=1)
+        for place, column in enumerate((speed, load, ambient), 1):
+            rows[place] = column[:, np.newaxis]
+        kernels.simulate_range(
+            net,
+            self._machines.values,
+            OperatingProfiles(
+                rows[0],
+                rows[1],
+                rows[2],
+                rows[3],
+                np.repeat(drives[:, np.newaxis], 2, axis=1),
+                np.where(step_s > 0.0, 2, 1),
+            ),
+            self._estimates.temperatures_c,
+            self._estimates.revolutions,
+            heat,
+            0.0,
+            np.full(self.size, 2),
             0,
             self.size,
+            failed,
+            path,
         )
-        moved = (given["dt_s"] > 0.0) & ~failed
-        self._ambient_c = np.where(moved, given["ambient_c"], self._ambient_c)
+        predict_range(
+            self._machines, self._modes, self._estimates, step_s, speed, failed, scale, path
+        )
+        ran_away = failed >= 0
+        moved = (step_s > 0.0) & ~ran_away
+        self._ambient_c = np.where(moved, ambient, self._ambient_c)
         for elapsed_s in self._elapsed_s.values():
-            elapsed_s[moved] += given["dt_s"][moved]
-        return failed
+            elapsed_s[moved] += step_s[moved]
+        return ran_away
 
     def update(self, names: Sequence[str], readings: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Take in readings of any sensors.

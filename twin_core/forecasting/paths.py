@@ -98,10 +98,12 @@ def net_heat_range(  # type: ignore[no-untyped-def]
     values (members, p), temperatures, flow and capacity (members, nodes), the last two filled.
     """
     for member in range(values.shape[0]):
-        flow[member] = heat_balance(
+        own, _ = heat_balance(
             net, values[member], temperatures[member], speed, load, ambient, revolutions
-        )[0]
-        capacity[member] = bind_network(net, values[member])[0]
+        )
+        held, _, _, _ = bind_network(net, values[member])
+        for i in range(own.size):
+            flow[member, i], capacity[member, i] = own[i], held[i]
 
 
 @compiled

@@ -36,11 +36,11 @@ def bind_network(net, values):  # type: ignore[no-untyped-def]
     capacity = np.empty(count)
     for i in range(count):
         capacity[i] = bound(net.capacity[i], net.capacity_parameter[i], values)
-    coefficient = np.empty_like(net.edge_coefficient)
+    coefficient = np.empty(net.edge_coefficient.shape)
     for e in range(coefficient.shape[0]):
         for j in range(coefficient.shape[1]):
             coefficient[e, j] = bound(net.edge_coefficient[e, j], net.edge_parameter[e, j], values)
-    friction = np.empty_like(net.friction_coefficient)
+    friction = np.empty(net.friction_coefficient.size)
     for j in range(friction.size):
         friction[j] = bound(net.friction_coefficient[j], net.friction_parameter[j], values)
     share = np.zeros(count)
@@ -74,26 +74,26 @@ def film_edges(net, coefficient):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def count_losses(net):  # type: ignore[no-untyped-def]
+def count_losses(edge_kind):  # type: ignore[no-untyped-def]
     """Tell how many edges are losses, and whether one of them changes with temperature."""
     losses, copper = 0, False
-    for e in range(net.edge_kind.size):
-        losses += net.edge_kind[e] >= COPPER
-        copper = copper or net.edge_kind[e] == COPPER
+    for e in range(edge_kind.size):
+        losses += edge_kind[e] >= COPPER
+        copper = copper or edge_kind[e] == COPPER
     return losses, copper
 
 
 @compiled
-def driving_value(net, edge, given):  # type: ignore[no-untyped-def]
+def driving_value(edge_input, edge, given):  # type: ignore[no-untyped-def]
     """Value of the input that drives a loss, of the inputs given (k,); 0 where none does."""
-    place = net.edge_input[edge]
+    place = edge_input[edge]
     return given[place] if place >= 0 else 0.0
 
 
 @compiled
 def boundary_values(net, ambient, given):  # type: ignore[no-untyped-def]
     """What the rows of `conductance_matrix`'s second result are multiplied with, (rows,)."""
-    losses, _ = count_losses(net)
+    losses, _ = count_losses(net.edge_kind)
     boundaries = 1 + net.boundary_input.size
     result = np.ones(boundaries + (1 if losses else 0))
     result[0] = ambient
@@ -107,7 +107,7 @@ def edge_conductances(net, coefficient, speed, load):  # type: ignore[no-untyped
     """Conductance of every edge in W/K (edges,), the inputs at the values held."""
     result = np.empty(net.edge_kind.size)
     for e in range(result.size):
-        driving = driving_value(net, e, net.inputs)
+        driving = driving_value(net.edge_input, e, net.inputs)
         result[e] = edge_conductance(net.edge_kind[e], coefficient[e], speed, load, driving)
     return result
 
@@ -121,12 +121,12 @@ def conductance_matrix(net, coefficient, speed, load, given):  # type: ignore[no
     """
     count = net.capacity.size
     matrix = np.zeros((count, count))
-    losses, _ = count_losses(net)
+    losses, _ = count_losses(net.edge_kind)
     boundaries = 1 + net.boundary_input.size
     outside = np.zeros((boundaries + (1 if losses else 0), count))
     for e in range(net.edge_kind.size):
         kind = net.edge_kind[e]
-        driving = driving_value(net, e, given)
+        driving = driving_value(net.edge_input, e, given)
         conductance = edge_conductance(kind, coefficient[e], speed, load, driving)
         a, b = net.edge_nodes[e, 0], net.edge_nodes[e, 1]
         matrix[a, a] += conductance
@@ -148,11 +148,17 @@ def loss_heats_w(net, coefficient, temperature, speed):  # type: ignore[no-untyp
     for e in range(net.edge_kind.size):
         kind = net.edge_kind[e]
         if kind >= COPPER:
-            node, driving = net.edge_nodes[e, 0], driving_value(net, e, net.inputs)
+            node, driving = net.edge_nodes[e, 0], driving_value(net.edge_input, e, net.inputs)
             slope = -edge_conductance(kind, coefficient[e], speed, 0.0, driving)
             heat[node] += loss_at_zero_w(kind, coefficient[e], speed, driving)
             heat[node] += slope * temperature[node]
     return heat
+
+
+@compiled
+def slower(matrix, capacity, first, second):  # type: ignore[no-untyped-def]
+    """Whether a node alone would follow its surroundings more slowly than another."""
+    return matrix[first, first] / capacity[first] < matrix[second, second] / capacity[second]
 
 
 @compiled
@@ -166,13 +172,20 @@ def modal_basis(  # type: ignore[no-untyped-def]
     (rows, n), see `conductance_matrix`. Without a solution all is NaN.
     """
     matrix, outside = conductance_matrix(net, coefficient, speed, load, given)
-    _, copper = count_losses(net)
+    _, copper = count_losses(net.edge_kind)
     count, width = modes.shape
-    root = np.sqrt(capacity)
+    root = np.empty(count)
+    order = np.empty(count, np.int64)
+    for i in range(count):
+        root[i] = math.sqrt(capacity[i])
+        # Slow nodes first, as the method likes it.
+        place = i
+        while place > 0 and slower(matrix, capacity, i, order[place - 1]):
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = i
     symmetric = np.zeros((count, width))
     total = 0.0
-    # Slow nodes first, as the method likes it.
-    order = np.argsort(np.diag(matrix) / capacity)
     for i in range(count):
         for j in range(count):
             a, b = order[i], order[j]
@@ -263,7 +276,9 @@ def heat_balance(  # type: ignore[no-untyped-def]
         node = film_node[k]
         excess, _ = film_excess_w(film_law[k, 0], film_law[k, 1], temperature[node] - ambient)
         flow[node] -= excess
-    return flow, heat + loss.sum()
+    for i in range(count):
+        heat += loss[i]
+    return flow, heat
 
 
 @compiled

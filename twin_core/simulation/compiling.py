@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 _FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], *, inlined: bool = False) -> Any:
     """Compile without the GIL, cached on disk where any cache folder is writable.
 
     numba notices a change of the file in which a function stands, but not of the functions that
@@ -22,11 +22,19 @@ def compiled(function: Callable[..., Any]) -> Any:
     (by the function's own name, not through a module's).
     """
     function.__qualname__ += f"_{_digest(function)}"
+    # Wrappers for callers in C are left out: nobody calls from there, and they take compile time.
+    options = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": _FAST_MATH,
+        "no_cfunc_wrapper": True,
+        "forceinline": inlined,
+    }
     try:
-        return njit(nogil=True, cache=True, error_model="numpy", fastmath=_FAST_MATH)(function)
+        return njit(cache=True, **options)(function)
     except RuntimeError:
         # Neither the package folder nor the user's cache folder can be written.
-        return njit(nogil=True, error_model="numpy", fastmath=_FAST_MATH)(function)
+        return njit(**options)(function)
 
 
 def kernel_array(values: ArrayLike) -> NDArray[np.float64]:
@@ -34,6 +42,10 @@ def kernel_array(values: ArrayLike) -> NDArray[np.float64]:
 
     For read-only arrays numba would compile code of their own, which may round differently.
     """
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        flags = values.flags
+        if flags.c_contiguous and flags.writeable and type(values) is np.ndarray:
+            return values
     return np.require(values, np.float64, ["C", "W"])
 
 

@@ -1,8 +1,10 @@
 """Many operating points held for many candidates: steady temperatures, times to limits."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_core.simulation.assembly import (
     bind_network,
@@ -23,6 +25,33 @@ from twin_core.simulation.laws import (
     friction_at_point,
     friction_heat_w,
 )
+from twin_core.simulation.linear import solve_in_place
+
+
+class HeldPoint(NamedTuple):
+    """A network with its parameters, at one operating point.
+
+    Attributes
+    ----------
+    friction_kind, friction, point
+        The law, its coefficients, and what `friction_at_point` gives.
+    bounded
+        Whether temperatures above TEMPERATURE_LIMIT_C have run away.
+    lubricant, share
+        The node whose temperature sets the friction, and the nodes' shares (nodes,) of its heat.
+    film_node, film_law
+        See `twin_core.simulation.assembly.film_edges`.
+    """
+
+    friction_kind: int
+    friction: NDArray[np.float64]
+    point: NDArray[np.float64]
+    bounded: bool
+    lubricant: int
+    share: NDArray[np.float64]
+    film_node: NDArray[np.int64]
+    film_law: NDArray[np.float64]
+
 
 HOLD_GROWTH = 0.1
 HOLD_LONGEST_STEP_S = 960.0
@@ -69,7 +98,7 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     sensors = rows.shape[0]
     limits = limit.shape[2]
     now = np.empty(sensors)
-    _, copper = count_losses(net)
+    _, copper = count_losses(net.edge_kind)
     bounded = copper or net.friction_kind != LINEAR
     for member in range(start, stop):
         capacity, coefficient, friction, share = bind_network(net, values[member])
@@ -77,6 +106,16 @@ def hold_points_range(  # type: ignore[no-untyped-def]
         for cell in range(speed.size):
             n, f = speed[cell], load[cell]
             point = friction_at_point(net.friction_kind, friction, n, f)
+            held = HeldPoint(
+                net.friction_kind,
+                friction,
+                point,
+                bounded,
+                net.temperature_node,
+                share,
+                film_node,
+                film_law,
+            )
             temperature = initial[member].copy()
             turned = revolutions
             for s in range(sensors):
@@ -91,18 +130,11 @@ def hold_points_range(  # type: ignore[no-untyped-def]
             for k in range(rate.size):
                 stable = stable and (not copper or rate[k] > 0.0)
             alive = hold_point(
-                net.friction_kind,
-                bounded,
-                net.temperature_node,
-                friction,
-                point,
-                share,
-                film_node,
-                film_law,
+                held,
                 rate,
                 modes,
                 inverse,
-                level @ outside,
+                times(level, outside),
                 ambient,
                 disturbance[member],
                 fading,
@@ -121,23 +153,19 @@ def hold_points_range(  # type: ignore[no-untyped-def]
             if alive:
                 matrix, outer = conductance_matrix(net, coefficient, n, f, net.inputs)
                 cold = np.zeros(temperature.size)
-                to_outside, from_outside = cold.copy(), loss_heats_w(net, coefficient, cold, n)
+                warm = np.ones(temperature.size)
+                to_outside = np.zeros(temperature.size)
+                from_outside = loss_heats_w(net, coefficient, cold, n)
+                # What the losses gain with temperature, W/K.
+                gain = loss_heats_w(net, coefficient, warm, n)
+                for i in range(cold.size):
+                    gain[i] -= from_outside[i]
                 for b in range(1 + net.boundary_input.size):
                     for i in range(cold.size):
                         to_outside[i] += outer[b, i]
                         from_outside[i] += outer[b, i] * (level[b] - ambient)
-                # What the losses gain with temperature, W/K.
-                gain = loss_heats_w(net, coefficient, cold + 1.0, n)
-                gain -= loss_heats_w(net, coefficient, cold, n)
                 alive = polish_steady_state(
-                    net.friction_kind,
-                    bounded,
-                    net.temperature_node,
-                    friction,
-                    point,
-                    share,
-                    film_node,
-                    film_law,
+                    held,
                     matrix,
                     to_outside,
                     from_outside,
@@ -161,14 +189,7 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def hold_point(  # type: ignore[no-untyped-def]
-    kind,
-    bounded,
-    lubricant,
-    friction,
-    point,
-    share,
-    film_node,
-    film_law,
+    held,
     rate,
     modes,
     inverse,
@@ -188,14 +209,17 @@ def hold_point(  # type: ignore[no-untyped-def]
 ):
     """Advance `temperature` over the horizon at one point and note when limits are crossed.
 
-    As `simulate_kernel`, but only the temperatures that matter on the way are computed.
+    As `simulate_range`, but only the temperatures that matter on the way are computed.
     """
+    kind, friction, point, bounded, lubricant, share, film_node, film_law = held
     count = rate.size
     sensors, limits = limit.shape
     films = film_node.size
-    y = inverse @ temperature
-    heat_input = modes.T @ share
-    disturbed = modes.T @ disturbance
+    y = np.empty(count)
+    for k in range(count):
+        y[k] = dot(inverse[k], temperature)
+    heat_input = times(share, modes)
+    disturbed = times(disturbance, modes)
     # What is looked at on the way: the lubricant, the nodes with a film, the sensors.
     watched = 1 + films + sensors
     view = np.empty((count, watched))
@@ -204,7 +228,9 @@ def hold_point(  # type: ignore[no-untyped-def]
         for j in range(films):
             view[k, 1 + j] = modes[film_node[j], k]
         for s in range(sensors):
-            view[k, 1 + films + s] = dot(rows[s], modes[:, k])
+            view[k, 1 + films + s] = 0.0
+            for i in range(count):
+                view[k, 1 + films + s] += rows[s, i] * modes[i, k]
     now = np.empty(watched)
     later = np.empty(watched)
     predicted = np.empty(count)
@@ -256,13 +282,24 @@ def hold_point(  # type: ignore[no-untyped-def]
                     part = min(max((limit[s, k] - low) / (high - low), 0.0), 1.0)
                     crossing[s, k] = time + step * part
         built_before = built
-        now[:] = later
+        for r in range(watched):
+            now[r] = later[r]
         time += step
         if not abs(now[0]) < top:
             return False
     for i in range(count):
         temperature[i] = dot(modes[i], y)
     return True
+
+
+@compiled
+def times(vector, matrix):  # type: ignore[no-untyped-def]
+    """Product of a vector (n,) and a matrix (n, m)."""
+    result = np.zeros(matrix.shape[1])
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            result[j] += vector[i] * matrix[i, j]
+    return result
 
 
 @compiled
@@ -276,14 +313,7 @@ def watch(view, y, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def polish_steady_state(  # type: ignore[no-untyped-def]
-    kind,
-    bounded,
-    lubricant,
-    friction,
-    point,
-    share,
-    film_node,
-    film_law,
+    held,
     matrix,
     to_outside,
     from_outside,
@@ -293,6 +323,7 @@ def polish_steady_state(  # type: ignore[no-untyped-def]
     temperature,
 ):
     """Newton from temperatures near the steady state; tells whether they closed the balance."""
+    kind, friction, point, bounded, lubricant, share, film_node, film_law = held
     count = temperature.size
     top = TEMPERATURE_LIMIT_C if bounded else math.inf
     flow = np.empty(count)
@@ -318,9 +349,9 @@ def polish_steady_state(  # type: ignore[no-untyped-def]
             worst = max(worst, abs(flow[i]))
         if worst < STEADY_BALANCE_W:
             return True
-        move = np.linalg.solve(jacobian, flow)
+        solve_in_place(jacobian, flow.reshape((count, 1)))
         for i in range(count):
-            temperature[i] += move[i]
+            temperature[i] += flow[i]
             if not abs(temperature[i]) < top:
                 return False
     return False

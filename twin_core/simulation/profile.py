@@ -252,6 +252,8 @@ def total_revolutions(
     turned = np.zeros(profile.size)
     steps = profile.time_s[1:] - profile.time_s[:-1]
     np.cumsum(np.abs(profile.speed_rpm[:-1]) * steps / 60.0, out=turned[1:])
+    if isinstance(start, float):
+        return start + turned
     result: NDArray[np.float64] = np.asarray(start, dtype=np.float64)[..., None] + turned
     return result
 

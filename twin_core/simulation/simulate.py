@@ -65,21 +65,9 @@ def simulate(
             f"initial_temperatures_c has shape {initial.shape}, expected ({nodes},): one "
             "temperature per state node"
         )
-    temperatures = np.empty((profile.size, nodes))
-    failed = kernels.simulate_kernel(
-        model.compiled,
-        parameters,
-        profile.time_s,
-        profile.speed_rpm,
-        profile.load_n,
-        profile.ambient_c,
-        inputs_of(model, profile),
-        initial,
-        float(revolutions),
-        np.zeros(nodes),
-        0.0,
-        profile.size,
-        temperatures,
+    _check_inputs(model, profile.inputs)
+    failed, temperatures = _run_one(
+        model.compiled, parameters, OperatingProfiles.of([profile]), initial, revolutions
     )
     if failed >= 0:
         raise SimulationError(
@@ -168,6 +156,7 @@ def simulate_batch(
     turns = kernel_array(np.broadcast_to(turned, (count,)))
     heats = kernel_array(np.broadcast_to(heat, (count, nodes)))
     until = np.array(np.broadcast_to(ends, (count,)))
+    failed = np.empty(count, np.int64)
     result = np.empty((count, length, nodes))
 
     def run(start: int, stop: int) -> None:
@@ -182,6 +171,7 @@ def simulate_batch(
             until,
             start,
             stop,
+            failed,
             result,
         )
 
@@ -235,22 +225,15 @@ def steady_state(
     speed, load = abs(speed), max(load, 0.0)
     held = _running_in_held(model, parameters, float(revolutions))
     nodes = len(model.node_names)
-    path = np.empty((2, nodes))
-    failed = kernels.simulate_kernel(
-        held,
-        parameters,
-        np.array([0.0, _SETTLING_S]),
-        np.array([speed, speed]),
-        np.array([load, load]),
-        np.array([ambient, ambient]),
-        np.stack((held.inputs, held.inputs)),
-        np.full(nodes, ambient),
-        0.0,
-        np.zeros(nodes),
-        0.0,
-        2,
-        path,
+    settling = OperatingProfiles(
+        np.array([[0.0, _SETTLING_S]]),
+        np.full((1, 2), speed),
+        np.full((1, 2), load),
+        np.full((1, 2), ambient),
+        np.stack((held.inputs, held.inputs))[np.newaxis],
+        np.array([2]),
     )
+    failed, path = _run_one(held, parameters, settling, np.full(nodes, ambient), 0.0)
     temperatures: NDArray[np.float64] = path[1]
     balance = np.inf
     if failed < 0:
@@ -320,6 +303,33 @@ def inputs_of(model: NetworkModel, profile: OperatingProfile) -> NDArray[np.floa
     """
     _check_inputs(model, profile.inputs)
     return profile.inputs
+
+
+def _run_one(
+    net: CompiledNetwork,
+    values: NDArray[np.float64],
+    ahead: OperatingProfiles,
+    initial_c: NDArray[np.float64],
+    revolutions: float,
+) -> tuple[int, NDArray[np.float64]]:
+    """Row that could not be reached, or -1, and the temperatures (n, nodes) of one member."""
+    temperatures = np.empty((1, ahead.time_s.shape[1], initial_c.size))
+    failed = np.empty(1, np.int64)
+    kernels.simulate_range(
+        net,
+        values[np.newaxis],
+        ahead,
+        initial_c[np.newaxis],
+        np.array([float(revolutions)]),
+        np.zeros((1, initial_c.size)),
+        0.0,
+        ahead.rows,
+        0,
+        1,
+        failed,
+        temperatures,
+    )
+    return int(failed[0]), temperatures[0]
 
 
 def _check_inputs(model: NetworkModel, inputs: NDArray[np.float64]) -> None:

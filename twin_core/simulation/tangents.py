@@ -12,206 +12,47 @@ followed for all parameters together is thus as long as the state itself.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
 from twin_core.simulation.assembly import (
     bind_network,
     count_losses,
-    driving_value,
     film_edges,
     modal_basis,
     step_functions,
 )
+from twin_core.simulation.basis_tangents import (
+    add_products,
+    add_scaled,
+    basis_tangents,
+    set_scaled,
+    share_tangents,
+    slope_functions,
+    spread,
+    watch,
+)
 from twin_core.simulation.compiling import compiled
 from twin_core.simulation.kernels import (
-    FRESH_LOAD_FRACTION,
     FRESH_S,
-    FRESH_SPEED_FRACTION,
-    FRESH_STEP_S,
-    MAX_STEP_S,
     drives_differ,
+    is_fresh,
     padded,
+    set_outside,
+    step_count,
 )
 from twin_core.simulation.laws import (
-    COPPER,
     FILM,
     LINEAR,
     TEMPERATURE_LIMIT_C,
-    edge_gradient,
     film_excess_w,
     film_gradient,
     friction_at_point,
     friction_gradient,
     friction_heat_w,
-    loss_gradient,
 )
 from twin_core.simulation.vectors import LANES, STRIDE, combine, combine_wide
-
-_NEARLY_EQUAL = 1e-5
-
-
-@compiled
-def set_scaled(out, scale, vector):  # type: ignore[no-untyped-def]
-    """Set out to scale * vector, without a temporary."""
-    for d in range(out.size):
-        out[d] = scale * vector[d]
-
-
-@compiled
-def add_scaled(out, scale, vector):  # type: ignore[no-untyped-def]
-    """Add scale * vector to out, without a temporary."""
-    for d in range(out.size):
-        out[d] += scale * vector[d]
-
-
-@compiled
-def spread(gradient, factor, parameter, out):  # type: ignore[no-untyped-def]
-    """Add derivatives by coefficients to those by the parameters that the coefficients follow."""
-    for c in range(factor.size):
-        if parameter[c] >= 0:
-            out[parameter[c]] += gradient[c] * factor[c]
-
-
-@compiled
-def share_tangents(net, values, out):  # type: ignore[no-untyped-def]
-    """Fill out (nodes, directions) with the derivatives of the nodes' shares of the heat."""
-    out[:] = 0.0
-    rest = 1.0
-    rest_tangent = np.zeros(out.shape[1])
-    last = net.share_node.size - 1
-    for s in range(last):
-        parameter = net.share_parameter[s]
-        fraction = net.share_fraction[s]
-        if parameter >= 0:
-            fraction *= values[parameter]
-        node = net.share_node[s]
-        add_scaled(out[node], fraction, rest_tangent)
-        set_scaled(rest_tangent, 1.0 - fraction, rest_tangent)
-        if parameter >= 0:
-            out[node, parameter] += rest * net.share_fraction[s]
-            rest_tangent[parameter] -= rest * net.share_fraction[s]
-        rest *= 1.0 - fraction
-    add_scaled(out[net.share_node[last]], 1.0, rest_tangent)
-
-
-@compiled
-def slope_functions(rate, step, out):  # type: ignore[no-untyped-def]
-    """Fill out (3, n) with the derivatives of `step_functions` by the rates."""
-    for k in range(rate.size):
-        x = rate[k] * step
-        decay = math.exp(-x)
-        if abs(x) < 0.1:
-            slope = -0.5 + x * (1 / 3 - x * (1 / 8 - x * (1 / 30 - x * (1 / 144 - x / 840))))
-            bend = -1 / 6 + x * (1 / 12 - x * (1 / 40 - x * (1 / 180 - x * (1 / 1008 - x / 6720))))
-        else:
-            phi = (1.0 - decay) / x
-            slope = (decay - phi) / x
-            bend = -(slope + (1.0 - phi) / x) / x
-        out[0, k] = -step * decay
-        out[1, k] = step * step * slope
-        out[2, k] = step * step * bend
-
-
-@compiled
-def basis_tangents(  # type: ignore[no-untyped-def]
-    net,
-    capacity,
-    coefficient,
-    rate,
-    modes,
-    speed,
-    load,
-    given,
-    turning,
-    mode_tangent,
-    outer_tangent,
-):
-    """Derivatives of an operating point's modes.
-
-    Fills turning (n, n', directions), first with E, whose diagonal is what the rates do, then off
-    it with the coefficients of the modes' derivatives; mode_tangent (n, nodes, directions) and
-    outer_tangent (rows, nodes, directions), that of what acts from outside. Gives the pairs of
-    nearly equal rates and their E (pairs, directions).
-    """
-    count, width = modes.shape
-    turning[:] = 0.0
-    outer_tangent[:] = 0.0
-    boundaries = 1 + net.boundary_input.size
-    gradient = np.empty(coefficient.shape[1])
-    shape = np.empty(count)
-    for e in range(net.edge_kind.size):
-        bound = False
-        for c in range(gradient.size):
-            bound = bound or net.edge_parameter[e, c] >= 0
-        if not bound:
-            continue
-        a, b = net.edge_nodes[e, 0], net.edge_nodes[e, 1]
-        driving = driving_value(net, e, given)
-        if net.edge_kind[e] >= COPPER:
-            loss_gradient(net.edge_kind[e], coefficient[e], speed, driving, gradient)
-            for c in range(gradient.size):
-                parameter = net.edge_parameter[e, c]
-                if parameter >= 0:
-                    moved = gradient[c] * net.edge_coefficient[e, c]
-                    outer_tangent[boundaries, a, parameter] += moved
-        edge_gradient(net.edge_kind[e], coefficient[e], speed, load, driving, gradient)
-        for k in range(count):
-            shape[k] = modes[k, a] - (modes[k, b] if b < count else 0.0)
-        for c in range(gradient.size):
-            parameter = net.edge_parameter[e, c]
-            moved = gradient[c] * net.edge_coefficient[e, c]
-            if parameter < 0 or moved == 0.0:
-                continue
-            if b >= count and net.edge_kind[e] < COPPER:
-                outer_tangent[b - count, a, parameter] += moved
-            for k in range(count):
-                for m in range(k, count):
-                    turning[k, m, parameter] += moved * shape[k] * shape[m]
-    for i in range(count):
-        parameter = net.capacity_parameter[i]
-        if parameter >= 0:
-            for k in range(count):
-                for m in range(k, count):
-                    share = modes[k, i] * net.capacity[i] * modes[m, i]
-                    turning[k, m, parameter] -= 0.5 * (rate[k] + rate[m]) * share
-    for k in range(count):
-        for m in range(k):
-            set_scaled(turning[k, m], 1.0, turning[m, k])
-    pairs = 0
-    pair = np.empty((count * count, 2), np.int64)
-    for k in range(count):
-        for m in range(count):
-            near = abs(rate[k] - rate[m]) <= _NEARLY_EQUAL * max(rate[k], rate[m])
-            if k != m and near:
-                pair[pairs] = k, m
-                pairs += 1
-    coupled = np.empty((pairs, turning.shape[2]))
-    for n in range(pairs):
-        both = turning[pair[n, 0], pair[n, 1]]
-        set_scaled(coupled[n], 1.0, both)
-        set_scaled(both, 0.0, both)
-    for k in range(count):
-        for m in range(count):
-            if k != m and rate[k] != rate[m]:
-                set_scaled(turning[k, m], 1.0 / (rate[k] - rate[m]), turning[k, m])
-    across = np.zeros((count, width))
-    for i in range(count):
-        for k in range(count):
-            across[i, k] = modes[k, i]
-    diagonal = np.empty(turning.shape[2])
-    for k in range(count):
-        # The mode itself does not turn; its place on the diagonal holds the rate's derivative.
-        set_scaled(diagonal, 1.0, turning[k, k])
-        set_scaled(turning[k, k], 0.0, diagonal)
-        for i in range(count):
-            combine(mode_tangent[k, i], across[i], turning[k])
-            parameter = net.capacity_parameter[i]
-            if parameter >= 0:
-                relative = net.capacity[i] / capacity[i]
-                mode_tangent[k, i, parameter] -= 0.5 * relative * modes[k, i]
-        set_scaled(turning[k, k], 1.0, diagonal)
-    return pair[:pairs], coupled
 
 
 @compiled
@@ -230,7 +71,7 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     out,
     derivative,
 ):
-    """Simulate one candidate as `simulate_kernel` does, with its derivatives.
+    """Simulate one candidate as `simulate_range` does, with its derivatives.
 
     Directions are the p parameters, then the columns of seeds (nodes, e): changes of the initial
     temperatures. Fills out (n, r) with rows (r, nodes) @ temperatures, derivative (n, r, p + e).
@@ -253,8 +94,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     active = 1 + films
     node = np.empty(active, np.int64)
     node[0] = net.temperature_node
-    node[1:] = film_node
-    losses, copper = count_losses(net)
+    for j in range(films):
+        node[1 + j] = film_node[j]
+    losses, copper = count_losses(net.edge_kind)
     outer = 1 + net.boundary_input.size + (1 if losses else 0)
     inputs = active + outer
     kind = net.friction_kind
@@ -264,26 +106,31 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     modes = np.empty((count, width))
     inverse = np.empty((count, width))
     shares, outside = np.zeros(width), np.zeros((outer, width))
-    shares[:count] = share
+    for i in range(count):
+        shares[i] = share[i]
     share_tangent = np.zeros((width, span))
     share_tangents(net, values, share_tangent)
     turning = np.zeros((count, width, span))
     mode_tangent = np.zeros((count, width, span))
     outer_tangent = np.zeros((outer, width, span))
     weights = np.zeros((outputs, width))
-    weights[:, :count] = rows
+    for r in range(outputs):
+        for i in range(count):
+            weights[r, i] = rows[r, i]
     pair = np.empty((0, 2), np.int64)
     coupled = np.empty((0, span))
     source = np.zeros((padded(inputs, STRIDE), width))
     functions = np.zeros((3, width))
     slopes = np.zeros((3, width))
+    decay, reach, late_reach = functions[0], functions[1], functions[2]
+    decay_slope, reach_slope, late_slope = slopes[0], slopes[1], slopes[2]
     source_tangent = np.zeros((count, inputs, span))
     # Per coordinate: its own tangent, that of its rate, those of what the inputs do to it in a
     # step; once for the inputs, once for their changes.
     local = np.zeros((2, count, padded(2 + inputs, STRIDE), span))
-    local_weight = np.zeros(local.shape[2])
-    late_weight = np.zeros(local.shape[2])
-    late_weight[0] = 1.0
+    ahead_local, late_local = local[0], local[1]
+    ahead_weight, late_weight = np.zeros(local.shape[2]), np.zeros(local.shape[2])
+    ones, zeros = np.ones(width), np.zeros(width)
     view = np.zeros((active, width))
     view_tangent = np.zeros((active, width, span))
     look = np.zeros((outputs, width))
@@ -297,6 +144,7 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     change = np.zeros(source.shape[0])
     change_tangent = np.zeros((padded(active, STRIDE), span))
     gain = np.zeros((2, count, heat_tangent.shape[0]))
+    ahead_gain, late_gain = gain[0], gain[1]
     now = np.empty(active)
     later = np.empty(active)
     now_tangent = np.zeros((active, span))
@@ -304,7 +152,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     driven = np.zeros(width)
     temperature = initial.copy()
     temperature_tangent = np.zeros((count, span))
-    temperature_tangent[:, parameters:directions] = seeds
+    for i in range(count):
+        for d in range(seeds.shape[1]):
+            temperature_tangent[i, parameters + d] = seeds[i, d]
     gradient = np.empty(friction.size)
     film_slope = np.empty((films, 2, 3))
     film_value = np.empty(films)
@@ -315,19 +165,18 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     turned = revolutions
     for r in range(outputs):
         out[0, r] = 0.0
-        derivative[0, r] = 0.0
         for i in range(count):
             out[0, r] += rows[r, i] * initial[i]
-            derivative[0, r, parameters:] += rows[r, i] * seeds[i]
+        for d in range(directions):
+            derivative[0, r, d] = 0.0
+            for i in range(count):
+                derivative[0, r, d] += rows[r, i] * temperature_tangent[i, d]
     for row in range(time.size - 1):
         n = abs(speed[row])
         f = max(load[row], 0.0)
-        driven_anew = losses > 0 and row > 0 and drives_differ(net, given, row)
+        driven_anew = losses > 0 and row > 0 and drives_differ(net.edge_input, given, row)
         if n != point_speed or f != point_load or driven_anew:
-            if driven_anew or not (
-                abs(n - point_speed) <= FRESH_SPEED_FRACTION * n
-                and abs(f - point_load) <= FRESH_LOAD_FRACTION * f
-            ):
+            if driven_anew or is_fresh(n, f, point_speed, point_load):
                 fresh_until = time[row] + FRESH_S
             if row > 0:
                 for i in range(count):
@@ -337,12 +186,8 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                         temperature[i] += modes[k, i] * y[k]
                         add_scaled(temperature_tangent[i], modes[k, i], tangent[k])
                         add_scaled(temperature_tangent[i], y[k], mode_tangent[k, i])
-            outside[:, :count] = modal_basis(
-                net, capacity, coefficient, n, f, given[row], rate, modes, inverse
-            )
+            acting = modal_basis(net, capacity, coefficient, n, f, given[row], rate, modes, inverse)
             if not math.isfinite(rate[0]):
-                out[row + 1 :] = math.nan
-                derivative[row + 1 :] = math.nan
                 return row + 1
             pair, coupled = basis_tangents(
                 net,
@@ -359,6 +204,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
             )
             point = friction_at_point(kind, friction, n, f)
             point_speed, point_load, point_step = n, f, math.nan
+            for b in range(outer):
+                for i in range(count):
+                    outside[b, i] = acting[b, i]
             for k in range(count):
                 y[k] = 0.0
                 for q in range(inputs):
@@ -370,9 +218,9 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                     source[0, k] += modes[k, i] * share[i]
                     for b in range(outer):
                         source[active + b, k] += modes[k, i] * outside[b, i]
-                combine_wide(source_tangent[k, 0], shares, mode_tangent[k], modes[k], share_tangent)
+                add_products(source_tangent[k, 0], shares, mode_tangent[k], modes[k], share_tangent)
                 for b in range(outer):
-                    combine_wide(
+                    add_products(
                         source_tangent[k, active + b],
                         outside[b],
                         mode_tangent[k],
@@ -399,29 +247,25 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                     add_scaled(tangent[k], inverse[k, i], temperature_tangent[i])
             watch(view, view_tangent, y, tangent, now, now_tangent)
         duration = time[row + 1] - time[row]
-        heat[active] = ambient[row]
-        for b in range(net.boundary_input.size):
-            heat[active + 1 + b] = given[row, net.boundary_input[b]]
-        if losses:
-            heat[active + outer - 1] = 1.0
+        set_outside(net.boundary_input, ambient, given, row, heat, active, inputs)
         early = min(max(fresh_until - time[row], 0.0), duration)
         for part in range(2):
             stretch = early if part == 0 else duration - early
-            steps = math.ceil(stretch / (FRESH_STEP_S if part == 0 else MAX_STEP_S) - 1e-9)
+            steps = step_count(stretch, part)
             if steps <= 0:
                 continue
             step = stretch / steps
             if step != point_step:
                 point_step = step
-                step_functions(rate, step, functions[0], functions[1], functions[2])
+                step_functions(rate, step, decay, reach, late_reach)
                 slope_functions(rate, step, slopes)
                 for k in range(count):
                     for q in range(inputs):
-                        set_scaled(local[0, k, 2 + q], functions[1, k], source_tangent[k, q])
+                        set_scaled(local[0, k, 2 + q], reach[k], source_tangent[k, q])
                     for q in range(active):
-                        set_scaled(local[1, k, 2 + q], functions[2, k], source_tangent[k, q])
-                        gain[0, k, q] = functions[1, k] * source[q, k]
-                        gain[1, k, q] = functions[2, k] * source[q, k]
+                        set_scaled(local[1, k, 2 + q], late_reach[k], source_tangent[k, q])
+                        gain[0, k, q] = reach[k] * source[q, k]
+                        gain[1, k, q] = late_reach[k] * source[q, k]
             for _ in range(steps):
                 heat[0] = friction_heat_w(kind, friction, point, now[0], turned)
                 by_now = friction_gradient(kind, friction, n, f, now[0], turned, gradient)
@@ -442,19 +286,24 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 # The predictor.
                 combine(driven, heat, source)
                 for q in range(inputs):
-                    local_weight[2 + q] = heat[q]
-                for k in range(count):
-                    ahead[k] = functions[0, k] * y[k] + functions[1, k] * driven[k]
-                    set_scaled(local[0, k, 0], 1.0, tangent[k])
-                    local_weight[0] = functions[0, k]
-                    local_weight[1] = slopes[0, k] * y[k] + slopes[1, k] * driven[k]
-                    combine_wide(
-                        ahead_tangent[k], local_weight, local[0, k], gain[0, k], heat_tangent
-                    )
-                for m in range(pair.shape[0]):
-                    k, other = pair[m, 0], pair[m, 1]
-                    moved = slopes[0, other] * y[other] + slopes[1, other] * driven[other]
-                    add_scaled(ahead_tangent[k], moved, coupled[m])
+                    ahead_weight[2 + q] = heat[q]
+                advance_tangents(
+                    decay,
+                    reach,
+                    decay_slope,
+                    reach_slope,
+                    driven,
+                    ahead_weight,
+                    ahead_local,
+                    ahead_gain,
+                    heat_tangent,
+                    pair,
+                    coupled,
+                    y,
+                    tangent,
+                    ahead,
+                    ahead_tangent,
+                )
                 turned += n * step / 60.0
                 watch(view, view_tangent, ahead, ahead_tangent, later, later_tangent)
                 # What changes within the step.
@@ -482,19 +331,26 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
                 combine(driven, change, source)
                 for q in range(active):
                     late_weight[2 + q] = change[q]
-                for k in range(count):
-                    y[k] = ahead[k] + functions[2, k] * driven[k]
-                    set_scaled(local[1, k, 0], 1.0, ahead_tangent[k])
-                    late_weight[1] = slopes[2, k] * driven[k]
-                    combine_wide(tangent[k], late_weight, local[1, k], gain[1, k], change_tangent)
-                for m in range(pair.shape[0]):
-                    k, other = pair[m, 0], pair[m, 1]
-                    add_scaled(tangent[k], slopes[2, other] * driven[other], coupled[m])
+                advance_tangents(
+                    ones,
+                    late_reach,
+                    zeros,
+                    late_slope,
+                    driven,
+                    late_weight,
+                    late_local,
+                    late_gain,
+                    change_tangent,
+                    pair,
+                    coupled,
+                    ahead,
+                    ahead_tangent,
+                    y,
+                    tangent,
+                )
                 watch(view, view_tangent, y, tangent, now, now_tangent)
         for j in range(active):
             if not abs(now[j]) < limit:
-                out[row + 1 :] = math.nan
-                derivative[row + 1 :] = math.nan
                 return row + 1
         for r in range(outputs):
             out[row + 1, r] = 0.0
@@ -506,12 +362,36 @@ def tangent_kernel(  # type: ignore[no-untyped-def]
     return -1
 
 
-@compiled
-def watch(view, view_tangent, y, tangent, out, out_tangent):  # type: ignore[no-untyped-def]
-    """Active temperatures of the coordinates y, with their derivatives."""
-    for j in range(out.size):
-        total = 0.0
-        for k in range(y.size):
-            total += view[j, k] * y[k]
-        out[j] = total
-        combine_wide(out_tangent[j], view[j], tangent, y, view_tangent[j])
+@partial(compiled, inlined=True)
+def advance_tangents(  # type: ignore[no-untyped-def]
+    decay,
+    reach,
+    decay_slope,
+    reach_slope,
+    driven,
+    weight,
+    local,
+    gain,
+    input_tangent,
+    pair,
+    coupled,
+    y,
+    tangent,
+    out,
+    out_tangent,
+):
+    """Set out to decay y + reach driven, and out_tangent (n, span) to its derivatives.
+
+    `decay_slope` and `reach_slope` are the derivatives of decay and reach by the rates; `weight`
+    (inputs + 2,) has the inputs from its third place on, `local` what they are multiplied with.
+    """
+    for k in range(local.shape[0]):
+        out[k] = decay[k] * y[k] + reach[k] * driven[k]
+        set_scaled(local[k, 0], 1.0, tangent[k])
+        weight[0] = decay[k]
+        weight[1] = decay_slope[k] * y[k] + reach_slope[k] * driven[k]
+        combine_wide(out_tangent[k], weight, local[k], gain[k], input_tangent)
+    for m in range(pair.shape[0]):
+        k, other = pair[m, 0], pair[m, 1]
+        moved = decay_slope[other] * y[other] + reach_slope[other] * driven[other]
+        add_scaled(out_tangent[k], moved, coupled[m])
