@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
+from pydantic_core import to_json
+
 from adapters.protocol import Clock
 from adapters.samples import PlannedProfile
 from service.clock import rfc3339
@@ -77,8 +79,6 @@ class Forecasting:
     ----------
     plan : PlannedProfile or None
         What the controller was last heard to plan.
-    latest : LiveForecast or None
-        The latest live forecast; None before the first.
     summary : ForecastSummary or None
         What tags show of it, and when it exceeds which limit.
     outlook : Outlook or None
@@ -99,7 +99,9 @@ class Forecasting:
         self._clock = clock
         self._executor = executor
         self.plan: PlannedProfile | None = None
-        self.latest: LiveForecast | None = None
+        # As text: half a megabyte of numbers otherwise, for each asset, and rarely asked for.
+        self._latest: bytes | None = None
+        self._carried_on = False
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
         self._ensemble: Ensemble | None = None
@@ -108,8 +110,12 @@ class Forecasting:
     def look(self) -> bool:
         """Take note that somebody looks; returns whether the latest has intervals of earlier."""
         self._looked_us = self._clock.now_us()
-        latest = self.latest
-        return latest is not None and latest.intervals_made_at != latest.made_at
+        return self._carried_on
+
+    @property
+    def latest(self) -> LiveForecast | None:
+        """The latest live forecast; None before the first."""
+        return None if self._latest is None else LiveForecast.model_validate_json(self._latest)
 
     def age_s(self, now_us: int) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
@@ -144,8 +150,8 @@ class Forecasting:
             self._executor, _make_live, state, profile, self._limits, kept, alone
         )
         result, summary, document = live.made
-        self._ensemble = live.ensemble
-        self.latest = LiveForecast(
+        self._ensemble, self._carried_on = live.ensemble, live.intervals_us != made_us
+        latest = LiveForecast(
             **dict(document),
             model_version=version,
             profile=presentation.steps_document(steps),
@@ -154,11 +160,12 @@ class Forecasting:
             intervals_made_at=rfc3339(live.intervals_us),
             planned=has_plan,
         )
+        self._latest = to_json(latest, inf_nan_mode="null")
         self.summary, self.outlook = summary, None
         if not missing:
             outlooks = step_outlooks(result, steps, self._limits)
             self.outlook = Outlook(made_us, version, outlooks, summary.crossings)
-        return self.latest
+        return latest
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""
