@@ -14,7 +14,7 @@ A model is wrong in the same way on the same run, so where both data sets repeat
 operating points its error cancels, and the posteriors, which allow for it, are too wide for their
 difference. With the same points in another order, or for other times, it cancels in part; between
 different points not at all, and S is too small. S is multiplied by a factor for each case
-(`twin_core.likeness`).
+(`twin_core.similarity`).
 
 What moved is decided between the groups of parameters (`twin_core.quantities`): a change of one
 group alone, s times as wide as its prior, makes d a sample of
@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from twin_core.identification.posterior import Posterior
-from twin_core.likeness import Likeness, likeness
 from twin_core.models import ThermalModel
 from twin_core.operating_points import alike_points
 from twin_core.quantities import (
@@ -46,6 +45,7 @@ from twin_core.quantities import (
     quantities,
     reference_point,
 )
+from twin_core.similarity import Similarity, similarity
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class Drift:
         Of so large a statistic without any change.
     changed
         Whether that is below the false alarm rate.
-    likeness
+    similarity
         How alike the operation was.
     groups
         Probability of every candidate to be the one that moved, most probable first; they sum to
@@ -131,7 +131,7 @@ class Drift:
     dimensions: int
     probability: float
     changed: bool
-    likeness: Likeness
+    similarity: Similarity
     groups: dict[Group, float]
     moves: tuple[Move, ...]
     text: str
@@ -148,14 +148,14 @@ class Difference:
     value, covariance
         (k,) and (k, k) the difference of the standard coordinates and its covariance without any
         change of the machine.
-    likeness
+    similarity
         How alike the operation was.
     """
 
     basis: FloatArray
     value: FloatArray
     covariance: FloatArray
-    likeness: Likeness
+    similarity: Similarity
 
     @property
     def statistic(self) -> float:
@@ -172,7 +172,7 @@ def difference_of(before: Posterior, after: Posterior, shared: float = 0.0) -> D
     """Difference of two posteriors of one model; parameters as for `compare`."""
     if not 0.0 <= shared <= 1.0:
         raise ValueError(f"shared is {shared}, expected 0 to 1")
-    similar = likeness(before, after)
+    similar = similarity(before, after)
     basis = _informed(before.covariance, after.covariance)
     scale = similar.scale * (1.0 + _SHARED_MODEL_ERROR * shared)
     whole = scale * difference_covariance(before.covariance, after.covariance, shared)
@@ -239,7 +239,7 @@ def compare(
         found.value.size,
         found.probability,
         changed,
-        found.likeness,
+        found.similarity,
         groups,
         ordered,
         _text(changed, found.probability, groups, ordered),

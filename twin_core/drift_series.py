@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from twin_core.drift import Drift, compare, difference_covariance
 from twin_core.identification.posterior import Posterior
-from twin_core.likeness import likeness, most_alike
 from twin_core.models import ThermalModel
 from twin_core.quantities import Quantity, ReferencePoint, evaluate, log_gradient, quantities
+from twin_core.similarity import nearest, similarity
 
 FloatArray = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def follow(
     readings = []
     for position, posterior in enumerate(posteriors):
         drift = None
-        alike = most_alike([posteriors[k] for k in unchanged], posterior)
+        alike = nearest([posteriors[k] for k in unchanged], posterior)
         chosen = [unchanged[k] for k in alike]
         if chosen:
             before = [posteriors[k] for k in chosen]
@@ -141,7 +141,7 @@ def _deviation(
     """
     middle = np.mean([one.z for one in before], axis=0)
     spread = difference_covariance(before[-1].covariance, posterior.covariance)
-    spread *= likeness(before[-1], posterior).scale * 0.5 * (1.0 + 1.0 / len(before))
+    spread *= similarity(before[-1], posterior).scale * 0.5 * (1.0 + 1.0 / len(before))
     gradient = log_gradient(model, middle, point)
     variance = np.einsum("kp,pq,kq->k", gradient, spread, gradient)
     deviation = gradient @ (posterior.z - middle) / np.sqrt(variance)

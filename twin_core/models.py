@@ -20,6 +20,7 @@ import numpy as np
 from twin_core.bearings import Bearing
 from twin_core.friction import palmgren_coefficients, two_part_coefficients
 from twin_core.materials import MINERAL_OIL_100
+from twin_core.model_options import SHOULDERS, free_parameters, held_at, hold_parameters
 from twin_core.network import (
     Coefficient,
     EdgeKind,
@@ -40,7 +41,6 @@ from twin_core.networks.bearing_14 import (
 )
 from twin_core.parameters import Parameter, ParameterSet
 from twin_core.reduced_paper import reduced_network, reduced_parameters
-from twin_core.structures import SHOULDERS, free_parameters, held_at, hold_parameters
 
 ModelName = Literal["default", "paper", "paper-reduced"]
 
@@ -70,7 +70,7 @@ def build_model(
     bearing
         From the catalogue or from dimensions.
     without
-        Parts of ``"default"`` to leave out, names of `twin_core.structures.STRUCTURES`.
+        Parts of ``"default"`` to leave out, names of `twin_core.model_options.MODEL_OPTIONS`.
 
     Raises
     ------

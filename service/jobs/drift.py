@@ -24,9 +24,9 @@ from twin_core.drift import Drift, compare, usual_point
 from twin_core.drift_series import follow, values_of
 from twin_core.identification.identify import fit_problem
 from twin_core.identification.posterior import Posterior
-from twin_core.likeness import most_alike
 from twin_core.models import ThermalModel
 from twin_core.quantities import ReferencePoint
+from twin_core.similarity import nearest
 from twin_core.windows import Window
 
 # Every version in the series costs a quarter of a second.
@@ -134,7 +134,7 @@ def drift_document(
         for one in values_of(model, posterior, point)
     }
     unchanged = _since_the_last_change(known)
-    chosen = most_alike([version.posterior for version in unchanged], posterior)
+    chosen = nearest([version.posterior for version in unchanged], posterior)
     if not chosen:
         return document
     version = unchanged[chosen[-1]]
@@ -174,7 +174,7 @@ def _comparison(version: int, shared: float, drift: Drift) -> DriftComparison:
     return DriftComparison(
         version=version,
         shared=shared,
-        alike=drift.likeness.text,
+        alike=drift.similarity.text,
         statistic=drift.statistic,
         dimensions=drift.dimensions,
         probability=drift.probability,

@@ -16,10 +16,10 @@ from twin_core.drift import (
     usual_point,
 )
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
-from twin_core.likeness import Likeness, likeness, most_alike
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 from twin_core.quantities import ReferencePoint, evaluate, parameter_groups, quantities
+from twin_core.similarity import Similarity, nearest, similarity
 
 FloatArray = NDArray[np.float64]
 HOUR = 3600.0
@@ -108,9 +108,9 @@ def test_false_alarms_are_as_rare_as_stated(model: ThermalModel) -> None:
         before = bench.posterior(bench.z)
         after = bench.posterior(bench.z, trained=trained(((1500.0, 2000.0, 10.0),), start_s=1e5))
         found = difference_of(before, after)
-        assert found.likeness == Likeness(0.0, 0.0)
+        assert found.similarity == Similarity(0.0, 0.0)
         probabilities.append(found.probability)
-        ratios.append(found.statistic * found.likeness.scale / found.value.size)
+        ratios.append(found.statistic * found.similarity.scale / found.value.size)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)  # chi squared without the factor
     assert np.mean(np.array(probabilities) < 10 * FALSE_ALARM_RATE) <= 10 * FALSE_ALARM_RATE
     assert np.mean(np.array(probabilities) < FALSE_ALARM_RATE) <= FALSE_ALARM_RATE
@@ -186,43 +186,43 @@ def test_the_same_run_again_is_told_from_the_same_points_in_another_order(
     again = _with(model, trained(start_s=86_400.0))
     reversed_ = _with(model, trained(DAY[::-1], start_s=86_400.0))
     longer = _with(model, trained((*DAY, (3000.0, 2000.0, 13.0)), start_s=86_400.0))
-    assert likeness(first, again) == Likeness(1.0, 1.0)
-    assert likeness(first, again).same_run
-    assert likeness(first, reversed_).points == 1.0
-    assert likeness(first, reversed_).sequence < 0.5
-    assert likeness(first, longer).points == pytest.approx(0.5)
-    assert likeness(first, longer).scale > likeness(first, reversed_).scale
-    assert likeness(first, reversed_).scale > likeness(first, again).scale
+    assert similarity(first, again) == Similarity(1.0, 1.0)
+    assert similarity(first, again).same_run
+    assert similarity(first, reversed_).points == 1.0
+    assert similarity(first, reversed_).sequence < 0.5
+    assert similarity(first, longer).points == pytest.approx(0.5)
+    assert similarity(first, longer).scale > similarity(first, reversed_).scale
+    assert similarity(first, reversed_).scale > similarity(first, again).scale
 
 
 def test_a_bearing_that_runs_in_is_like_no_other(model: ThermalModel) -> None:
     fresh = _with(model, trained(run_in=False))
-    assert likeness(fresh, _with(model, trained())) == Likeness(0.0, 0.0)
-    assert likeness(fresh, fresh).same_run
+    assert similarity(fresh, _with(model, trained())) == Similarity(0.0, 0.0)
+    assert similarity(fresh, fresh).same_run
 
 
 def test_a_start_at_rest_is_another_run(model: ThermalModel) -> None:
     cold = _with(model, replace(trained(), from_rest=True))
-    assert likeness(cold, _with(model, trained())) == Likeness(1.0, 0.0)
+    assert similarity(cold, _with(model, trained())) == Similarity(1.0, 0.0)
 
 
 def test_a_colder_hall_is_allowed_for(model: ThermalModel) -> None:
     warm, cold, unknown = (
         _with(model, replace(trained(), ambient_c=ambient)) for ambient in (24.0, 16.0, None)
     )
-    assert likeness(warm, cold).ambient_k == 8.0
-    assert likeness(warm, unknown).ambient_k == 0.0
-    assert likeness(warm, cold).same_run
-    assert likeness(warm, cold).scale > 10.0 * likeness(warm, warm).scale
-    assert likeness(warm, cold).text == "the same run again, ambient 8 K apart"
+    assert similarity(warm, cold).ambient_k == 8.0
+    assert similarity(warm, unknown).ambient_k == 0.0
+    assert similarity(warm, cold).same_run
+    assert similarity(warm, cold).scale > 10.0 * similarity(warm, warm).scale
+    assert similarity(warm, cold).text == "the same run again, ambient 8 K apart"
 
 
-def test_most_alike_takes_the_same_runs_or_else_the_nearest(model: ThermalModel) -> None:
+def test_nearest_takes_the_same_runs_or_else_the_nearest(model: ThermalModel) -> None:
     first, second = _with(model, trained()), _with(model, trained(start_s=1e5))
     other = _with(model, trained(DAY[:1], start_s=2e5))
-    assert most_alike([first, other, second], _with(model, trained(start_s=3e5))) == [0, 2]
-    assert most_alike([first, other], _with(model, trained(DAY[1:], start_s=3e5))) == [0]
-    assert most_alike([], first) == []
+    assert nearest([first, other, second], _with(model, trained(start_s=3e5))) == [0, 2]
+    assert nearest([first, other], _with(model, trained(DAY[1:], start_s=3e5))) == [0]
+    assert nearest([], first) == []
 
 
 def test_usual_point_is_where_the_data_lasted_longest(model: ThermalModel) -> None:

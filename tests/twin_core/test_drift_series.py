@@ -101,10 +101,10 @@ def test_every_version_is_held_against_its_own_kind(model: ThermalModel) -> None
     readings = follow(model, versions, POINT)
     drifts = [reading.drift for reading in readings]
     assert drifts[1] is not None
-    assert not drifts[1].likeness.same_run
+    assert not drifts[1].similarity.same_run
     for drift in drifts[2:]:
         assert drift is not None
-        assert drift.likeness.same_run
+        assert drift.similarity.same_run
 
 
 def test_values_come_with_intervals_that_hold_them(model: ThermalModel) -> None:

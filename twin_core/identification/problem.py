@@ -13,6 +13,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.costs import SUM_OF_SQUARES, Cost, failed_as_infinite
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.whitening import Loss, Whitening, whitening
 from twin_core.initial_state import initial_state
@@ -133,6 +134,8 @@ class IdentificationProblem:
         windows that began warm; the prior's centre by default.
     loss
         Of the measurements. With a robust one, residuals are such that their squares are the loss.
+    cost
+        What searches make small.
 
     Attributes
     ----------
@@ -148,7 +151,9 @@ class IdentificationProblem:
         data: IdentificationData,
         guess_z: FloatArray | None = None,
         loss: Loss = "linear",
+        cost: Cost = SUM_OF_SQUARES,
     ) -> None:
+        self.cost = cost
         self.model = model
         self.data = data
         self.parameter_count = model.parameters.size
@@ -270,7 +275,7 @@ class IdentificationProblem:
 
     # ------------------------------------------------------------------ for a global search
     def costs(self, z: FloatArray) -> FloatArray:
-        """Sum of squared residuals of many parameter vectors, all other unknowns eliminated.
+        """Cost of many parameter vectors, all other unknowns eliminated.
 
         Lag and initial states are eliminated by linear regression with their sensitivities at the
         prior's centre, priors included, so that a candidate is not blamed for them.
@@ -287,13 +292,8 @@ class IdentificationProblem:
         """
         batch = np.zeros((len(z), self.unknown_count))
         batch[:, : self.parameter_count] = z
-        residuals = self.residuals(batch)
-        sensitivity = self._nuisance()
-        projected = residuals[:, : self.measurement_count] @ sensitivity
-        information = np.eye(sensitivity.shape[1]) + sensitivity.T @ sensitivity
-        explained = np.sum(projected * np.linalg.solve(information, projected.T).T, axis=1)
-        total = np.sum(residuals**2, axis=1) - explained
-        return np.where(np.isfinite(total), total, np.inf)
+        costs = self.cost.without_nuisance(self.residuals(batch), self._nuisance())
+        return failed_as_infinite(costs)
 
     def reduced_residuals(self, z: FloatArray) -> FloatArray:
         """Residuals whose sums of squares are `costs`: lag and initial states at their best.

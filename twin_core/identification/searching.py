@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.costs import failed_as_infinite
 from twin_core.identification.problem import IdentificationProblem
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +85,7 @@ class IdentificationSpace:
         return np.asarray(self._lower + self._width * unit)
 
     def costs(self, unit: FloatArray) -> FloatArray:
-        """Sums of squared residuals (B,), infinite where a simulation failed."""
+        """Costs (B,) of the problem, infinite where a simulation failed."""
         z = self._within_budget(unit)
         costs = self._problem.costs(z)
         self._take(z, costs, len(unit))
@@ -94,8 +95,7 @@ class IdentificationSpace:
         """Residuals (B, m + d) with lag and initial states at their best, priors included."""
         z = self._within_budget(unit)
         residuals = self._problem.reduced_residuals(z)
-        costs = np.sum(residuals**2, axis=1)
-        self._take(z, np.where(np.isfinite(costs), costs, np.inf), len(unit))
+        self._take(z, failed_as_infinite(self._problem.cost.of(residuals)), len(unit))
         return residuals
 
     def _within_budget(self, unit: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.costs import SUM_OF_SQUARES
 from twin_core.identification.searching import SearchEnd
 from twin_core.network_model import NetworkModel
 from twin_core.networks.simple_5 import (
@@ -187,7 +188,7 @@ class CountedSearch:
         SearchEnd
             When the target is met or the budget is used up.
         """
-        return np.asarray(np.sum(self.residuals(unit) ** 2, axis=1))
+        return SUM_OF_SQUARES.of(self.residuals(unit))
 
     def residuals(self, unit: FloatArray) -> FloatArray:
         """Temperature errors in K of points (B, p), (B, m); raises as `costs` does."""
@@ -196,7 +197,7 @@ class CountedSearch:
             raise SearchEnd
         points = unit[:left]
         residuals = self.problem.residuals(points)
-        costs = np.sum(residuals**2, axis=1)
+        costs = SUM_OF_SQUARES.of(residuals)
         for point, cost in zip(points, costs, strict=True):
             self.evaluations += 1
             if cost < self._best:

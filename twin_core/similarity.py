@@ -29,7 +29,7 @@ _RUN_IN_REVOLUTIONS = 3.0e6
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
+class Similarity:
     """How alike the operation was that two posteriors come from.
 
     Attributes
@@ -70,22 +70,22 @@ class Likeness:
         return said if self.ambient_k < 1.0 else f"{said}, ambient {self.ambient_k:.0f} K apart"
 
 
-def likeness(first: Posterior, second: Posterior) -> Likeness:
+def similarity(first: Posterior, second: Posterior) -> Similarity:
     """Compare the operation that two posteriors come from."""
     apart_k = _ambient_apart(first, second)
     running_in = [p.trained.revolutions < _RUN_IN_REVOLUTIONS for p in (first, second)]
     if running_in[0] != running_in[1]:
-        return Likeness(0.0, 0.0, apart_k)
+        return Similarity(0.0, 0.0, apart_k)
     points = [
         [p for p in posterior.trained.operating_points if p.duration_s >= _TAUGHT_S]
         or list(posterior.trained.duty)
         for posterior in (first, second)
     ]
     if not all(points):
-        return Likeness(0.0, 0.0, apart_k)
+        return Similarity(0.0, 0.0, apart_k)
     varying = any(posterior.trained.duty for posterior in (first, second))
     same_start = not varying and first.trained.from_rest == second.trained.from_rest
-    return Likeness(
+    return Similarity(
         min(_common(points[0], points[1]), _common(points[1], points[0])),
         _side_by_side(points[0], points[1]) if same_start else 0.0,
         apart_k,
@@ -99,13 +99,13 @@ def _ambient_apart(first: Posterior, second: Posterior) -> float:
     return abs(ambient[0] - ambient[1])
 
 
-def most_alike(posteriors: Sequence[Posterior], posterior: Posterior) -> list[int]:
+def nearest(posteriors: Sequence[Posterior], posterior: Posterior) -> list[int]:
     """Positions of those of several posteriors whose operation was most like that of another.
 
     All that come from the same run, if any do; else all with nearly the largest share of common
     points. In order, so the last one is the newest; empty if there is none to choose from.
     """
-    alike = [likeness(one, posterior) for one in posteriors]
+    alike = [similarity(one, posterior) for one in posteriors]
     same = [k for k, one in enumerate(alike) if one.same_run]
     if same or not alike:
         return same

@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from twin_core.bearings import bearing
+from twin_core.model_options import MODEL_OPTIONS, SHOULDERS
 from twin_core.models import build_model
 from twin_core.process_noise import LONG_RUN_IN
 from twin_core.simulation import OperatingProfile, simulate, steady_state
-from twin_core.structures import SHOULDERS, STRUCTURES
 
 TIME_S = np.arange(0.0, 3601.0, 60.0)
 PROFILE = OperatingProfile(
@@ -16,14 +16,14 @@ PROFILE = OperatingProfile(
 )
 
 
-HELD = tuple(name for name, values in STRUCTURES.items() if values)
+HELD = tuple(name for name, values in MODEL_OPTIONS.items() if values)
 
 
 @pytest.mark.parametrize("without", [*((name,) for name in HELD), HELD])
 def test_leaving_out_is_holding_the_parameters(without: tuple[str, ...]) -> None:
     full = build_model(bearing=bearing("6016"))
     reduced = build_model(bearing=bearing("6016"), without=without)
-    held = {key: value for name in without for key, value in STRUCTURES[name].items()}
+    held = {key: value for name in without for key, value in MODEL_OPTIONS[name].items()}
     assert set(full.parameters.names) - set(reduced.parameters.names) == set(held)
     values = full.parameters.centre.copy()
     for name, value in held.items():

@@ -9,7 +9,7 @@ from twin_core.parameters import ParameterSet
 SHOULDERS = "shaft_shoulders"
 """The shaft is a bar that seat and sleeve share; no parameter belongs to it."""
 
-STRUCTURES: Mapping[str, Mapping[str, float]] = {
+MODEL_OPTIONS: Mapping[str, Mapping[str, float]] = {
     "load_part": {"s": 0.0, "c": 1.0},
     "curvature": {"p2": 0.0, "pq": 0.0},
     "run_in": {"A": 0.0, "Nr": 1.0e6},
@@ -34,9 +34,11 @@ def held_at(without: Collection[str]) -> dict[str, float]:
     """
     names = list(without)
     for name in names:
-        if name not in STRUCTURES or names.count(name) > 1:
-            raise ValueError(f"without has {name!r}, expected each once of {', '.join(STRUCTURES)}")
-    return {key: value for name in names for key, value in STRUCTURES[name].items()}
+        if name not in MODEL_OPTIONS or names.count(name) > 1:
+            raise ValueError(
+                f"without has {name!r}, expected each once of {', '.join(MODEL_OPTIONS)}"
+            )
+    return {key: value for name in names for key, value in MODEL_OPTIONS[name].items()}
 
 
 def free_parameters(parameters: ParameterSet, held: Mapping[str, float]) -> ParameterSet:
