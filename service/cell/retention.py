@@ -175,5 +175,5 @@ def _refresh(store: Store, before_us: int) -> None:
         pass
     # A store of an earlier version has years to pack: the rest waits for the next look.
     until_s = time.monotonic() + PACKING_S
-    while store.packing.pack(before_us - _PACK_AFTER_US) and time.monotonic() < until_s:
+    while store.packing.pack(before_us - _PACK_AFTER_US, until_s) and time.monotonic() < until_s:
         pass

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pcodec import ChunkConfig, standalone
 
+from service.store.errors import StoreError
+
 #: The one way of compression so far; each block says which is its own.
 CODEC = 1
 
@@ -89,13 +91,19 @@ def unpack(block: Block, position: int) -> Samples:
     Raises
     ------
     BlockDamagedError
-        If the block is damaged, or made by a later version.
+        If the block is damaged.
+    StoreError
+        If a later version made it.
     """
     if block.codec != CODEC:
-        raise BlockDamagedError(f"codec {block.codec}: expected {CODEC}")
+        raise StoreError(
+            f"a block of samples has codec {block.codec}: expected {CODEC}; a later version made it"
+        )
     if is_damaged(block):
         raise BlockDamagedError("its checksum differs")
     columns = msgspec.msgpack.decode(block.data, type=_Columns)
+    if position >= len(columns.values):
+        raise BlockDamagedError(f"it has {len(columns.values)} channels")
     return Samples(
         np.asarray(standalone.simple_decompress(columns.times), np.int64),
         np.asarray(standalone.simple_decompress(columns.values[position]), np.float64),

@@ -4,20 +4,25 @@ An hour of a channel is either in the table of samples or in a block, never in b
 is damaged has no samples, and costs no other its own.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
 import structlog
-from sqlalchemy import Connection, Select, delete, func, select
+from cachetools import LRUCache
+from sqlalchemy import Connection, Select, delete, func, select, tuple_
 
 from service.clock import HOUR_US, rfc3339
 from service.store.blocks import Block, BlockDamagedError, Samples, unpack
+from service.store.part import found_of
 from service.store.tables import PackedHourRow, SampleBlockRow
 
 #: Hours that are looked up at a time.
 _HOURS = 64
 _NOTHING = Samples(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint16))
+
+#: Blocks of which the log has told.
+_told: LRUCache[int, bool] = LRUCache(1000)
 
 _log = structlog.get_logger(__name__)
 
@@ -44,19 +49,34 @@ def span(
     connection: Connection, channel_id: int, begin_us: int, end_us: int
 ) -> tuple[int, int, int] | None:
     """Give the times of the first and the last packed sample of a span, and the count."""
-    firsts, lasts, count = [], [], 0
-    for hour in _hours(connection, channel_id, begin_us, end_us):
-        if begin_us <= hour.first_us and hour.last_us < end_us:
-            inside = (hour.first_us, hour.last_us, hour.sample_count)
-        else:
-            times_us = samples_of(connection, hour).within(begin_us, end_us).times_us
-            if not times_us.size:
+    of_channel = PackedHourRow.channel_id == channel_id
+    first_us, last_us, total = connection.execute(
+        select(
+            func.min(PackedHourRow.first_us),
+            func.max(PackedHourRow.last_us),
+            func.sum(PackedHourRow.sample_count),
+        ).where(
+            of_channel,
+            PackedHourRow.hour_us > begin_us - HOUR_US,
+            PackedHourRow.first_us >= begin_us,
+            PackedHourRow.last_us < end_us,
+        )
+    ).one()
+    found = [] if first_us is None else [(first_us, last_us, int(total))]
+    # At most two hours are cut by an end of the span.
+    for hour_us in {begin_us - begin_us % HOUR_US, end_us - end_us % HOUR_US}:
+        query = _select().where(of_channel, PackedHourRow.hour_us == hour_us)
+        for row in connection.execute(query).all():
+            hour = PackedHour(*row)
+            if begin_us <= hour.first_us and hour.last_us < end_us:
                 continue
-            inside = (int(times_us[0]), int(times_us[-1]), times_us.size)
-        firsts.append(inside[0])
-        lasts.append(inside[1])
-        count += inside[2]
-    return (firsts[0], lasts[-1], count) if firsts else None
+            times_us = samples_of(connection, hour).within(begin_us, end_us).times_us
+            if times_us.size:
+                found.append((int(times_us[0]), int(times_us[-1]), times_us.size))
+    if not found:
+        return None
+    firsts, lasts, counts = zip(*found, strict=True)
+    return min(firsts), max(lasts), sum(counts)
 
 
 def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int | None:
@@ -75,16 +95,22 @@ def newest(
     connection: Connection, channel_id: int, after_us: int
 ) -> tuple[int, float | None, int] | None:
     """Give the newest packed sample of a channel, if there is one after a time."""
-    query = _select().where(
-        PackedHourRow.channel_id == channel_id,
-        PackedHourRow.hour_us > after_us - HOUR_US,
-        PackedHourRow.last_us > after_us,
-    )
-    for row in connection.execute(query.order_by(PackedHourRow.hour_us.desc()).limit(1)).all():
-        samples = samples_of(connection, PackedHour(*row))
+    before_us = 2**63 - 1
+    while True:
+        query = _select().where(
+            PackedHourRow.channel_id == channel_id,
+            PackedHourRow.hour_us > after_us - HOUR_US,
+            PackedHourRow.hour_us < before_us,
+            PackedHourRow.last_us > after_us,
+        )
+        row = connection.execute(query.order_by(PackedHourRow.hour_us.desc()).limit(1)).first()
+        if row is None:
+            return None
+        hour = PackedHour(*row)
+        samples = samples_of(connection, hour)
         if samples.times_us.size:
-            return rows(samples)[-1]
-    return None
+            return rows(samples.within(after_us + 1, before_us))[-1]
+        before_us = hour.hour_us  # its block is damaged: the one before it
 
 
 def count(connection: Connection, channel_id: int) -> int:
@@ -111,25 +137,29 @@ def samples_of(connection: Connection, hour: PackedHour) -> Samples:
     try:
         if block is None:
             raise BlockDamagedError("it is missing")
-        return unpack(Block(*block), hour.position)
+        samples = unpack(Block(*block), hour.position)
+        times_us = samples.times_us
+        ends = (times_us.size, int(times_us[0]), int(times_us[-1])) if times_us.size else ()
+        if ends != (hour.sample_count, hour.first_us, hour.last_us):
+            raise BlockDamagedError("it is that of another hour")
     except BlockDamagedError as error:
-        _log.error(
-            "block_damaged",
-            block=hour.block_id,
-            channel_id=hour.channel_id,
-            hour=rfc3339(hour.hour_us),
-            reason=str(error),
-        )
+        if hour.block_id not in _told:
+            _told[hour.block_id] = True
+            _log.error(
+                "block_damaged",
+                block=hour.block_id,
+                channel_id=hour.channel_id,
+                hour=rfc3339(hour.hour_us),
+                reason=str(error),
+            )
         return _NOTHING
+    return samples
 
 
-def hours_of(
-    connection: Connection, channel_ids: set[int], begin_us: int, end_us: int
-) -> list[PackedHour]:
-    """Find the packed hours of channels that begin in a span."""
-    query = _select().where(PackedHourRow.hour_us >= begin_us, PackedHourRow.hour_us < end_us)
-    hours = [PackedHour(*row) for row in connection.execute(query).all()]
-    return [hour for hour in hours if hour.channel_id in channel_ids]
+def hours_of(connection: Connection, keys: Collection[tuple[int, int]]) -> list[PackedHour]:
+    """Find which of these channels and hours are packed."""
+    key = tuple_(PackedHourRow.channel_id, PackedHourRow.hour_us)
+    return [PackedHour(*row) for row in found_of(connection, key, _select(), keys)]
 
 
 def remove(connection: Connection, channel_id: int, hour_us: int) -> int:

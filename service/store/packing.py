@@ -1,5 +1,7 @@
 """Moves samples of hours that are over into blocks, and back when an hour gets another sample."""
 
+import math
+import time
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -32,7 +34,7 @@ _PORTION = 100
 class Packing(StorePart):
     """Keeps hours that are over in blocks; what is read and written is the same as before."""
 
-    def pack(self, before_us: int) -> int:
+    def pack(self, before_us: int, until_s: float = math.inf) -> int:
         """Pack the oldest hour of each channel whose samples are in the table, if it is over.
 
         Hours whose rollups are not computed yet wait for that. Each transaction is short; it is
@@ -42,6 +44,8 @@ class Packing(StorePart):
         ----------
         before_us : int
             Only hours that ended by this time, UTC microseconds.
+        until_s : float
+            When to stop, on the monotonic clock.
 
         Returns
         -------
@@ -54,7 +58,7 @@ class Packing(StorePart):
         done = 0
         for hour_us, channel_ids in due:
             left = list(channel_ids)
-            while left:
+            while left and time.monotonic() < until_s:
                 with self._database.writing() as connection:
                     taken, count = _pack_hour(connection, left, hour_us)
                 left = left[taken:]
@@ -77,18 +81,21 @@ class Packing(StorePart):
                 break
             broken += [row[0] for row in rows if is_damaged(Block(*row[1:]))]
             after = rows[-1][0]
-        if not broken:
-            return None
+        hours = select(ChannelRow.asset, PackedHourRow.sample_count).join(
+            PackedHourRow, PackedHourRow.channel_id == ChannelRow.id
+        )
         with self._database.reading() as connection:
-            lost = connection.execute(
-                select(ChannelRow.asset, PackedHourRow.sample_count)
-                .join(PackedHourRow, PackedHourRow.channel_id == ChannelRow.id)
-                .where(PackedHourRow.block_id.in_(broken[:1000]))
-            ).all()
+            missing = PackedHourRow.block_id.not_in(select(SampleBlockRow.id))
+            lost = list(connection.execute(hours.where(missing)).all())
+            for first in range(0, len(broken), _PORTION):
+                of_block = PackedHourRow.block_id.in_(broken[first : first + _PORTION])
+                lost += connection.execute(hours.where(of_block)).all()
+        if not lost:
+            return None
         assets = ", ".join(sorted({asset for asset, _ in lost}))
         return (
-            f"{len(broken)} blocks of samples are damaged: {sum(count for _, count in lost)} "
-            f"samples of {assets} cannot be read; restore a backup if they are needed"
+            f"blocks of samples are damaged: {sum(count for _, count in lost)} samples of "
+            f"{assets} cannot be read; restore a backup if they are needed"
         )
 
 
@@ -112,9 +119,8 @@ def make_room(
         What is still to be written, and how many others change nothing: they are stored already.
     """
     begin_us = min(columns.times_us) // HOUR_US * HOUR_US
-    end_us = max(columns.times_us) + 1
     late = select(PackedHourRow.hour_us).where(
-        PackedHourRow.hour_us >= begin_us, PackedHourRow.hour_us < end_us
+        PackedHourRow.hour_us >= begin_us, PackedHourRow.hour_us <= max(columns.times_us)
     )
     if connection.scalar(late.limit(1)) is None:  # as nearly always
         return columns, 0
@@ -124,10 +130,8 @@ def make_room(
     ):
         here[channel_id, time_us - time_us % HOUR_US].append(number)
     known = np.zeros(len(columns.times_us), bool)
-    for hour in packed.hours_of(connection, set(columns.channel_ids), begin_us, end_us):
-        numbers = here.get((hour.channel_id, hour.hour_us))
-        if numbers is None:
-            continue
+    for hour in packed.hours_of(connection, here):
+        numbers = here[hour.channel_id, hour.hour_us]
         samples = packed.samples_of(connection, hour)
         is_known = _changes_nothing(
             samples,
@@ -212,7 +216,8 @@ def _pack_hour(connection: Connection, channel_ids: Sequence[int], hour_us: int)
             insert(SampleBlockRow).values(**block._asdict()).returning(SampleBlockRow.id)
         ).scalar_one()
         for position, (channel_id, samples) in enumerate(group):
-            packed.remove(connection, channel_id, hour_us)  # one whose block was damaged
+            # One whose block is damaged, or that another version has left there.
+            packed.remove(connection, channel_id, hour_us)
             times_us = samples.times_us
             connection.execute(
                 insert(PackedHourRow).values(

@@ -1,10 +1,10 @@
 """What all parts of the store share."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, delete, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from service.store.database import PATIENCE_S, Database
@@ -15,6 +15,22 @@ from service.store.tables import AlarmTransitionRow, AuditRow
 _DELIVERY_PATIENCE_S = 1.0
 #: This many old lines go in one transaction; the others have their turn in between.
 _PORTION = 1000
+#: Keys of one look-up.
+_KEYS = 400
+
+
+def found_of(
+    connection: Connection,
+    key: ColumnElement[Any],
+    query: Select[*tuple[Any, ...]],
+    keys: Collection[tuple[int, int]],
+) -> list[Row[*tuple[Any, ...]]]:
+    """Rows with one of these keys, looked up in portions that every database takes."""
+    wanted = sorted(keys)
+    found: list[Row[*tuple[Any, ...]]] = []
+    for first in range(0, len(wanted), _KEYS):
+        found += connection.execute(query.where(key.in_(wanted[first : first + _KEYS]))).all()
+    return found
 
 
 class StorePart:

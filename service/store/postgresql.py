@@ -31,7 +31,7 @@ from service.store.postgresql_connection import (
     connection_error,
 )
 
-#: Samples of one partition: 2^41 microseconds, 25.5 days. Old ones can be dropped whole.
+#: Samples of one partition: 2^41 microseconds, 25.5 days. Packed hours leave them.
 PARTITION_US = 2**41
 
 #: Wall seconds beyond the patience of a transaction in which the server must answer.

@@ -102,7 +102,6 @@ class Rollups(StorePart):
         for channel_id, hour_us in hours:
             with self._database.writing() as connection:
                 _compute(connection, channel_id, hour_us)
-                self._samples.mark_again(channel_id, hour_us)
         return len(hours)
 
     def retention_time(
@@ -235,7 +234,6 @@ class Rollups(StorePart):
         in_hour = (SampleRow.time_us >= hour_us, SampleRow.time_us < hour_us + HOUR_US)
         for channel_id in connection.scalars(select(ChannelRow.id)).all():
             _compute(connection, channel_id, hour_us)
-            self._samples.mark_again(channel_id, hour_us)
             if keeps_seconds:
                 _insert(connection, channel_id, 1, hour_us, hour_us + HOUR_US)
         removed = 0

@@ -12,7 +12,8 @@ from sqlalchemy import JSON, Boolean, Column, Double, Integer, LargeBinary, Tabl
 from sqlalchemy.engine import URL
 
 from service.clock import HOUR_US
-from service.store.blocks import Block, is_damaged
+from service.store import packed
+from service.store.blocks import Block, BlockDamagedError, is_damaged, unpack
 from service.store.errors import StoreError
 from service.store.pages import PageRow, log_rows, page_rows
 from service.store.queue_file import set_aside
@@ -252,6 +253,33 @@ def _insert(
     )
 
 
+def _join_hours(target: sqlite3.Connection) -> None:
+    """Make rows of hours of which there are rows and a block.
+
+    A free page may still hold rows from before an hour was packed, or a block from before the hour
+    got another sample.
+    """
+    both = target.execute(
+        "SELECT h.channel_id, h.hour_us, h.position, b.codec, b.crc, b.data "
+        "FROM packed_hours h JOIN sample_blocks b ON b.id = h.block_id "
+        "WHERE EXISTS (SELECT 1 FROM samples s WHERE s.channel_id = h.channel_id "
+        f"AND s.time_us >= h.hour_us AND s.time_us < h.hour_us + {HOUR_US})"
+    ).fetchall()
+    for channel_id, hour_us, position, *block in both:
+        try:
+            samples = unpack(Block(*block), position)
+        except (BlockDamagedError, StoreError):
+            continue
+        target.executemany(
+            "INSERT OR IGNORE INTO samples VALUES (?, ?, ?, ?)",
+            [(channel_id, *row) for row in packed.rows(samples)],
+        )
+        target.execute(
+            "DELETE FROM packed_hours WHERE channel_id = ? AND hour_us = ?", (channel_id, hour_us)
+        )
+    target.execute("DELETE FROM sample_blocks WHERE id NOT IN (SELECT block_id FROM packed_hours)")
+
+
 def _complete(target: sqlite3.Connection) -> int:
     """Make up for what is missing; returns how many channels have lost their names."""
     unnamed = target.execute(
@@ -263,12 +291,8 @@ def _complete(target: sqlite3.Connection) -> int:
     blocks = target.execute("SELECT id, codec, crc, data FROM sample_blocks")
     broken = [(number,) for number, *block in blocks if is_damaged(Block(*block))]
     target.executemany("DELETE FROM sample_blocks WHERE id = ?", broken)
-    # A free page may still hold rows of an hour as they were before it was packed.
     target.execute("DELETE FROM packed_hours WHERE block_id NOT IN (SELECT id FROM sample_blocks)")
-    target.execute(
-        f"DELETE FROM samples WHERE (channel_id, time_us - time_us % {HOUR_US}) IN "
-        "(SELECT channel_id, hour_us FROM packed_hours)"
-    )
+    _join_hours(target)
     # Rollups are computed again where there are samples.
     target.execute(
         "INSERT OR IGNORE INTO stale_rollups (channel_id, hour_us) "

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Sequence
 from operator import itemgetter
 from typing import NoReturn
 
-from sqlalchemy import Connection, func, insert, select, text
+from sqlalchemy import Connection, func, insert, select, tuple_
 
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.clock import HOUR_US
@@ -14,9 +14,9 @@ from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
 from service.store.packing import make_room
-from service.store.part import StorePart
+from service.store.part import StorePart, found_of
 from service.store.records import StoredSample, WriteCounts
-from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
+from service.store.tables import ChannelRow, RawHorizonRow, SampleRow, StaleRollupRow
 
 _LONG = 2**63
 _BYTES = frozenset(range(256))
@@ -28,8 +28,6 @@ class Samples(StorePart):
     def __init__(self, database: Database) -> None:
         super().__init__(database)
         self._ids: dict[tuple[str, str], int] = {}
-        # Hours that are known to be marked as stale, so that not every batch marks them again.
-        self._stale: set[tuple[int, int]] = set()
         self._kept_from_us: int | None = None
 
     def write(self, samples: Collection[Sample], patience_s: float = PATIENCE_S) -> WriteCounts:
@@ -78,16 +76,11 @@ class Samples(StorePart):
                 columns, known = make_room(connection, self._database, columns)
             if columns.times_us:
                 stored = self._database.dialect.upsert_samples(connection, columns)
-            if fresh := _hours(columns) - self._stale:
-                _mark_stale(connection, fresh)
-        # Only now: had the transaction failed, neither channels nor marks would be there.
+            if columns.times_us:
+                _mark_stale(connection, _hours(columns))
+        # Only now: had the transaction failed, the channels would not be there.
         self._ids = ids
-        self._stale |= fresh
         return WriteCounts(stored, len(columns.times_us) - stored + known)
-
-    def mark_again(self, channel_id: int, hour_us: int) -> None:
-        """Mark an hour again when it gets a sample: its rollups have been computed."""
-        self._stale.discard((channel_id, hour_us))
 
     def keep_from(self, time_us: int) -> None:
         """Take note that raw samples before a time are not kept any more."""
@@ -323,15 +316,18 @@ def _make_channel(connection: Connection, asset: str, name: str) -> int:
     ).scalar_one()
 
 
-def _mark_stale(connection: Connection, hours: Iterable[tuple[int, int]]) -> None:
+def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
     """Remember that rollups of these channels and hours are not those of their samples."""
-    statement = text(
-        "INSERT INTO stale_rollups (channel_id, hour_us) VALUES (:channel_id, :hour_us) "
-        "ON CONFLICT DO NOTHING"
+    key = tuple_(StaleRollupRow.channel_id, StaleRollupRow.hour_us)
+    marked = found_of(
+        connection, key, select(StaleRollupRow.channel_id, StaleRollupRow.hour_us), hours
     )
-    connection.execute(
-        statement, [{"channel_id": channel_id, "hour_us": hour} for channel_id, hour in hours]
-    )
+    missing = set(hours) - {(channel_id, hour_us) for channel_id, hour_us in marked}
+    if missing:
+        connection.execute(
+            insert(StaleRollupRow),
+            [{"channel_id": channel_id, "hour_us": hour_us} for channel_id, hour_us in missing],
+        )
 
 
 def _cleaned(

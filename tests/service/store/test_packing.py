@@ -14,7 +14,7 @@ from sqlalchemy import select, text
 
 from adapters.samples import Sample
 from service.clock import HOUR_US, MINUTE_US
-from service.store import Retention, Store
+from service.store import Retention, Store, StoreError
 from service.store.blocks import BlockDamagedError, Samples, pack, unpack
 from service.store.packed import hours_of
 from service.store.salvage import salvage_store
@@ -224,11 +224,12 @@ def test_retention_removes_packed_hours_as_it_removes_others(
     assert expected[0] == 2 * 90 * 3
 
 
-def damaged_block(store: Store) -> None:
-    """Change one bit of the oldest block."""
+def damaged_block(store: Store, *, newest: bool = False) -> None:
+    """Change one bit of the oldest block, or of the newest."""
+    order = SampleBlockRow.id.desc() if newest else SampleBlockRow.id
     with store._database.writing() as connection:
         number, data = connection.execute(
-            select(SampleBlockRow.id, SampleBlockRow.data).order_by(SampleBlockRow.id).limit(1)
+            select(SampleBlockRow.id, SampleBlockRow.data).order_by(order).limit(1)
         ).one()
         broken = bytearray(data)
         broken[len(broken) // 2] ^= 1
@@ -249,12 +250,42 @@ def test_a_damaged_block_costs_only_itself(store: Store) -> None:
     assert min(row.time_us for row in rows) > START_US + HOUR_US
     problem = store.find_damage()
     assert problem is not None
-    assert "1 blocks of samples are damaged: 200 samples of bench-1" in problem
+    assert "blocks of samples are damaged: 200 samples of bench-1" in problem
     # It gets samples again, and is packed again.
     assert polled(store, 50, 2) == 100
     assert packed(store) == 2
     assert len(store.samples.read("bench-1", None, 0, 2**62, 10_000)) == 500
     assert store.find_damage() is None
+
+
+def test_a_damaged_newest_block_leaves_the_samples_before_it(store: Store) -> None:
+    for hour in range(3):
+        polled(store, 100, 1, START_US + hour * HOUR_US)
+        packed(store)
+    damaged_block(store, newest=True)
+    newest = store.samples.latest("bench-1")["t_0"]
+    assert START_US + HOUR_US < newest.time_us < START_US + 2 * HOUR_US
+    # As does one that is another hour's.
+    with store._database.writing() as connection:
+        connection.execute(
+            text("UPDATE packed_hours SET block_id = 1 WHERE hour_us = :hour"),
+            {"hour": START_US + HOUR_US},
+        )
+    assert store.samples.latest("bench-1")["t_0"].time_us < START_US + HOUR_US
+    assert len(store.samples.read("bench-1", None, 0, 2**62, 1000)) == 100
+
+
+def test_what_another_program_condensed_is_condensed_again(store: Store) -> None:
+    """As an import does next to the service: each has its own memory."""
+    url = str(store._database.engine.url.render_as_string(hide_password=False))
+    with Store.open(url.replace("+psycopg", ""), Path()) as other:
+        batch = [Sample("a", "x", START_US + k * SECOND_US, 1.0, 192, 0) for k in range(200)]
+        assert other.samples.write(batch[:100]) == (100, 0)
+        assert packed(store) == 1
+        assert other.samples.write(batch[100:]) == (100, 0)
+        assert packed(store) == 1
+        (hour,) = store.history.read("a", None, 0, START_US + 2 * HOUR_US, HOUR_US, 10)
+    assert hour.count == 200
 
 
 def test_an_hour_whose_block_is_gone_is_one_without_samples(store: Store) -> None:
@@ -264,6 +295,9 @@ def test_an_hour_whose_block_is_gone_is_one_without_samples(store: Store) -> Non
         connection.execute(text("DELETE FROM sample_blocks"))
     assert store.samples.read("bench-1", None, 0, 2**62, 10) == []
     assert store.samples.latest("bench-1") == {}
+    problem = store.find_damage()
+    assert problem is not None
+    assert "100 samples of bench-1" in problem
     assert polled(store, 100, 1) == 100
 
 
@@ -275,7 +309,8 @@ def test_salvage_brings_packed_hours_over_and_no_row_twice(tmp_path: Path) -> No
         damaged_block(store)
         with store._database.writing() as connection:
             path = Path(store._database.name)
-            assert len(hours_of(connection, {1, 2}, 0, 2**62)) == 6
+            hours = [START_US + hour * HOUR_US for hour in range(4)]
+            assert len(hours_of(connection, [(c, h) for c in (1, 2, 3) for h in hours])) == 6
     # The pages that the rows were on before are free, and still hold them.
     salvaged = salvage_store(path, "a test")
     assert salvaged.rows["sample_blocks"] == 2
@@ -306,9 +341,27 @@ def test_a_block_holds_every_bit(rows: list[tuple[int, float, int]]) -> None:
             assert mine.tobytes() == column.tobytes()
 
 
+def test_salvage_joins_rows_and_a_block_of_one_hour(tmp_path: Path) -> None:
+    """As a log of writes may hold both: what the hour was before it got another sample."""
+    with Store.open("", tmp_path) as store:
+        polled(store, 100, 1)
+        packed(store)
+        path = Path(store._database.name)
+        with store._database.writing() as connection:
+            connection.execute(
+                text("INSERT INTO samples VALUES (1, :time_us, 7.0, 192)"),
+                {"time_us": START_US + 5},
+            )
+    salvaged = salvage_store(path, "a test")
+    assert (salvaged.rows["samples"], salvaged.rows["packed_hours"]) == (101, 0)
+    assert salvaged.rows["sample_blocks"] == 0
+
+
 def test_a_block_of_a_later_version_says_so() -> None:
     samples = Samples(np.array([1]), np.array([math.pi]), np.array([192], np.uint16))
-    with pytest.raises(BlockDamagedError, match="codec 2: expected 1"):
+    with pytest.raises(StoreError, match="codec 2: expected 1"):
         unpack(pack([samples])._replace(codec=2), 0)
+    with pytest.raises(BlockDamagedError, match="1 channels"):
+        unpack(pack([samples]), 1)
     with pytest.raises(ValueError, match="the same times"):
         pack([samples, samples._replace(times_us=np.array([2]))])
