@@ -161,10 +161,12 @@ class Answers:
             twin.look()
         source = make[wanted.kind]()
         made = self._made.setdefault((wanted.asset, wanted.kind), _Made())
-        # An asset gives the same object as long as nothing in it has changed.
+        # An asset gives the same snapshot as long as nothing in it has changed.
         if made.source is not source or source is None:
             text = to_json(source, inf_nan_mode="null")
-            made.source, made.text, made.tag = source, text, digest(text)
+            made.text, made.tag = text, digest(text)
+            # The others are made for each question, and are large.
+            made.source = source if wanted.kind == "snapshot" else None
         return ask.Document(made.tag, None if made.tag == wanted.tag else made.text)
 
     async def renew_grease(self, command: ask.RenewGrease) -> bytes:
@@ -276,9 +278,13 @@ class Answers:
     async def create_job(self, command: ask.CreateJob) -> tuple[bytes, bool]:
         """Queue an identification."""
         request = IdentificationRequest.model_validate_json(command.request, strict=False)
-        job, created = await self.parts.jobs.create(
-            command.asset, request, command.idempotency_key, command.who, command.audit
+        # Once begun it ends, whoever waits: what is queued must run.
+        creating = asyncio.ensure_future(
+            self.parts.jobs.create(
+                command.asset, request, command.idempotency_key, command.who, command.audit
+            )
         )
+        job, created = await asyncio.shield(creating)
         return to_json(job, inf_nan_mode="null"), created
 
     async def get_jobs(self, command: ask.GetJobs) -> bytes:
@@ -293,7 +299,10 @@ class Answers:
 
     async def cancel_job(self, command: ask.CancelJob) -> bytes:
         """Stop a job."""
-        job = await self.parts.jobs.cancel(command.asset, command.job, command.audit)
+        cancelling = asyncio.ensure_future(
+            self.parts.jobs.cancel(command.asset, command.job, command.audit)
+        )
+        job = await asyncio.shield(cancelling)
         return to_json(job, inf_nan_mode="null")
 
     async def activate_model(self, command: ask.ActivateModel) -> bytes:

@@ -72,11 +72,18 @@ def keep_ensemble(
     limits : mapping of str to Limits
         By sensor or node.
     crossings
-        How likely its members exceed a limit: a single one is enough to speak against it.
+        How likely its members exceed a limit: a single one that comes near is enough to speak
+        against it.
     """
     likely = any(one.probability > 0.0 for levels in crossings.values() for one in levels.values())
     if likely or result.runaway_probability > 0.0 or not _is_clear(result, limits):
         return None
+    # Moved as far as it may be, none of its members reaches a limit.
+    for number, name in enumerate(result.sensors):
+        if name in limits:
+            highest_c = np.max(result.members_c[:, :, number], initial=-np.inf)
+            if not highest_c + MOVED_K < _lowest_limit_c(limits[name]):
+                return None
     path_c = _path_c(result, state, profile)
     if not np.isfinite(path_c).all():
         return None
@@ -145,10 +152,13 @@ def _is_clear(result: Forecast, limits: Mapping[str, Limits]) -> bool:
     for name, pair in limits.items():
         if name in result.names:
             highest_c = np.max(result.quantile(name)[-1])
-            lowest_limit_c = min(getattr(pair, level) for level in LEVELS)
-            if not highest_c <= lowest_limit_c - CLEAR_OF_LIMIT_K:
+            if not highest_c <= _lowest_limit_c(pair) - CLEAR_OF_LIMIT_K:
                 return False
     return True
+
+
+def _lowest_limit_c(limits: Limits) -> float:
+    return min(float(getattr(limits, level)) for level in LEVELS)
 
 
 def _path_c(

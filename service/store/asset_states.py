@@ -5,12 +5,16 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import msgspec
+import numpy as np
+import structlog
 from sqlalchemy import delete, insert, select
 
 from service.store.audit import add_line
 from service.store.part import StorePart
 from service.store.records import AuditEntry, JsonDocument
 from service.store.tables import AssetStateRow
+
+_log = structlog.get_logger(__name__)
 
 #: Wall seconds to wait for other writers; the next documents come soon.
 _PATIENCE_S = 3.0
@@ -35,7 +39,7 @@ class AssetStates(StorePart):
         if not documents:
             return
         rows = [
-            {"asset": asset, "document": {_PACKED: b64encode(msgspec.msgpack.encode(one)).decode()}}
+            {"asset": asset, "document": {_PACKED: b64encode(_packed(one)).decode()}}
             for asset, one in documents.items()
         ]
         with self._database.writing(_PATIENCE_S) as connection:
@@ -57,7 +61,24 @@ class AssetStates(StorePart):
         """Give back the documents of all assets."""
         query = select(AssetStateRow.asset, AssetStateRow.document)
         with self._database.reading() as connection:
-            return {asset: _unpacked(document) for asset, document in connection.execute(query)}
+            rows = connection.execute(query).all()
+        found = {}
+        for asset, document in rows:
+            try:
+                found[asset] = _unpacked(document)
+            except (msgspec.DecodeError, ValueError) as error:
+                # This twin begins again; the others go on.
+                _log.error("state_damaged", asset=asset, reason=str(error))
+        return found
+
+
+def _packed(document: Mapping[str, object]) -> bytes:
+    def plain(value: object) -> object:
+        if isinstance(value, np.generic):
+            return value.item()
+        raise NotImplementedError(type(value).__name__)
+
+    return msgspec.msgpack.encode(document, enc_hook=plain)
 
 
 def _unpacked(document: JsonDocument) -> JsonDocument:
