@@ -59,4 +59,5 @@ def test_processes_of_a_service_are_found_with_what_they_use() -> None:
     assert fleet._memory_bytes(own) > 10e6
     total, cell = fleet._processor_s(own)
     assert total > 0.0
-    assert cell == 0.0
+    # Other tests' services may be this process's as well.
+    assert 0.0 <= cell < total

@@ -34,6 +34,7 @@ def forecast(
     return KeptForecast.of(
         LiveForecast(
             made_at=rfc3339(made_us),
+            intervals_made_at=rfc3339(made_us),
             planned=True,
             model_version=version,
             time_s=time_s.tolist(),
