@@ -114,14 +114,18 @@ def test_a_killed_web_side_loses_no_sample_and_costs_no_poll(stand: Stand) -> No
         assert skipped_while(stand, lambda: killed(stand, "web", answers)) < SHARE
     assert stand.service.side("cell") == cell
     first = min(gateway.accepted)
-    page = stand.get(
-        f"/api/v1/assets/{PUSHED_ASSET}/measurements",
-        channel=PUSHED[0],
-        start=first.isoformat(),
-        limit=10_000,
-    )
-    assert page["next"] is None
-    stored = [datetime.fromisoformat(row["time"]) for row in page["items"]]
+    stored: list[datetime] = []
+    cursor: dict[str, str] = {}
+    while cursor or not stored:
+        page = stand.get(
+            f"/api/v1/assets/{PUSHED_ASSET}/measurements",
+            channel=PUSHED[0],
+            start=first.isoformat(),
+            limit=10_000,
+            **cursor,
+        )
+        stored += [datetime.fromisoformat(row["time"]) for row in page["items"]]
+        cursor = {"cursor": page["next"]} if page["next"] else {}
     assert sorted(stored) == sorted(gateway.accepted)
     assert gateway.tries > len(gateway.accepted) / _SAMPLES  # some did meet a dead web side
 
