@@ -54,8 +54,7 @@ def test_page_and_interface_agree_whatever_is_missing(
 
         def agreed(missing: set[str] = missing) -> bool:
             told = verdict(known)
-            # Without inputs for half an hour, half a minute here, the twin stops as well.
-            if set(told["missing"]) - {"forecast", "twin"} != missing:
+            if set(told["missing"]) - {"forecast"} != missing:
                 return False
             both = [told[name]["word"].capitalize() for name in ("now", "next_step")]
             if missing:

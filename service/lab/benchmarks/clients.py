@@ -23,7 +23,7 @@ _PATIENCE_S = 30.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calls:
-    """What HTTP clients shall do: each sends a request, waits for its answer, sends the next."""
+    """What HTTP clients do: each sends a request, waits for its answer, sends the next."""
 
     port: int
     path: str
@@ -51,7 +51,7 @@ class Answered:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Listening:
-    """What clients of the stream shall do; those that are stalled never read."""
+    """What clients of the stream do; those that are stalled never read."""
 
     port: int
     path: str
