@@ -89,6 +89,27 @@ def violations(page: Page, view: str) -> list[str]:
     ]
 
 
+def test_words_of_every_priority_are_read_on_their_tint(parts: Page, axe: str) -> None:
+    """In both themes, on the page and on a panel, whatever alarm a view shows."""
+    parts.evaluate(
+        """() => {
+          document.head.innerHTML = '<link rel="stylesheet" href="../css/tokens.css">';
+          document.documentElement.lang = 'en';
+          document.title = 'tints';
+          document.body.innerHTML = ['--bg', '--panel'].map((ground) =>
+            `<div style="background: var(${ground})">` + ['p1', 'p2', 'p3', 'bad'].map((tint) =>
+              `<p style="background: var(--${tint}-tint); color: var(--${tint}-text)">` +
+              `${tint} on ${ground}</p>`).join('') + '</div>').join('');
+        }"""
+    )
+    parts.wait_for_function(
+        "getComputedStyle(document.documentElement).getPropertyValue('--p1-text') !== ''"
+    )
+    parts.evaluate(axe)
+    found = [one for one in violations(parts, "tints") if "color-contrast" in one]
+    assert not found, "\n".join(found)
+
+
 def test_every_view_meets_wcag_aa(screen: Screen, plant: Plant, axe: str) -> None:
     plant.values[BEARING]["t_inner_ring_c"] = 81.0  # an alarm is on the page
     wait_until(lambda: plant.alarm("measured limit"), 60, "an alarm")

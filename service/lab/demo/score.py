@@ -1,7 +1,7 @@
 """How good the forecasts were: predicted before a stage against measured in it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -80,6 +80,14 @@ class Stage:
     load_n: float
     start_us: int
     end_us: int | None
+
+
+def ended(stage: Stage, next_start_us: int, planned_s: float) -> Stage:
+    """Give a stage its end: the planned one where the bench waited before the next stage.
+
+    No forecast knows of the waiting: what is measured in it says nothing of any.
+    """
+    return replace(stage, end_us=min(next_start_us, stage.start_us + round(planned_s * 1e6)))
 
 
 def made_before(forecasts: Sequence[KeptForecast], stage: Stage) -> KeptForecast | None:

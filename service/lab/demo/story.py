@@ -31,6 +31,7 @@ from service.lab.demo.score import (
     Stage,
     VersionAccount,
     WarningAccount,
+    ended,
     made_before,
     stage_account,
 )
@@ -163,10 +164,8 @@ class Story:
         for number in range(self._phase() + 1, phase + 1):
             start_us = await self._phase_start_us(number, tags["phase"]["time"])
             if self._stages:
-                last = self._stages[-1]
-                self._stages[-1] = Stage(
-                    last.name, last.risk, last.speed_rpm, last.load_n, last.start_us, start_us
-                )
+                planned_s = self._scenario.steps[self._phase() - 1].duration_s
+                self._stages[-1] = ended(self._stages[-1], start_us, planned_s)
             if number > len(self._scenario.steps):
                 self._tell("The profile is over; the machine is at standstill.")
                 self._stages.append(Stage("standstill", "low", 0.0, 0.0, start_us, None))

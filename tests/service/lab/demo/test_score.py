@@ -1,5 +1,6 @@
 """Which forecast is scored, and how."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from service.lab.demo.score import (
     KeptForecast,
     Measured,
     Stage,
+    ended,
     made_before,
     stage_account,
 )
@@ -136,3 +138,13 @@ def test_without_measurements_all_figures_are_null(nothing: dict[str, Measured])
 def test_a_stage_under_way_has_no_end() -> None:
     running = Stage("6200 rpm", "high", 6200.0, 2650.0, START_US, None)
     assert stage_account(running, None, {}, NO_WARNING)["end"] is None
+
+
+def test_a_stage_ends_where_it_was_planned_to_however_long_the_bench_waits() -> None:
+    """Three hours of waiting lie outside every forecast; the stage itself was foreseen."""
+    running = replace(STAGE, end_us=None)
+    assert ended(running, START_US + 59 * MINUTE_US, 3600.0).end_us == START_US + 59 * MINUTE_US
+    waited = ended(running, START_US + 240 * MINUTE_US, 3600.0)
+    assert waited.end_us == START_US + 60 * MINUTE_US
+    kept = [forecast(-5.0, hours=2.0)]
+    assert made_before(kept, waited) is kept[0]
