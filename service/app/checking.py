@@ -52,7 +52,10 @@ def examine(file: Path | None) -> Examination:
         sources, assets = _tables(file)
     else:
         sources = dict(enumerate(settings.sources))
-        assets = [AssetTables.of(number, asset) for number, asset in enumerate(settings.assets)]
+        assets = [
+            AssetTables.of(f"assets[{number}]", asset)
+            for number, asset in enumerate(settings.assets)
+        ]
     wiring, wrong = wire_what_can_be(sources, assets, Path() if file is None else file.parent)
     where = "" if file is None else f"{file}: "
     errors += [where + line for line in wrong]

@@ -5,6 +5,7 @@ text), which wins over the file. Errors name the key, the value and what was exp
 """
 
 import ipaddress
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
@@ -40,6 +41,7 @@ from service.site.machines.networks import (
     folder_of_files,
     network_table,
 )
+from service.site.templates import from_template, templates_by_name
 from twin_core.windows import LowRiskRegion
 
 
@@ -203,6 +205,8 @@ class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
     id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    #: What it was made from, if anything; its tables are the template's with what it gives itself.
+    template: str = Field("", max_length=64)
     #: What the pages call the asset; its id if absent.
     name: str = Field("", max_length=64)
     #: Assets of one group can be looked at together in the fleet view.
@@ -344,6 +348,8 @@ class Settings(BaseSettings):
     tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
     sources: tuple[TomlTable, ...] = ()
+    #: What assets have in common; see `service.site.templates`.
+    templates: tuple[TomlTable, ...] = ()
     assets: tuple[AssetSection, ...] = ()
     base_dir: Path = Field(Path(), exclude=True)
 
@@ -361,21 +367,20 @@ class Settings(BaseSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _put_bearings_in(cls, given: Any) -> Any:
-        """Put the bearings of the configuration where assets name them."""
-        bearings, assets = given.get("bearings"), given.get("assets")
+    def _complete_assets(cls, given: Any) -> Any:
+        """Make assets from their templates, and put bearings in where they are named."""
+        bearings, assets = given.get("bearings", {}), given.get("assets")
+        templates = templates_by_name(given.get("templates"))
         if not isinstance(bearings, dict) or not isinstance(assets, list | tuple):
             return given
         known = {name: with_designation(table, name) for name, table in bearings.items()}
         return given | {
             "bearings": known,
             "assets": [
-                asset | {"bearing": known[asset["bearing"]]}
+                _completed(asset, templates, known, f"assets[{number}]")
                 if isinstance(asset, dict)
-                and isinstance(asset.get("bearing"), str)
-                and asset["bearing"] in known
                 else asset
-                for asset in assets
+                for number, asset in enumerate(assets)
             ],
         }
 
@@ -390,6 +395,30 @@ class Settings(BaseSettings):
                     raise ValueError(f"{what}: the name {name!r} is used twice; expected unique")
         return self
 
+    def asset(self, table: TomlTable, key: str) -> AssetSection:
+        """Check the table of an asset that is not in the file, as those of the file are checked.
+
+        Parameters
+        ----------
+        table
+            As in the file.
+        key
+            Names it in messages.
+
+        Raises
+        ------
+        SettingsError
+            One line for each error.
+        """
+        folder = folder_of_files.set(self.base_dir)
+        try:
+            templates = templates_by_name(self.templates)
+            return AssetSection.model_validate(_completed(table, templates, self.bearings, key))
+        except ValidationError as error:
+            raise SettingsError(*describe_all(error, key)) from error
+        finally:
+            folder_of_files.reset(folder)
+
     def path(self, relative: Path | str) -> Path:
         """Resolve a path of the configuration against the directory of its file."""
         return self.base_dir / relative
@@ -398,6 +427,17 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """Directory of the store, the spool and checkpoints."""
         return self.path(self.service.data_dir)
+
+
+def _completed(
+    asset: TomlTable, templates: Mapping[str, TomlTable], bearings: Mapping[str, Any], key: str
+) -> TomlTable:
+    """Table of an asset with its template, and the bearing of the configuration that it names."""
+    whole = from_template(asset, templates, key)
+    named = whole.get("bearing")
+    if isinstance(named, str) and named in bearings:
+        return whole | {"bearing": bearings[named]}
+    return whole
 
 
 def load_settings(file: Path | None) -> Settings:

@@ -77,13 +77,13 @@ class AssetTables:
     controller: Mapping[str, TomlTable]
 
     @classmethod
-    def of(cls, number: int, asset: AssetSection) -> "AssetTables":
+    def of(cls, key: str, asset: AssetSection) -> "AssetTables":
         """Return those of a checked asset."""
         controller = {
             name: getattr(asset.controller, name) for name in (*CONTROLLER_CHANNELS, _PLAN)
         }
         given = {name: table for name, table in controller.items() if table is not None}
-        return cls(f"assets[{number}]", asset.id, asset.channels, given)
+        return cls(key, asset.id, asset.channels, given)
 
 
 def wire(settings: Settings) -> Wiring:
@@ -94,11 +94,18 @@ def wire(settings: Settings) -> Wiring:
     SettingsError
         One line for each error: names the key, the value and what was expected.
     """
-    assets = [AssetTables.of(number, asset) for number, asset in enumerate(settings.assets)]
-    wiring, errors = wire_what_can_be(dict(enumerate(settings.sources)), assets, settings.base_dir)
+    return wire_assets(
+        settings, {f"assets[{number}]": asset for number, asset in enumerate(settings.assets)}
+    )
+
+
+def wire_assets(settings: Settings, assets: Mapping[str, AssetSection]) -> Wiring:
+    """As `wire`, of some assets, in the file or not, by the key that names them in messages."""
+    tables = [AssetTables.of(key, asset) for key, asset in assets.items()]
+    wiring, errors = wire_what_can_be(dict(enumerate(settings.sources)), tables, settings.base_dir)
     if errors:
         raise SettingsError(*errors)
-    ranges = {asset.id: operating_ranges(asset.bearing) for asset in settings.assets}
+    ranges = {asset.id: operating_ranges(asset.bearing) for asset in assets.values()}
     channels = {
         asset: {
             name: replace(facts, limits=within_machine(name, facts.limits, ranges[asset]))

@@ -33,6 +33,18 @@ def found_of(
     return found
 
 
+def found_keys(
+    connection: Connection, key: InstrumentedAttribute[str], keys: Collection[str]
+) -> set[str]:
+    """Which of these keys there are, looked up in portions that every database takes."""
+    wanted = sorted(keys)
+    found: set[str] = set()
+    for first in range(0, len(wanted), _KEYS):
+        query = select(key).where(key.in_(wanted[first : first + _KEYS]))
+        found.update(connection.scalars(query))
+    return found
+
+
 class StorePart:
     """One part of the store: the methods that belong to one noun, on a shared database.
 

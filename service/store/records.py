@@ -132,6 +132,24 @@ class JobChanges(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True)
+class ProvisionedAsset:
+    """An asset that is not in the configuration file (changed at, on the wall clock).
+
+    Attributes
+    ----------
+    table
+        As a configuration file would hold it, without its id; None when it was removed.
+    revision
+        Of its last change.
+    """
+
+    id: str
+    table: dict[str, Any] | None
+    revision: int
+    changed_us: int
+
+
+@dataclass(frozen=True, slots=True)
 class ApiKey:
     """An API key as the store knows it: never the key itself (times on the wall clock)."""
 

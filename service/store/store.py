@@ -14,6 +14,7 @@ from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
 from service.store.opening import open_database
 from service.store.packing import Packing
+from service.store.provisioned_assets import ProvisionedAssets
 from service.store.rollups import Rollups
 from service.store.salvage import damage_of
 from service.store.samples import Samples
@@ -51,6 +52,8 @@ class Store(Closable):
         API keys and browser sessions.
     audit : Audit
         The audit trail.
+    assets : ProvisionedAssets
+        Assets that are not in the configuration file.
     """
 
     def __init__(self, database: Database) -> None:
@@ -65,6 +68,7 @@ class Store(Closable):
         self.alarms = AlarmJournal(database)
         self.access = Access(database)
         self.audit = Audit(database)
+        self.assets = ProvisionedAssets(database)
 
     @classmethod
     def open(cls, database_url: str, data_dir: Path, *, migrate: bool = False) -> Self:

@@ -302,6 +302,18 @@ class DeliveryRow(Base):
     number: Mapped[int]
 
 
+class ProvisionedAssetRow(Base):
+    """The table of an asset that is not in the configuration file, as JSON; None: removed."""
+
+    __tablename__ = "provisioned_assets"
+    __table_args__ = (Index("ix_provisioned_assets_revision", "revision"),)
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    document: Mapped[str | None]
+    revision: Mapped[int]
+    changed_us: Mapped[int]
+
+
 class ApiKeyRow(Base):
     """An API key: only its hash is kept.
 

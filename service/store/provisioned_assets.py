@@ -1,0 +1,110 @@
+"""Assets that are not in the configuration file: made by REST or by command while it runs."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Row, Select, bindparam, func, insert, select, text, update
+
+from service.store.audit import add_line
+from service.store.part import StorePart, found_keys
+from service.store.records import AuditEntry, ProvisionedAsset
+from service.store.tables import ProvisionedAssetRow
+
+_COLUMNS = (
+    ProvisionedAssetRow.id,
+    ProvisionedAssetRow.document,
+    ProvisionedAssetRow.revision,
+    ProvisionedAssetRow.changed_us,
+)
+
+
+class ProvisionedAssets(StorePart):
+    """Tables of assets as a configuration file would hold them; nobody checks them here.
+
+    Each change gets a revision, greater than all before: who knows one asks for what is newer.
+    """
+
+    def present(self) -> list[ProvisionedAsset]:
+        """All that there are, by id."""
+        return self._found(
+            select(*_COLUMNS)
+            .where(ProvisionedAssetRow.document.is_not(None))
+            .order_by(ProvisionedAssetRow.id)
+        )
+
+    def get(self, asset_id: str) -> ProvisionedAsset | None:
+        """One of them; None when there is none of this id."""
+        found = self._found(
+            select(*_COLUMNS).where(
+                ProvisionedAssetRow.id == asset_id, ProvisionedAssetRow.document.is_not(None)
+            )
+        )
+        return found[0] if found else None
+
+    def changed_since(self, revision: int) -> list[ProvisionedAsset]:
+        """What has a greater revision, oldest first; the table of a removed one is None."""
+        return self._found(
+            select(*_COLUMNS)
+            .where(ProvisionedAssetRow.revision > revision)
+            .order_by(ProvisionedAssetRow.revision, ProvisionedAssetRow.id)
+        )
+
+    def change(
+        self,
+        changes: Mapping[str, Mapping[str, Any] | None],
+        at_us: int,
+        line: AuditEntry | None = None,
+    ) -> int:
+        """Write all changes and the line of the audit trail in one transaction.
+
+        Parameters
+        ----------
+        changes
+            Tables by id; None removes an asset.
+        at_us
+            Wall time, UTC microseconds.
+        line
+            Who changes it.
+
+        Returns
+        -------
+        int
+            Their revision.
+        """
+        with self._database.writing() as connection:
+            if connection.dialect.name == "postgresql":
+                # Revisions are seen in their order: no reader knows the later of two first.
+                connection.execute(text("LOCK TABLE provisioned_assets IN EXCLUSIVE MODE"))
+            newest = connection.scalar(select(func.max(ProvisionedAssetRow.revision))) or 0
+            known = found_keys(connection, ProvisionedAssetRow.id, changes)
+            rows = [
+                {
+                    "id": asset_id,
+                    "document": None if table is None else json.dumps(table),
+                    "revision": newest + 1,
+                    "changed_us": at_us,
+                }
+                for asset_id, table in changes.items()
+                if table is not None or asset_id in known
+            ]
+            added = [row for row in rows if row["id"] not in known]
+            if added:
+                connection.execute(insert(ProvisionedAssetRow), added)
+            changed = [row | {"known_id": row["id"]} for row in rows if row["id"] in known]
+            if changed:
+                of_one = update(ProvisionedAssetRow).where(
+                    ProvisionedAssetRow.id == bindparam("known_id")
+                )
+                connection.execute(of_one, changed)
+            add_line(connection, line)
+        return newest + 1
+
+    def _found(self, query: Select[*tuple[Any, ...]]) -> list[ProvisionedAsset]:
+        with self._database.reading() as connection:
+            return [_asset(row) for row in connection.execute(query)]
+
+
+def _asset(row: Row[*tuple[Any, ...]]) -> ProvisionedAsset:
+    table = None if row.document is None else json.loads(row.document)
+    return ProvisionedAsset(row.id, table, row.revision, row.changed_us)
