@@ -48,6 +48,10 @@ class AssetNames(Command[list[str]], frozen=True, array_like=True):
     """The ids of all assets."""
 
 
+class ApplyAssets(Command[dict[str, str]], frozen=True, array_like=True):
+    """Take up the assets that the store holds as they are now; answers which cannot, and why."""
+
+
 class RenewGrease(Command[bytes], frozen=True, array_like=True):
     """Count the revolutions of an asset's grease from zero again; answers as JSON text."""
 

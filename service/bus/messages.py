@@ -83,11 +83,14 @@ class State(msgspec.Struct, frozen=True, array_like=True):
         Whether it takes commands.
     stream
         Number of the latest live message.
+    assets
+        Revision of the assets that it follows.
     """
 
     waits_for: str = ""
     ready: bool = False
     stream: int = 0
+    assets: int = 0
 
 
 _encoder = msgspec.msgpack.Encoder()

@@ -1,5 +1,6 @@
 """All assets of the cell as other processes see them, brought up to date together."""
 
+import asyncio
 import contextlib
 import time
 from dataclasses import dataclass, field
@@ -14,6 +15,8 @@ from service.domain.errors import CellUnavailableError
 #: Documents asked for at once: the answers about thousands of assets are too long for one message,
 #: and take the cell longer than who asks waits.
 PORTION: Final = 32
+#: Wall seconds between two looks for other assets.
+_LOOK_EVERY_S: Final = 0.25
 
 
 @dataclass(slots=True)
@@ -32,17 +35,32 @@ class Replicas:
     assets: dict[str, AssetReplica] = field(default_factory=dict)
 
     async def load(self) -> None:
-        """Learn which assets there are; to be done again when the cell has started again.
+        """Learn which assets there are; to be done again when that has changed.
 
         Raises
         ------
         CellUnavailableError
             If the cell does not answer.
         """
-        for name in await self.reader.ask(AssetNames(), PATIENCE_S):
+        names = await self.reader.ask(AssetNames(), PATIENCE_S)
+        for gone in self.assets.keys() - set(names):
+            del self.assets[gone]
+        for name in names:
             if name not in self.assets:
                 self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
         await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
+
+    async def follow(self) -> None:
+        """Learn it again whenever the cell has taken up other assets, until cancelled."""
+        known = self.reader.state.assets
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            present = self.reader.state.assets
+            if present != known:
+                with contextlib.suppress(CellUnavailableError):
+                    self.changed()
+                    await self.load()
+                    known = present
 
     def changed(self, asset: str | None = None) -> None:
         """Take no copy of an asset, or of any, from before this moment for fresh."""

@@ -3,7 +3,7 @@
 import asyncio
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
@@ -58,6 +58,7 @@ class Parts:
     registry: CollectorRegistry
     sources: Callable[[], Sequence[SourceHealth]]
     problems: Callable[[], Mapping[str, str | None]] = dict
+    apply_assets: Callable[[], Awaitable[dict[str, str]]] | None = None
 
 
 @dataclass(slots=True)
@@ -113,6 +114,7 @@ class Answers:
         """What answers which command."""
         return {
             ask.AssetNames: self.asset_names,
+            ask.ApplyAssets: self.apply_assets,
             ask.GetDocuments: self.documents,
             ask.RenewGrease: self.renew_grease,
             ask.StreamAfter: self.stream_after,
@@ -134,6 +136,11 @@ class Answers:
     async def asset_names(self, command: ask.AssetNames) -> list[str]:
         """Give the ids of all assets."""
         return list(self.parts.assets)
+
+    async def apply_assets(self, command: ask.ApplyAssets) -> dict[str, str]:
+        """Take up the assets that the store holds now."""
+        apply = self.parts.apply_assets
+        return {} if apply is None else await apply()
 
     async def documents(self, command: ask.GetDocuments) -> list[ask.Document]:
         """Give documents; a poll that is due comes between some of them."""

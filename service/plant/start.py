@@ -87,6 +87,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
         for name, work in (
             ("live messages", following.run()),
             ("tags", _refresh(replicas)),
+            ("assets", replicas.follow()),
             ("presence", tell_presence(reader, "plant", registry)),
         ):
             await stack.enter_async_context(background(work, name, stop))

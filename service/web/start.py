@@ -10,6 +10,7 @@ from typing import Final
 
 import structlog
 
+from service.bus.commands import ApplyAssets
 from service.bus.following import Following
 from service.bus.interface import AWAY_AFTER_S
 from service.bus.local import LocalReaderBus
@@ -27,7 +28,14 @@ from service.tasks import background
 from service.waiting import StoppedError, Waiting
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
-from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.cell import (
+    WHILE_S,
+    CellAlarms,
+    CellHealth,
+    CellIngest,
+    CellJobs,
+    Shared,
+)
 from service.web.questions import WorkerQuestions
 from service.web.side import WebSide
 
@@ -136,10 +144,12 @@ class _Start:
                     health=CellHealth(shared),
                     refresh_summaries=partial(replicas.refresh_known, "summary"),
                     changed=changed,
+                    apply_assets=partial(_apply_assets, reader, replicas),
                 )
             )
             for name, work in (
                 ("presence", tell_presence(reader, "web")),
+                ("assets", replicas.follow()),
                 ("absence", _tell_absence(reader, replicas, bus, clock.rate)),
             ):
                 await stack.enter_async_context(background(work, name, stop))
@@ -178,6 +188,14 @@ class _Start:
                 await self._stop.wait()
         if self._stop.is_set():
             raise StoppedError
+
+
+async def _apply_assets(reader: LocalReaderBus, replicas: Replicas) -> dict[str, str]:
+    """Have the cell take up what the store holds now, and know it here too."""
+    wrong = await reader.ask(ApplyAssets(), WHILE_S)
+    replicas.changed()
+    await replicas.load()
+    return wrong
 
 
 async def _tell_absence(

@@ -17,6 +17,10 @@ async def _nothing() -> None:
     """Bring nothing up to date."""
 
 
+async def _no_assets() -> Mapping[str, str]:
+    return {}
+
+
 @dataclass(frozen=True, slots=True)
 class ServiceContext:
     """Everything the web side leans on, put together at its start.
@@ -38,6 +42,8 @@ class ServiceContext:
     changed
         Makes the copies of what the cell knows of an asset, or of all, old ones; to be called after
         a change.
+    apply_assets
+        Has the cell take up the assets that the store holds now; gives which cannot, and why.
     registry
         Metrics of the web side itself.
     """
@@ -54,4 +60,5 @@ class ServiceContext:
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
     changed: Callable[[str | None], None] = lambda asset: None
+    apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)
