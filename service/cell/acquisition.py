@@ -1,5 +1,6 @@
 """What works before the store is there: drivers, checks and the queue in front of the store."""
 
+import asyncio
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -9,7 +10,7 @@ from prometheus_client import CollectorRegistry
 from adapters.protocol import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.ingest import Ingest, QualityChecks, Spool
-from service.site.wiring import Wiring
+from service.site.wiring import Wiring, with_assets
 
 #: Wall seconds for which the word of a source on its channels holds.
 ASK_AGAIN_S = 0.1
@@ -35,8 +36,6 @@ class Acquisition:
         What every sample must stand to be taken for good.
     ingest : Ingest
         The way of all samples to the store.
-    drivers : list of Driver
-        One for each source.
     spool : Spool
         Where samples wait.
     """
@@ -48,8 +47,10 @@ class Acquisition:
         self.ingest = Ingest(
             None, spool, clock, self._hand_on, registry=self.registry, checks=self.checks
         )
-        self.drivers: list[Driver] = [source.create(clock) for source in wiring.sources]
-        self._by_name = {driver.name: driver for driver in self.drivers}
+        self._clock = clock
+        self._sources = {source.name: source for source in wiring.sources}
+        self._by_name = {name: source.create(clock) for name, source in self._sources.items()}
+        self._changing = asyncio.Lock()
         self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
         self._take: Callable[[Batch], None] | None = None
         # What the twins begin with, bounded by the number of channels.
@@ -62,6 +63,39 @@ class Acquisition:
         take(Batch(samples, list(self._plans.values())))
         self._samples, self._plans = {}, {}
         self._take = take
+
+    @property
+    def drivers(self) -> list[Driver]:
+        """One for each source that something is read from."""
+        return list(self._by_name.values())
+
+    async def change(self, assets: Mapping[str, Wiring | None]) -> None:
+        """Read other channels of some assets while all others are read on.
+
+        Parameters
+        ----------
+        assets
+            What is read for each of them from now on; None: nothing.
+        """
+        async with self._changing:
+            for asset, wiring in assets.items():
+                channels = {} if wiring is None else wiring.channels.get(asset, {})
+                self.checks.set_limits(
+                    asset, {name: facts.limits for name, facts in channels.items()}
+                )
+            wanted = with_assets(self._sources, assets)
+            for name in self._sources.keys() | wanted.keys():
+                source = wanted.get(name)
+                if source is self._sources.get(name):
+                    continue
+                driver = source.create(self._clock) if source is not None else None
+                await self.ingest.replace(name, driver)
+                self._problems.pop(name, None)
+                if driver is None:
+                    del self._by_name[name]
+                else:
+                    self._by_name[name] = driver
+            self._sources = wanted
 
     def health(self) -> list[SourceHealth]:
         """Health of every source, from memory."""

@@ -152,7 +152,9 @@ class Answers:
         return answer
 
     def _document(self, wanted: ask.Wanted) -> ask.Document:
-        twin = self.parts.assets[wanted.asset]
+        twin = self.parts.assets.get(wanted.asset)
+        if twin is None:  # removed a moment ago, which who asks is about to hear
+            return ask.Document(wanted.tag, None)
         asset = twin.documents
         make: Mapping[str, Callable[[], object]] = {
             "facts": asset.description,
@@ -175,6 +177,11 @@ class Answers:
             # The others are made for each question, and are large.
             made.source = source if wanted.kind == "snapshot" else None
         return ask.Document(made.tag, None if made.tag == wanted.tag else made.text)
+
+    def forget(self, asset_id: str) -> None:
+        """Keep no document of an asset that is followed no longer."""
+        for key in [key for key in self._made if key[0] == asset_id]:
+            del self._made[key]
 
     async def renew_grease(self, command: ask.RenewGrease) -> bytes:
         """Count the revolutions of an asset's grease from zero again."""
@@ -382,7 +389,7 @@ class Answers:
 
     def _twins(self) -> list[ask.HealthCheck]:
         checks = []
-        for asset in self.parts.assets.values():
+        for asset in list(self.parts.assets.values()):
             name = f"twin:{asset.id}"
             if not asset.documents.running:
                 checks.append(ask.HealthCheck(name, "failed", "the live twin is not running"))

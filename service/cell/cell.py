@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, cast
 
 import structlog
+from anyio import to_thread
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from adapters.samples import Batch, PlannedProfile, Sample
@@ -20,6 +21,7 @@ from service.bus.stream import Bus, Message, heartbeats
 from service.cell.acquisition import Acquisition
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
+from service.cell.provisioning import Provisioning, Site
 from service.cell.retention import StoreMaintenance
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
@@ -33,6 +35,7 @@ from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.jobs.runner import JobRunner
 from service.live.asset import AssetRuntime
 from service.live.kept import KeptState
+from service.site.provisioning import CheckedAsset
 from service.site.settings import AssetSection, Settings
 from service.site.wiring import Wiring
 from service.store import (
@@ -118,17 +121,27 @@ class Cell:
             registry=self.registry,
         )
         watch_late(
-            lambda: {asset.id: asset.readings.late for asset in self.assets.values()}, self.registry
+            lambda: {asset.id: asset.readings.late for asset in list(self.assets.values())},
+            self.registry,
         )
         watch_forecasts(
-            lambda: {asset.id: asset.forecast_age_s() for asset in self.assets.values()},
+            lambda: {asset.id: asset.forecast_age_s() for asset in list(self.assets.values())},
             self.registry,
         )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self._states = StateKeeper(store.states.save_all)
-        self.histories = {asset.id: AssetHistory(asset, store, clock) for asset in settings.assets}
-        self.assets = {asset.id: self._runtime(asset, wiring) for asset in settings.assets}
+        self.histories: dict[str, AssetHistory] = {}
+        self.assets: dict[str, AssetRuntime] = {}
+        for asset in settings.assets:
+            self._make(asset, wiring)
+        self.provisioning = Provisioning(
+            settings, store, Site(self._add_assets, self._remove_asset, acquisition.change)
+        )
+        for checked in self.provisioning.first().values():
+            self._make(checked.section, checked.wiring)
         self._kept_states = cast(dict[str, KeptState], store.states.load_all())
+        self._twins = asyncio.TaskGroup()
+        self._followed: dict[str, asyncio.Task[None]] = {}
         left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
         self._report_unconfigured(left)
         for alarm in left:
@@ -167,7 +180,46 @@ class Cell:
                 registry=self.registry,
                 sources=acquisition.health,
                 problems=self._problems,
+                apply_assets=self.provisioning.apply,
             )
+        )
+
+    def _make(self, asset: AssetSection, wiring: Wiring) -> None:
+        """Make what follows an asset; it reads from the store."""
+        runtime = self._runtime(asset, wiring)
+        self.histories[asset.id] = AssetHistory(asset, self.store, self.clock)
+        self.assets[asset.id] = runtime
+
+    async def _add_assets(self, added: Sequence[CheckedAsset]) -> None:
+        """Follow assets that were not followed until now."""
+
+        def make() -> dict[str, KeptState]:
+            for one in added:
+                self._make(one.section, one.wiring)
+            return cast(
+                dict[str, KeptState], self.store.states.load_all([one.section.id for one in added])
+            )
+
+        kept = await to_thread.run_sync(make)
+        for one in added:
+            self._follow(one.section.id, kept.get(one.section.id))
+
+    async def _remove_asset(self, asset_id: str, for_good: bool) -> None:
+        """Follow an asset no longer; for good: what stands of it is ended too."""
+        task = self._followed.pop(asset_id, None)
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+        if for_good:
+            await self.jobs.end(asset_id)
+            self.alarms.withdraw(asset_id, ())
+        self.assets.pop(asset_id, None)
+        self.histories.pop(asset_id, None)
+        self.answers.forget(asset_id)
+
+    def _follow(self, asset_id: str, kept: KeptState | None) -> None:
+        self._followed[asset_id] = self._twins.create_task(
+            self.assets[asset_id].run(kept), name=f"twin of {asset_id}"
         )
 
     def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
@@ -257,6 +309,7 @@ class Cell:
         )
         files = [*([self.maintenance.damage] if self.maintenance.damage else []), *mended]
         return {
+            "assets": self.provisioning.problem,
             "history": ingest.too_old_problem or self.maintenance.problem,
             "files": "; ".join(files) or None,
         }
@@ -319,7 +372,7 @@ class Cell:
         """
         try:
             async with contextlib.AsyncExitStack() as stack:
-                await stack.enter_async_context(background(self._twins(), "twins", stop))
+                await stack.enter_async_context(background(self._run_twins(), "twins", stop))
                 self.acquisition.hand_to(self._take)
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
@@ -342,17 +395,18 @@ class Cell:
     async def _report(self) -> None:
         """Say how far the live messages are, so that nobody misses the last one."""
         while True:
-            self._others.report(State(ready=True, stream=self.bus.seq))
+            state = State(ready=True, stream=self.bus.seq, assets=self.provisioning.revision)
+            self._others.report(state)
             await asyncio.sleep(STATE_EVERY_S)
 
-    async def _twins(self) -> None:
+    async def _run_twins(self) -> None:
         # Side by side: their last saving takes its time when the store does not answer.
-        async with asyncio.TaskGroup() as twins:
-            for asset in self.assets.values():
-                twins.create_task(
-                    asset.run(self._kept_states.get(asset.id)), name=f"twin of {asset.id}"
-                )
-            await asyncio.Event().wait()
+        async with self._twins:
+            for asset_id in self.assets:
+                self._follow(asset_id, self._kept_states.pop(asset_id, None))
+            self._kept_states = {}
+            await self.acquisition.change(self.provisioning.wirings())
+            await self.provisioning.follow()
 
     async def _take_up_jobs(self) -> None:
         """Go on with what an earlier run left unfinished, then identify by itself."""

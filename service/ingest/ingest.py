@@ -1,6 +1,7 @@
 """From the drivers to the live twins and the store."""
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -27,6 +28,9 @@ PORTION = 250
 #: Wall seconds that a store which does not answer is given when the service stops.
 DRAIN_S = 5.0
 _BEAT_S = 0.25
+#: Wall seconds after which a driver gives way to the one that replaces it in any case.
+REPLACED_AFTER_S = 3.0
+_LOOK_S = 0.02
 #: Wall seconds after which a refused push may come again: after one refusal, and at most.
 RETRY_PUSH_S = 5.0
 RETRY_PUSH_LAST_S = 60.0
@@ -81,6 +85,7 @@ class Ingest:
         self._push_backoff = Backoff(RETRY_PUSH_S, RETRY_PUSH_LAST_S)
         self._retry_after_s = RETRY_PUSH_S
         self._went_on = False
+        self._pumps: dict[str, asyncio.Task[None]] = {}
         # Where channels ended in the last run; what waits on the spool is newer than the store.
         ends = spool.newest()
         self._unmarked_gaps = {name: end_us for name, end_us in ends.items() if end_us is not None}
@@ -130,15 +135,44 @@ class Ingest:
             self.attach(self._store, await asyncio.to_thread(self._store.samples.open_ends))
         self._writer.start()
         try:
-            async with asyncio.TaskGroup() as group:
+            async with asyncio.TaskGroup() as self._group:
                 for driver in drivers:
-                    self._source_metrics.watch(driver)
-                    group.create_task(self._pump(driver), name=f"source {driver.name}")
+                    self._start(driver)
                 while True:  # the group ends when it is cancelled
                     self._went_on = self._writer.is_running
                     await asyncio.sleep(_BEAT_S)
         finally:
             await asyncio.to_thread(self._writer.close, DRAIN_S)
+
+    def _start(self, driver: Driver) -> None:
+        self._source_metrics.watch(driver)
+        self._pumps[driver.name] = self._group.create_task(
+            self._pump(driver), name=f"source {driver.name}"
+        )
+
+    async def replace(self, name: str, driver: Driver | None) -> None:
+        """Pump another driver of a source, or none any more, while `run` runs.
+
+        The new one reads before the old one ends, so that no poll is missing; a device that takes
+        one connection only gets that of the new one a moment later.
+
+        Parameters
+        ----------
+        name
+            Of the source.
+        driver
+            Not entered yet.
+        """
+        old = self._pumps.pop(name, None)
+        if driver is None:
+            self._source_metrics.forget(name)
+        else:
+            self._start(driver)
+            if old is not None:
+                await _until_up(driver)
+        if old is not None:
+            old.cancel()
+            await asyncio.wait({old})
 
     @property
     def retry_after_s(self) -> int:
@@ -314,6 +348,16 @@ class Ingest:
             for (asset, channel), (last_us, first_us) in gaps.items()
             if last_us + 1 < first_us
         ]
+
+
+async def _until_up(driver: Driver) -> None:
+    """Wait until a driver has read something, for a while."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(REPLACED_AFTER_S):
+            while True:
+                await asyncio.sleep(_LOOK_S)
+                if driver.health().samples:
+                    return
 
 
 async def _nothing() -> WriteCounts:

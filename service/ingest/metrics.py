@@ -246,12 +246,16 @@ class SourceMetrics:
             registry=registry,
             buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
         )
-        self._drivers: list[Driver] = []
+        self._drivers: dict[str, Driver] = {}
         registry.register(self)
 
     def watch(self, driver: Driver) -> None:
-        """Show this source too."""
-        self._drivers.append(driver)
+        """Show this source too, in the place of one with its name."""
+        self._drivers[driver.name] = driver
+
+    def forget(self, name: str) -> None:
+        """Show a source no more."""
+        self._drivers.pop(name, None)
 
     def describe(self) -> Iterable[Metric]:
         """Name the figures, so that the registry refuses them twice."""
@@ -271,7 +275,7 @@ class SourceMetrics:
         errors = CounterMetricFamily(
             "bearing_twin_source_errors", "Errors of a source by kind.", labels=["source", "kind"]
         )
-        for driver in self._drivers:
+        for driver in list(self._drivers.values()):
             health = driver.health()
             up.add_metric([health.name], float(health.up))
             for name, counter in counters.items():

@@ -59,8 +59,8 @@ class _Channel:
     def __init__(self, limits: CheckLimits, machine: _Machine, is_speed: bool) -> None:
         self.reason = ""
         self.quiet_until_s = 0.0
-        self._limits = limits
-        self._machine = machine
+        self.limits = limits
+        self.machine = machine
         self._is_speed = is_speed
         self._rate_per_us = limits.max_rate_per_s / 1e6
         # Without a limit on the rate a jump is judged by itself.
@@ -106,7 +106,7 @@ class _Channel:
         finding = self._outside(value) or self._examine(time_us, value)
         self._time_us, self._received_us = time_us, received_us
         if self._is_speed and finding is None:
-            self._machine.turns = abs(value) >= AT_REST_RPM
+            self.machine.turns = abs(value) >= AT_REST_RPM
         if finding is not None:
             if len(self._found) >= _REMEMBERED:
                 del self._found[next(iter(self._found))]
@@ -114,14 +114,14 @@ class _Channel:
         return finding
 
     def _outside(self, value: float) -> Finding | None:
-        return None if self._limits.low <= value <= self._limits.high else self._range
+        return None if self.limits.low <= value <= self.limits.high else self._range
 
     def _examine(self, time_us: int, value: float) -> Finding | None:
         level, elapsed_us = self._level, time_us - self._level_us
         if level is None:
             self._begin(time_us, value)
             return None
-        reach = self._limits.max_jump
+        reach = self.limits.max_jump
         if abs(value - level) > reach + self._allowed_per_us * elapsed_us:
             near = reach + self._allowed_per_us * (time_us - self._suspect_us)
             agrees = self._suspects and abs(value - self._suspect) <= near
@@ -135,7 +135,7 @@ class _Channel:
         self._level, self._level_us = value, time_us
         if self._changes_too_fast(time_us, value):
             return self._rate
-        if value == level and self._machine.turns:
+        if value == level and self.machine.turns:
             # A gap, or a clock that was set, is no proof that a value stood still.
             self._same_us += min(elapsed_us, self._flat_us / FLAT_SAMPLES)
             return self._flat if self._same_us >= self._flat_us else None
@@ -174,22 +174,39 @@ class QualityChecks:
     def __init__(
         self, limits: Mapping[tuple[str, str], CheckLimits], registry: CollectorRegistry
     ) -> None:
-        checked = {key: of for key, of in limits.items() if not of.anything}
-        machines = {asset: _Machine() for asset, _ in checked}
-        # The speed shows a standstill, also where nothing else is checked of it.
-        checked |= {
-            (asset, SPEED): checked.get((asset, SPEED), CheckLimits()) for asset in machines
-        }
-        self._channels = {
-            (asset, channel): _Channel(of, machines[asset], channel == SPEED)
-            for (asset, channel), of in checked.items()
-        }
+        self._channels: dict[tuple[str, str], _Channel] = {}
+        by_asset: dict[str, dict[str, CheckLimits]] = {}
+        for (asset, channel), of in limits.items():
+            by_asset.setdefault(asset, {})[channel] = of
+        for asset, channels in by_asset.items():
+            self.set_limits(asset, channels)
         self._counter = Counter(
             "bearing_twin_samples_doubted",
             "Samples with good quality from their source that a check rejected.",
             ["asset", "channel", "reason"],
             registry=registry,
         )
+
+    def set_limits(self, asset: str, limits: Mapping[str, CheckLimits]) -> None:
+        """Check an asset's channels by these limits from now on; a channel without any passes.
+
+        A channel whose limits stay the same remembers what it has seen.
+        """
+        checked = {channel: of for channel, of in limits.items() if not of.anything}
+        if checked:
+            # The speed shows a standstill, also where nothing else is checked of it.
+            checked.setdefault(SPEED, CheckLimits())
+        before = {
+            channel: self._channels.pop((asset, channel))
+            for of, channel in list(self._channels)
+            if of == asset
+        }
+        machine = next((one.machine for one in before.values()), _Machine())
+        for channel, of in checked.items():
+            known = before.get(channel)
+            if known is None or known.limits != of:
+                known = _Channel(of, machine, channel == SPEED)
+            self._channels[asset, channel] = known
 
     def judge(self, samples: Sequence[Sample]) -> Sequence[Sample]:
         """Return the samples, those that fail a check with a quality that says so.

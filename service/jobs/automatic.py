@@ -30,8 +30,8 @@ async def identify_by_itself(
     tried: dict[str, list[Window]] = {}
     while True:
         await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
-        for asset_id, history in histories.items():
-            if jobs.busy(asset_id):
+        for asset_id, history in list(histories.items()):
+            if asset_id not in histories or jobs.busy(asset_id):
                 continue
             try:
                 found = await history.windows()

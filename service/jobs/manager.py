@@ -67,6 +67,12 @@ class IdentificationJobs:
         except (StoreUnavailableError, TimeoutError) as error:
             _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
 
+    async def end(self, asset_id: str) -> None:
+        """Cancel the jobs of an asset that is followed no longer."""
+        for job in await anyio.to_thread.run_sync(self._store.jobs.unfinished):
+            if job.asset == asset_id:
+                await self.cancel(asset_id, job.id)
+
     # ------------------------------------------------------------------ the API's side
     async def create(
         self,

@@ -116,6 +116,52 @@ def wire_assets(settings: Settings, assets: Mapping[str, AssetSection]) -> Wirin
     return Wiring(wiring.sources, channels)
 
 
+def with_assets(
+    sources: Mapping[str, SourceWiring], assets: Mapping[str, Wiring | None]
+) -> dict[str, SourceWiring]:
+    """Give the sources with what they read for other assets; without any use a source is left out.
+
+    Parameters
+    ----------
+    sources
+        By name, with what is read from them now.
+    assets
+        What is read for some assets in the place of what is read for them now; None: nothing.
+    """
+    news: dict[str, list[SourceWiring]] = {}
+    for wiring in assets.values():
+        for source in wiring.sources if wiring is not None else ():
+            news.setdefault(source.name, []).append(source)
+    found: dict[str, SourceWiring] = {}
+    for name in dict.fromkeys((*sources, *news)):
+        before, added = sources.get(name), news.get(name, [])
+        first = before or added[0]
+        kept = [one for one in (before.channels if before else ()) if one.asset not in assets]
+        plans = [one for one in (before.plans if before else ()) if one.asset not in assets]
+        whole = SourceWiring(
+            name,
+            first.spec,
+            first.config,
+            kept + [one for source in added for one in source.channels],
+            plans + [one for source in added for one in source.plans],
+        )
+        if before is not None and _reads_the_same(whole, before):
+            whole = before
+        if whole.channels or whole.plans:
+            found[name] = whole
+    return found
+
+
+def _reads_the_same(one: SourceWiring, other: SourceWiring) -> bool:
+    """Whether two read the same, in whatever order."""
+
+    def read(source: SourceWiring) -> tuple[object, object]:
+        channels = {(binding.asset, binding.channel): binding.config for binding in source.channels}
+        return channels, {binding.asset: binding.config for binding in source.plans}
+
+    return read(one) == read(other)
+
+
 def wire_what_can_be(
     sources: Mapping[int, TomlTable], assets: Sequence[AssetTables], base_dir: Path
 ) -> tuple[Wiring, list[str]]:

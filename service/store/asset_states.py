@@ -1,16 +1,16 @@
 """What the live twins of the assets need to go on after a restart."""
 
 from base64 import b64decode, b64encode
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import structlog
-from sqlalchemy import delete, insert, select
+from sqlalchemy import Row, delete, insert, select
 
 from service.store.audit import add_line
-from service.store.part import StorePart
+from service.store.part import StorePart, rows_of
 from service.store.records import AuditEntry, JsonDocument
 from service.store.tables import AssetStateRow
 
@@ -57,11 +57,14 @@ class AssetStates(StorePart):
             found = connection.scalar(query)
         return None if found is None else _unpacked(found)
 
-    def load_all(self) -> dict[str, JsonDocument]:
-        """Give back the documents of all assets."""
+    def load_all(self, assets: Collection[str] | None = None) -> dict[str, JsonDocument]:
+        """Give back the documents of some assets, or of all."""
         query = select(AssetStateRow.asset, AssetStateRow.document)
         with self._database.reading() as connection:
-            rows = connection.execute(query).all()
+            if assets is None:
+                rows: Sequence[Row[*tuple[Any, ...]]] = connection.execute(query).all()
+            else:
+                rows = rows_of(connection, AssetStateRow.asset, query, assets)
         found = {}
         for asset, document in rows:
             try:

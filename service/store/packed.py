@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Select, delete, func, select, tuple_
 
 from service.clock import HOUR_US, rfc3339
 from service.store.blocks import Block, BlockDamagedError, Samples, unpack
-from service.store.part import found_of
+from service.store.part import rows_of
 from service.store.tables import PackedHourRow, SampleBlockRow
 
 #: Hours that are looked up at a time.
@@ -159,7 +159,7 @@ def samples_of(connection: Connection, hour: PackedHour) -> Samples:
 def hours_of(connection: Connection, keys: Collection[tuple[int, int]]) -> list[PackedHour]:
     """Find which of these channels and hours are packed."""
     key = tuple_(PackedHourRow.channel_id, PackedHourRow.hour_us)
-    return [PackedHour(*row) for row in found_of(connection, key, _select(), keys)]
+    return [PackedHour(*row) for row in rows_of(connection, key, _select(), keys)]
 
 
 def remove(connection: Connection, channel_id: int, hour_us: int) -> int:

@@ -19,29 +19,17 @@ _PORTION = 1000
 _KEYS = 400
 
 
-def found_of(
+def rows_of(
     connection: Connection,
-    key: ColumnElement[Any],
+    key: ColumnElement[Any] | InstrumentedAttribute[Any],
     query: Select[*tuple[Any, ...]],
-    keys: Collection[tuple[int, int]],
+    keys: Collection[Any],
 ) -> list[Row[*tuple[Any, ...]]]:
     """Rows with one of these keys, looked up in portions that every database takes."""
     wanted = sorted(keys)
     found: list[Row[*tuple[Any, ...]]] = []
     for first in range(0, len(wanted), _KEYS):
         found += connection.execute(query.where(key.in_(wanted[first : first + _KEYS]))).all()
-    return found
-
-
-def found_keys(
-    connection: Connection, key: InstrumentedAttribute[str], keys: Collection[str]
-) -> set[str]:
-    """Which of these keys there are, looked up in portions that every database takes."""
-    wanted = sorted(keys)
-    found: set[str] = set()
-    for first in range(0, len(wanted), _KEYS):
-        query = select(key).where(key.in_(wanted[first : first + _KEYS]))
-        found.update(connection.scalars(query))
     return found
 
 

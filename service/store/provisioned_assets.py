@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Row, Select, bindparam, func, insert, select, text, update
 
 from service.store.audit import add_line
-from service.store.part import StorePart, found_keys
+from service.store.part import StorePart, rows_of
 from service.store.records import AuditEntry, ProvisionedAsset
 from service.store.tables import ProvisionedAssetRow
 
@@ -77,7 +77,8 @@ class ProvisionedAssets(StorePart):
                 # Revisions are seen in their order: no reader knows the later of two first.
                 connection.execute(text("LOCK TABLE provisioned_assets IN EXCLUSIVE MODE"))
             newest = connection.scalar(select(func.max(ProvisionedAssetRow.revision))) or 0
-            known = found_keys(connection, ProvisionedAssetRow.id, changes)
+            key = ProvisionedAssetRow.id
+            known = {row[0] for row in rows_of(connection, key, select(key), changes)}
             rows = [
                 {
                     "id": asset_id,

@@ -14,7 +14,7 @@ from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
 from service.store.packing import make_room
-from service.store.part import StorePart, found_of
+from service.store.part import StorePart, rows_of
 from service.store.records import StoredSample, WriteCounts
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow, StaleRollupRow
 
@@ -319,7 +319,7 @@ def _make_channel(connection: Connection, asset: str, name: str) -> int:
 def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
     """Remember that rollups of these channels and hours are not those of their samples."""
     key = tuple_(StaleRollupRow.channel_id, StaleRollupRow.hour_us)
-    marked = found_of(
+    marked = rows_of(
         connection, key, select(StaleRollupRow.channel_id, StaleRollupRow.hour_us), hours
     )
     missing = set(hours) - {(channel_id, hour_us) for channel_id, hour_us in marked}

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from service.live.envelope import EnvelopeKeeper
     from service.live.estimate import ActiveModel, EstimatedState
     from service.site.settings import AssetSection, Settings
+    from service.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,11 @@ class Model:
 
 
 _settings: "Settings | None" = None
+# What is kept of each asset, and the revision or the section that it was made of.
+_sections: "dict[str, tuple[int, AssetSection]]" = {}
+_models: "dict[str, tuple[AssetSection, ActiveModel]]" = {}
+_keepers: "dict[str, tuple[AssetSection, EnvelopeKeeper]]" = {}
+_histories: "dict[str, tuple[AssetSection, AssetHistory]]" = {}
 
 
 def prepare(settings: "Settings") -> None:
@@ -93,9 +99,35 @@ def windows(asset: str) -> "Sequence[WindowDocument]":
 
 
 def _asset(name: str) -> "AssetSection":
+    """Section of an asset: of the file, else of the store, where it may change at any time."""
+    settings = _prepared()
+    found = next((asset for asset in settings.assets if asset.id == name), None)
+    if found is not None:
+        return found
+    from service.site.provisioning import check_asset
+
+    stored = _store().assets.get(name)
+    if stored is None or stored.table is None:
+        raise KeyError(f"asset {name!r} was removed")
+    known = _sections.get(name)
+    if known is None or known[0] != stored.revision:
+        section = check_asset(settings, name, stored.table).section
+        known = _sections[name] = stored.revision, section
+    return known[1]
+
+
+def _prepared() -> "Settings":
     if _settings is None:
         raise RuntimeError("the worker has no configuration")
-    return next(asset for asset in _settings.assets if asset.id == name)
+    return _settings
+
+
+@functools.cache
+def _store() -> "Store":
+    from service.store import Store
+
+    settings = _prepared()
+    return Store.open(settings.service.database_url, settings.data_dir)
 
 
 def _state(model: Model, machine: PresentMachine) -> "EstimatedState":
@@ -106,44 +138,44 @@ def _state(model: Model, machine: PresentMachine) -> "EstimatedState":
     return EstimatedState.read(_active(model), machine.estimate)
 
 
-_models: dict[str, "ActiveModel"] = {}
-
-
 def _active(model: Model) -> "ActiveModel":
     """The model of a version; the same object as long as the version is the same."""
     from service.jobs.models import thermal_model
     from service.live.estimate import ActiveModel
     from twin_core.identification.posterior import Posterior
 
-    asset = model.asset
-    known = _models.get(asset)
-    if known is None or known.version != model.version:
+    section = _asset(model.asset)
+    known = _models.get(model.asset)
+    if known is None or known[0] is not section or known[1].version != model.version:
         posterior = Posterior.from_dict(from_json(model.posterior))
-        known = _models[asset] = ActiveModel(
+        active = ActiveModel(
             model.version,
-            thermal_model(_asset(asset)),
+            thermal_model(section),
             posterior,
             model.created_at_us if posterior.identified else None,
         )
-    return known
+        known = _models[model.asset] = section, active
+    return known[1]
 
 
-@functools.cache
 def _envelopes(asset: str) -> "EnvelopeKeeper":
     from service.live.envelope import EnvelopeKeeper
 
-    return EnvelopeKeeper(_asset(asset))
+    section = _asset(asset)
+    known = _keepers.get(asset)
+    if known is None or known[0] is not section:
+        known = _keepers[asset] = section, EnvelopeKeeper(section)
+    return known[1]
 
 
-@functools.cache
 def _history(asset: str) -> "AssetHistory":
     from service.clock import ProcessClock
     from service.jobs.history import AssetHistory
-    from service.store import Store
 
-    settings = _settings
-    if settings is None:
-        raise RuntimeError("the worker has no configuration")
-    store = Store.open(settings.service.database_url, settings.data_dir)
-    clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
-    return AssetHistory(_asset(asset), store, clock)
+    section = _asset(asset)
+    known = _histories.get(asset)
+    if known is None or known[0] is not section:
+        settings = _prepared()
+        clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
+        known = _histories[asset] = section, AssetHistory(section, _store(), clock)
+    return known[1]

@@ -1,0 +1,149 @@
+"""Takes up assets that are made, changed and removed while the cell runs."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import structlog
+from anyio import to_thread
+
+from service.site.provisioning import CheckedAsset, check_assets
+from service.site.settings import Settings
+from service.site.wiring import Wiring
+from service.store import ProvisionedAsset, Store, StoreUnavailableError
+
+#: Wall seconds between two looks into the store: a command writes there without asking anybody.
+LOOK_EVERY_WALL_S = 2.0
+_NAMED = 3
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What is done with assets.
+
+    Attributes
+    ----------
+    add
+        Follows assets that are not followed.
+    remove
+        Follows an asset no longer; the flag tells whether for good or to begin with another table.
+    read
+        Reads other channels for some assets; None: nothing.
+    """
+
+    add: Callable[[Sequence[CheckedAsset]], Awaitable[None]]
+    remove: Callable[[str, bool], Awaitable[None]]
+    read: Callable[[Mapping[str, Wiring | None]], Awaitable[None]]
+
+
+class Provisioning:
+    """Keeps the assets of the cell those of the file and of the store.
+
+    Parameters
+    ----------
+    settings : Settings
+        With the assets of the file, and what those of the store may name.
+    store : Store
+        Where the others are.
+    site : Site
+        What is done with them.
+
+    Attributes
+    ----------
+    revision : int
+        Of the latest change that is taken up.
+    """
+
+    def __init__(self, settings: Settings, store: Store, site: Site) -> None:
+        self.revision = 0
+        self._settings = settings
+        self._store = store
+        self._site = site
+        self._running: dict[str, CheckedAsset] = {}
+        self._wrong: dict[str, str] = {}
+        self._applying = asyncio.Lock()
+
+    @property
+    def problem(self) -> str | None:
+        """Which assets of the store cannot be followed and why; None when all are."""
+        if not self._wrong:
+            return None
+        named = [f"{name}: {why}" for name, why in list(self._wrong.items())[:_NAMED]]
+        others = len(self._wrong) - len(named)
+        return "; ".join(named) + (f"; and {others} more" if others else "")
+
+    def first(self) -> Mapping[str, CheckedAsset]:
+        """Take up what there is at the start; reads from the store."""
+        changed = self._store.assets.changed_since(0)
+        self._running, self._wrong = self._checked(changed)
+        self.revision = max((one.revision for one in changed), default=0)
+        for name, why in self._wrong.items():
+            _log.error("asset_not_followed", asset=name, reason=why)
+        return self._running
+
+    def wirings(self) -> dict[str, Wiring | None]:
+        """What is read for the assets of the store."""
+        return {name: one.wiring for name, one in self._running.items()}
+
+    async def follow(self) -> None:
+        """Take up what others write into the store, until cancelled."""
+        while True:
+            await asyncio.sleep(LOOK_EVERY_WALL_S)
+            try:
+                await self.apply()
+            except StoreUnavailableError:
+                continue  # said by who stores samples
+            except Exception:
+                # Assets that are followed go on, whatever is wrong with a new one.
+                _log.exception("assets_not_taken_up")
+
+    async def apply(self) -> dict[str, str]:
+        """Take up what has changed in the store; returns what cannot be followed, and why.
+
+        Raises
+        ------
+        StoreUnavailableError
+            If the store does not answer.
+        """
+        # Once begun it ends, whoever waits: what is read and what is followed must agree.
+        return await asyncio.shield(asyncio.ensure_future(self._apply()))
+
+    async def _apply(self) -> dict[str, str]:
+        async with self._applying:
+            changed = await to_thread.run_sync(self._store.assets.changed_since, self.revision)
+            if changed:
+                right, wrong = await to_thread.run_sync(self._checked, changed)
+                await self._take_up([one.id for one in changed], right)
+                for one in changed:
+                    self._wrong.pop(one.id, None)
+                self._wrong |= wrong
+                self.revision = max(one.revision for one in changed)
+            return dict(self._wrong)
+
+    async def _take_up(self, changed: Sequence[str], right: Mapping[str, CheckedAsset]) -> None:
+        other = [
+            name
+            for name in changed
+            if name not in right
+            or name not in self._running
+            or right[name].section != self._running[name].section
+        ]
+        for name in other:
+            if self._running.pop(name, None) is not None:
+                await self._site.remove(name, name not in right)
+        added = [right[name] for name in other if name in right]
+        await self._site.add(added)
+        self._running |= {one.section.id: one for one in added}
+        await self._site.read(
+            {name: right[name].wiring if name in right else None for name in other}
+        )
+        _log.info("assets_taken_up", changed=len(other), followed=len(self._running))
+
+    def _checked(
+        self, changed: Sequence[ProvisionedAsset]
+    ) -> tuple[dict[str, CheckedAsset], dict[str, str]]:
+        tables = {one.id: one.table for one in changed if one.table is not None}
+        right, wrong = check_assets(self._settings, tables)
+        return right, {name: "; ".join(lines) for name, lines in wrong.items()}
