@@ -65,15 +65,20 @@ class Serving:
 
 @asynccontextmanager
 async def inside(
-    asset: Any, folder: Path, store: Store, outbox: Outbox, host: str = "127.0.0.1"
+    asset: Any,
+    folder: Path,
+    store: Store,
+    outbox: Outbox,
+    host: str = "127.0.0.1",
+    assets: dict[str, Any] | None = None,
 ) -> AsyncIterator[Serving]:
-    """Serve an asset's tags; a host that is not loopback asks for keys."""
+    """Serve the tags of bench-1, or of all assets; a host that is not loopback asks for keys."""
     port = free_port()
     section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    host_of_it = Host(["bench-1"], Authenticator(store), AuditTrail(outbox), folder)
+    host_of_it = Host(Authenticator(store), AuditTrail(outbox), folder)
     publisher = OpcUaPublisher(section)
     rounds = PublisherRounds(
-        "opcua", publisher, PERIOD_S, {"bench-1": asset}, Bus(ProcessClock()), host_of_it
+        "opcua", publisher, PERIOD_S, assets or {"bench-1": asset}, Bus(ProcessClock()), host_of_it
     )
     running = asyncio.create_task(rounds.run())
     try:

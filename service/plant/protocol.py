@@ -31,15 +31,12 @@ class Host:
 
     Attributes
     ----------
-    assets : collection of str
-        Ids of the assets whose tags come.
     authenticator, trail
         Check the keys of callers, and keep a line of wrong ones.
     data_dir : pathlib.Path
         A publisher keeps files in the folder of its own name below it.
     """
 
-    assets: Collection[str]
     authenticator: Authenticator
     trail: AuditTrail
     data_dir: Path
@@ -58,11 +55,15 @@ class Publisher(Protocol):
     - `open` is called once per round, and nothing else before it has returned.
     - The first `publish_tags` of an asset after `open` brings all tags that it has (a birth
       certificate, a fresh register map). Later calls bring those that changed, or are new.
-      Nothing is ever taken away.
+    - Assets come and go during a round. The tags of a new asset come as those of the others did.
+      Tags of a removed asset, or of a node that the active model does not have any more, come once
+      more without a value and with a bad quality; then `withdraw_tags` has their names. It may
+      also have tags of an earlier round, which this round has not published.
     - `run` begins after the first tags, so that a server never shows assets without values. It
       goes on until it is cancelled, or raises when the round is over (a lost connection).
-    - `publish_tags` and `publish_alarm` may be called at the same time as each other and as `run`,
-      but neither twice at once. They return when the values have been taken: a slow receiver
+    - `publish_tags`, `withdraw_tags` and `publish_alarm` may be called at the same time as `run`,
+      and alarms at the same time as tags, but there is one call for tags and one for alarms at a
+      time. They return when the values have been taken: a slow receiver
       delays the next call, and values that changed meanwhile come once, as they are then.
     - Whatever is raised by any of them ends the round: `close` is called, after a growing wait
       `open` follows. An alarm that was not taken comes again in the next round; alarms wait in
@@ -87,6 +88,9 @@ class Publisher(Protocol):
         collection of str
             The tags that could not be handed on; they are offered again, the others are not.
         """
+
+    async def withdraw_tags(self, asset: str, tags: Collection[str]) -> None:
+        """Remove tags that are gone, and with its last tag the asset."""
 
     async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Hand on what an alarm is now (the data of an ``alarm`` message of the stream).

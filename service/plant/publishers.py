@@ -85,7 +85,7 @@ def make_publishers(
     settings
         The checked configuration.
     assets
-        Whose tags are published.
+        Whose tags are published; they may come and go.
     bus
         Where alarms come from.
     host

@@ -2,13 +2,15 @@
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import structlog
 
 from adapters.backoff import Backoff
+from adapters.samples import Quality
 from service.bus.replica import AssetReplica
 from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedError
+from service.domain.errors import CellUnavailableError
 from service.live.guard import Guard
 from service.plant.protocol import Host, Publisher, TagValue
 
@@ -33,7 +35,7 @@ class PublisherRounds:
     period_s
         Wall seconds between two looks for changed tags.
     assets
-        Whose tags it gets.
+        Whose tags it gets; they may come and go.
     bus
         Where alarms come from.
     host
@@ -63,9 +65,10 @@ class PublisherRounds:
         self._assets = assets
         self._bus = bus
         self._host = host
-        self._guards = {asset: Guard(f"{name}_tags", asset) for asset in assets}
+        self._guards: dict[str, Guard] = {}
         self._closing = Guard(f"{name}_close", "")
-        self._known: dict[str, dict[str, TagValue]] = {}
+        # What was handed on last, also in earlier rounds; None where that has not been taken.
+        self._known: dict[str, dict[str, TagValue | None]] = {}
         self._alarms: Subscription | None = None
         self._unsent: Message | None = None
 
@@ -77,7 +80,7 @@ class PublisherRounds:
         while True:
             try:
                 await self._publisher.open(self._host)
-                self._known = {}
+                self._known = {asset: dict.fromkeys(tags) for asset, tags in self._known.items()}
                 await self.publish_tags()
                 backoff.reset()
                 away = False
@@ -97,21 +100,52 @@ class PublisherRounds:
             await asyncio.sleep(backoff.next())
 
     async def publish_tags(self) -> None:
-        """Hand on once what has changed since the last time."""
+        """Hand on once what has changed since the last time, and take back what is gone."""
         refused = 0
-        for asset, twin in self._assets.items():
-            with self._guards[asset]():
-                tags = twin.snapshot()["tags"]
-            if self._guards[asset].failing:
-                continue
-            known = self._known.setdefault(asset, {})
-            changed = {tag: shown for tag, shown in tags.items() if known.get(tag) != shown}
-            if not changed:
-                continue
-            left = await self._publisher.publish_tags(asset, changed)
-            known |= {tag: shown for tag, shown in changed.items() if tag not in left}
-            refused += len(left)
+        # A copy: assets come and go while the publisher takes its time.
+        for asset, twin in list(self._assets.items()):
+            tags = self._tags(asset, twin)
+            if tags is not None:
+                refused += await self._publish(asset, tags)
+                await self._withdraw(asset, self._known[asset].keys() - tags.keys())
+        for asset in self._known.keys() - self._assets.keys():
+            await self._withdraw(asset, list(self._known[asset]))
+            del self._known[asset]
+            self._guards.pop(asset, None)
         self.problem = f"{refused} tags refused" if refused else None
+
+    def _tags(self, asset: str, twin: AssetReplica) -> Mapping[str, TagValue] | None:
+        guard = self._guards.setdefault(asset, Guard(f"{self.name}_tags", asset))
+        with guard():
+            try:
+                return twin.snapshot()["tags"]
+            except CellUnavailableError:
+                return None  # an asset so new that its first snapshot is still under way
+        return None
+
+    async def _publish(self, asset: str, tags: Mapping[str, TagValue]) -> int:
+        """Hand on what has changed; tells how many tags were refused."""
+        known = self._known.setdefault(asset, {})
+        changed = {tag: shown for tag, shown in tags.items() if known.get(tag) != shown}
+        if not changed:
+            return 0
+        # Should the round end now, some may have been taken.
+        known |= dict.fromkeys(changed)
+        left = await self._publisher.publish_tags(asset, changed)
+        known |= {tag: shown for tag, shown in changed.items() if tag not in left}
+        return len(left)
+
+    async def _withdraw(self, asset: str, gone: Collection[str]) -> None:
+        """Take tags back: whoever follows one sees first that it has no value any more."""
+        if not gone:
+            return
+        known = self._known[asset]
+        last = {tag: _out_of_service(shown) for tag in gone if (shown := known[tag]) is not None}
+        if last:
+            await self._publisher.publish_tags(asset, last)
+        await self._publisher.withdraw_tags(asset, gone)
+        for tag in gone:
+            del known[tag]
 
     async def _run_publisher(self) -> None:
         await self._publisher.run()
@@ -144,6 +178,10 @@ class PublisherRounds:
 
     def _subscribe(self) -> Subscription:
         return self._bus.subscribe(types={"alarm"}, capacity=_ALARMS_KEPT)
+
+
+def _out_of_service(shown: TagValue) -> TagValue:
+    return {**shown, "value": None, "quality": int(Quality.OUT_OF_SERVICE)}
 
 
 def _reason(error: BaseException) -> str:

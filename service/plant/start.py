@@ -93,7 +93,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             await stack.enter_async_context(background(work, name, stop))
         while not following.caught_up.is_set():
             await _pause(stop)
-        host = Host(tuple(replicas.assets), authenticator, trail, data_dir)
+        host = Host(authenticator, trail, data_dir)
         for one in make_publishers(settings, replicas.assets, bus, host, registry):
             await stack.enter_async_context(background(one.run(), one.name, stop))
         ready()

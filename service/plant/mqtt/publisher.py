@@ -5,7 +5,8 @@ Below the prefix of the configuration:
 ``status``
     ``online`` or ``offline``, retained; the broker itself says ``offline`` when we are lost.
 ``ASSET/TAG``
-    ``{"value", "unit", "quality", "time"}`` as in the snapshot, retained.
+    ``{"value", "unit", "quality", "time"}`` as in the snapshot, retained. For a tag that is gone
+    an empty payload follows, which has the broker forget the topic.
 ``ASSET/alarms``
     Every change of an alarm as one document, not retained.
 """
@@ -73,17 +74,14 @@ class MqttPublisher:
 
     async def publish_tags(self, asset: str, tags: Mapping[str, TagValue]) -> Collection[str]:
         """Publish tags, each with the broker's acknowledgement."""
-        # Acknowledged by the broker, so that a slow one delays the next round instead of filling
-        # our memory.
-        await asyncio.gather(
-            *(
-                self._connected.publish(
-                    self._topic(asset, tag), to_json(shown, inf_nan_mode="null"), qos=1, retain=True
-                )
-                for tag, shown in tags.items()
-            )
+        await self._retain(
+            asset, {tag: to_json(shown, inf_nan_mode="null") for tag, shown in tags.items()}
         )
         return ()
+
+    async def withdraw_tags(self, asset: str, tags: Collection[str]) -> None:
+        """Have the broker forget topics: an empty payload removes what is retained."""
+        await self._retain(asset, dict.fromkeys(tags, b""))
 
     async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Publish an alarm, with the broker's acknowledgement."""
@@ -100,6 +98,16 @@ class MqttPublisher:
             await client.publish(status, b"offline", qos=1, retain=True, timeout=_FAREWELL_S)
         with contextlib.suppress(MqttError):
             await client.__aexit__(None, None, None)
+
+    async def _retain(self, asset: str, payloads: Mapping[str, bytes]) -> None:
+        # Acknowledged by the broker, so that a slow one delays the next round instead of filling
+        # our memory.
+        await asyncio.gather(
+            *(
+                self._connected.publish(self._topic(asset, tag), payload, qos=1, retain=True)
+                for tag, payload in payloads.items()
+            )
+        )
 
     @property
     def _connected(self) -> Client:

@@ -2,7 +2,9 @@
 
 One object per asset under ``Objects``, one read-only variable per tag below it. Node ids are
 texts (``ns=2;s=bench-1/t_inner_ring_c``) that stay the same over restarts. A client polls or
-subscribes; what it sees is at most half a second behind.
+subscribes; what it sees is at most half a second behind. Objects and variables appear and
+disappear with assets; a client that browses again sees it. There is no event for that: events
+would bring filters of clients, which the library evaluates without a bound.
 """
 
 import asyncio
@@ -59,7 +61,8 @@ class OpcUaPublisher:
         self._local = is_loopback(urlsplit(section.endpoint).hostname or "")
         self._users: KeyUsers
         self._namespace = 0
-        self._nodes: set[ua.NodeId] = set()
+        # Assets with an object, and the tags that have a variable there.
+        self._variables: dict[str, set[str]] = {}
         # One for each tag: the others go on when one cannot be shown.
         self._guards: dict[ua.NodeId, Guard] = {}
         self._door = Guard("opcua_close", "")
@@ -67,7 +70,7 @@ class OpcUaPublisher:
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
     async def open(self, host: Host) -> None:
-        """Set the server up with the object of every asset; it does not listen yet."""
+        """Set the server up; it does not listen yet."""
         local = self._local
         self._users = KeyUsers(host.authenticator, host.trail, anonymous=local)
         self.server = server = BoundedServer(KeyedServer(self._users), encrypted=not local)
@@ -91,11 +94,7 @@ class OpcUaPublisher:
             NAMESPACE, server.manufacturer_name, server.name, build, build, datetime.now()
         )
         self._namespace = await server.register_namespace(NAMESPACE)
-        self._nodes = set()
-        for name in host.assets:
-            await server.nodes.objects.add_object(
-                ua.NodeId(name, self._namespace), ua.QualifiedName(name, self._namespace)
-            )
+        self._variables = {}
 
     async def run(self) -> None:
         """Listen, and keep revoked keys out, until cancelled."""
@@ -109,13 +108,32 @@ class OpcUaPublisher:
         """Write the variables; a tag that is new gets its own. Gives those that were refused."""
         refused = []
         for tag, shown in tags.items():
-            node_id = ua.NodeId(f"{asset}/{tag}", self._namespace)
+            node_id = self._node_id(asset, tag)
             guard = self._guards.setdefault(node_id, Guard("opcua_update", f"{asset}/{tag}"))
             with guard():
                 await self._show(asset, node_id, tag, shown)
             if guard.failing:
                 refused.append(tag)
         return refused
+
+    async def withdraw_tags(self, asset: str, tags: Collection[str]) -> None:
+        """Delete the variables, and with the last one the asset's object."""
+        variables = self._variables.get(asset)
+        if variables is None:
+            return  # an earlier server had them
+        variables.difference_update(tags)
+        object_id = self._node_id(asset)
+        deleted = [self._node_id(asset, tag) for tag in tags]
+        for node_id in deleted:
+            self._guards.pop(node_id, None)
+        await self._detach(object_id, ua.ObjectIds.HasComponent, deleted)
+        if not variables:
+            del self._variables[asset]
+            deleted.append(object_id)
+            objects_id = self.server.nodes.objects.nodeid
+            await self._detach(objects_id, ua.ObjectIds.Organizes, [object_id])
+        self._delete(deleted + [_unit_node_id(node_id) for node_id in deleted])
+        await asyncio.sleep(0)  # thousands of assets may go at once; clients are answered meanwhile
 
     async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Do nothing: the address space has no events; what stands is in the tags."""
@@ -124,7 +142,7 @@ class OpcUaPublisher:
         """Do nothing: `run` has closed what it opened."""
 
     async def _show(self, asset: str, node_id: ua.NodeId, tag: str, shown: TagValue) -> None:
-        if node_id not in self._nodes:
+        if tag not in self._variables.get(asset, ()):
             await self._add(asset, node_id, tag, shown["unit"])
         # The server's own method says nothing of a write that was refused.
         status = await self.server.iserver.aspace.write_attribute_value(
@@ -145,8 +163,43 @@ class OpcUaPublisher:
             with self._door():
                 await session.close_session()
 
+    async def _detach(self, parent: ua.NodeId, kind: int, children: Collection[ua.NodeId]) -> None:
+        items = [
+            ua.DeleteReferencesItem(
+                SourceNodeId=parent,
+                ReferenceTypeId=ua.NodeId(kind),
+                IsForward=True,
+                TargetNodeId=child,
+                DeleteBidirectional=False,
+            )
+            for child in children
+        ]
+        await self.server.iserver.isession.delete_references(items)
+
+    def _delete(self, node_ids: Collection[ua.NodeId]) -> None:
+        """Delete nodes that nothing refers to; the library would search the whole address space."""
+        space = self.server.iserver.aspace
+        for node_id in node_ids:
+            node = space.get(node_id)
+            if node is None:
+                continue
+            # The library leaves some behind, and fails when the client ends its subscription.
+            for attribute in node.attributes.values():
+                for handle in list(attribute.datachange_callbacks):
+                    space.delete_datachange_callback(handle)
+            del space[node_id]
+
+    def _node_id(self, *parts: str) -> ua.NodeId:
+        return ua.NodeId("/".join(parts), self._namespace)
+
     async def _add(self, asset: str, node_id: ua.NodeId, tag: str, unit: str) -> None:
-        parent = self.server.get_node(ua.NodeId(asset, self._namespace))
+        object_id = self._node_id(asset)
+        if asset not in self._variables:
+            await self.server.nodes.objects.add_object(
+                object_id, ua.QualifiedName(asset, self._namespace)
+            )
+            self._variables[asset] = set()
+        parent = self.server.get_node(object_id)
         variable = await parent.add_variable(
             node_id,
             ua.QualifiedName(tag, self._namespace),
@@ -155,7 +208,7 @@ class OpcUaPublisher:
         )
         if unit:
             await variable.add_property(
-                ua.NodeId(f"{node_id.Identifier}/EngineeringUnits", self._namespace),
+                _unit_node_id(node_id),
                 ua.QualifiedName("EngineeringUnits", 0),
                 ua.EUInformation(
                     NamespaceUri=_UNECE,
@@ -164,7 +217,11 @@ class OpcUaPublisher:
                     Description=ua.LocalizedText(unit),
                 ),
             )
-        self._nodes.add(node_id)
+        self._variables[asset].add(tag)
+
+
+def _unit_node_id(variable: ua.NodeId) -> ua.NodeId:
+    return ua.NodeId(f"{variable.Identifier}/EngineeringUnits", variable.NamespaceIndex)
 
 
 def _data_value(shown: TagValue) -> ua.DataValue:

@@ -22,5 +22,5 @@ def outbox(store: Store, tmp_path: Path) -> Iterator[Outbox]:
 
 @pytest.fixture
 def host(store: Store, outbox: Outbox, tmp_path: Path) -> Host:
-    """What publishers of the asset bench-1 may use."""
-    return Host(["bench-1"], Authenticator(store), AuditTrail(outbox), tmp_path)
+    """What publishers may use."""
+    return Host(Authenticator(store), AuditTrail(outbox), tmp_path)

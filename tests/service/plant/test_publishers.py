@@ -13,8 +13,10 @@ import pytest
 from processes import wait_until
 from prometheus_client import CollectorRegistry
 
+from adapters.samples import Quality
 from service.bus.stream import Bus
 from service.clock import ProcessClock
+from service.domain.errors import CellUnavailableError
 from service.plant import publishers, rounds
 from service.plant.protocol import Host
 from service.site.configuration import SettingsError
@@ -36,7 +38,7 @@ class Journal:
         with (self._folder / "journal").open("a") as file:
             print(json.dumps([what, *more]), file=file)
     async def open(self, host):
-        self._note("open", list(host.assets))
+        self._note("open")
     async def run(self):
         self._note("run")
         while not (self._folder / "lose").exists():
@@ -46,6 +48,11 @@ class Journal:
     async def publish_tags(self, asset, tags):
         self._note("tags", asset, tags)
         return [tag for tag in tags if tag.startswith("refused")]
+    async def withdraw_tags(self, asset, tags):
+        if (self._folder / "deaf").exists():
+            (self._folder / "deaf").unlink()
+            raise ConnectionError("lost")
+        self._note("withdraw", asset, sorted(tags))
     async def publish_alarm(self, asset, alarm):
         if (self._folder / "busy").exists():
             (self._folder / "busy").unlink()
@@ -114,12 +121,13 @@ class Journal:
 
 @asynccontextmanager
 async def publishing(
-    folder: Path, asset: Asset, bus: Bus, host: Host
+    folder: Path, asset: Asset, bus: Bus, host: Host, assets: dict[str, Any] | None = None
 ) -> AsyncIterator[tuple[Journal, CollectorRegistry]]:
     settings = Settings(publishers={"journal": {"folder": str(folder)}})
     publishers.check_ports(settings)
     registry = CollectorRegistry()
-    (one,) = publishers.make_publishers(settings, {"bench-1": asset}, bus, host, registry)  # type: ignore[dict-item]
+    shown = assets or {"bench-1": asset}
+    (one,) = publishers.make_publishers(settings, shown, bus, host, registry)  # type: ignore[arg-type]
     running = asyncio.create_task(one.run())
     try:
         yield Journal(folder), registry
@@ -136,7 +144,7 @@ async def test_it_gets_all_tags_then_those_that_change(journal: Path, host: Host
         asset.tags |= {"b": tag(3.0), "new": tag(4.0)}
         await told.has(["tags", "bench-1", {"b": tag(3.0), "new": tag(4.0)}])
     assert told.lines == [
-        ["open", ["bench-1"]],
+        ["open"],
         ["tags", "bench-1", {"a": tag(1.0), "b": tag(2.0)}],
         ["run"],
         ["tags", "bench-1", {"b": tag(3.0), "new": tag(4.0)}],
@@ -161,7 +169,7 @@ async def test_a_round_that_is_lost_is_followed_by_one_with_all_tags(
         await told.has(["tags", "bench-1", {"refused": tag(5.0)}], times=2)  # offered again
         assert up() == 0.0
     all_tags = ["tags", "bench-1", {"a": tag(1.0), "b": tag(2.0)}]
-    a_round = [["open", ["bench-1"]], all_tags, ["run"], ["close"]]
+    a_round = [["open"], all_tags, ["run"], ["close"]]
     assert told.lines[:7] == (2 * a_round)[:7]
 
 
@@ -177,7 +185,79 @@ async def test_an_alarm_that_was_not_taken_comes_again_and_in_order(
         await told.has(["alarm", "bench-1", {"id": 2}])
     alarms = [line[2]["id"] for line in told.lines if line[0] == "alarm"]
     assert alarms == [0, 1, 2]
-    assert told.lines.count(["close"]) == told.lines.count(["open", ["bench-1"]]) == 2
+    assert told.lines.count(["close"]) == told.lines.count(["open"]) == 2
+
+
+async def test_tags_of_assets_that_come_and_go_are_handed_on_and_withdrawn(
+    journal: Path, host: Host
+) -> None:
+    assets: dict[str, Any] = {"bench-1": Asset()}
+    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+        await told.has(["run"])
+        assets["bench-2"] = Asset()
+        await told.has(["tags", "bench-2", {"a": tag(1.0), "b": tag(2.0)}])
+        del assets["bench-1"]
+        await told.has(["withdraw", "bench-1", ["a", "b"]])
+        del assets["bench-2"].tags["b"]  # the active model has no such node any more
+        await told.has(["withdraw", "bench-2", ["b"]])
+        assets["bench-1"] = Asset()
+        all_tags = ["tags", "bench-1", {"a": tag(1.0), "b": tag(2.0)}]
+        await told.has(all_tags, times=2)
+    gone = {"value": None, "quality": Quality.OUT_OF_SERVICE}
+    assert told.lines == [
+        ["open"],
+        all_tags,
+        ["run"],
+        ["tags", "bench-2", {"a": tag(1.0), "b": tag(2.0)}],
+        ["tags", "bench-1", {"a": tag(1.0) | gone, "b": tag(2.0) | gone}],
+        ["withdraw", "bench-1", ["a", "b"]],
+        ["tags", "bench-2", {"b": tag(2.0) | gone}],
+        ["withdraw", "bench-2", ["b"]],
+        all_tags,
+        ["close"],
+    ]
+
+
+async def test_what_could_not_be_withdrawn_is_withdrawn_in_the_next_round(
+    journal: Path, host: Host
+) -> None:
+    assets: dict[str, Any] = {"bench-1": Asset(), "bench-2": Asset()}
+    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+        await told.has(["run"])
+        (journal / "deaf").touch()
+        del assets["bench-2"]
+        await told.has(["run"], times=2)
+    assert told.lines.count(["withdraw", "bench-2", ["a", "b"]]) == 1
+    assert told.lines.index(["close"]) < told.lines.index(["withdraw", "bench-2", ["a", "b"]])
+
+
+async def test_assets_that_change_while_a_publisher_takes_its_time_are_no_fault(
+    journal: Path, host: Host, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assets: dict[str, Any] = {f"bench-{number}": Asset() for number in range(5)}
+
+    class Leaving(Asset):
+        """Takes others with it while it is asked, as another task would across an await."""
+
+        def snapshot(self) -> dict[str, Any]:
+            assets.pop("bench-1", None)
+            assets["bench-9"] = Asset()
+            return super().snapshot()
+
+    class Unknown(Asset):
+        """So new that the cell has not answered yet."""
+
+        def snapshot(self) -> dict[str, Any]:
+            raise CellUnavailableError("the cell has not answered yet")
+
+    assets |= {"bench-0": Leaving(), "bench-4": Unknown()}
+    async with publishing(journal, Asset(), Bus(ProcessClock()), host, assets) as (told, _):
+        await told.has(["tags", "bench-9", {"a": tag(1.0), "b": tag(2.0)}])
+        await told.has(["withdraw", "bench-1", ["a", "b"]])
+        assets["bench-4"] = Asset()
+        await told.has(["tags", "bench-4", {"a": tag(1.0), "b": tag(2.0)}])
+    assert told.lines.count(["open"]) == 1
+    assert "failed" not in "".join(capsys.readouterr())
 
 
 def test_a_publisher_that_there_is_not_is_named() -> None:

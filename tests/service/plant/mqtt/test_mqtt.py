@@ -16,6 +16,7 @@ from aiomqtt import Client
 from processes import free_port, wait_until
 from programs import needed
 
+from adapters.samples import Quality
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.plant import publishers as outlets
@@ -134,10 +135,14 @@ async def listening(broker: Broker) -> AsyncIterator[Listener]:
 
 @asynccontextmanager
 async def publishing(
-    host: Host, settings: MqttSection, asset: Asset, bus: Bus
+    host: Host,
+    settings: MqttSection,
+    asset: Asset,
+    bus: Bus,
+    assets: dict[str, Any] | None = None,
 ) -> AsyncIterator[None]:
     publisher = rounds.PublisherRounds(
-        "mqtt", MqttPublisher(settings), PERIOD_S, {"bench-1": asset}, bus, host
+        "mqtt", MqttPublisher(settings), PERIOD_S, assets or {"bench-1": asset}, bus, host
     )
     running = asyncio.create_task(publisher.run())
     try:
@@ -167,6 +172,39 @@ async def test_tags_alarms_and_status(broker: Broker, host: Host) -> None:
         assert await listener.hear("status") == ("offline", True)
 
 
+async def test_the_broker_forgets_the_topics_of_an_asset_that_is_gone(
+    broker: Broker, host: Host
+) -> None:
+    asset, bus = Asset(), Bus(ProcessClock())
+    assets: dict[str, Any] = {"bench-1": asset}
+    async with publishing(host, section(broker), asset, bus, assets):
+        async with listening(broker) as listener:
+            await listener.hear("bench-1/t_inner_ring_c", tag(61.5))
+            assets["bench-2"] = Asset()
+            assert await listener.hear("bench-2/t_inner_ring_c") == (tag(61.5), False)
+            del assets["bench-1"]
+            topic = "bench-1/t_inner_ring_c"
+            assert await listener.hear(topic) == (tag(None, Quality.OUT_OF_SERVICE), False)
+            assert await listener.hear(topic) == ("", False)
+            # The topics of an asset are withdrawn together, each with the broker's answer; what
+            # comes after them says that all of them are.
+            assets["bench-3"] = Asset()
+            await listener.hear("bench-3/t_inner_ring_c")
+        async with Client(
+            "127.0.0.1", broker.port, username="ear", password="secret", timeout=PATIENCE_S
+        ) as late:
+            await late.subscribe("works/#", qos=1)
+            await late.publish("works/last", b"", qos=1)
+            retained = []
+            async for message in late.messages:
+                if str(message.topic) == "works/last":
+                    break
+                retained.append(str(message.topic).removeprefix("works/hall-2/"))
+    assert sorted(topic for topic in retained if topic.startswith("bench")) == [
+        f"bench-{number}/t_inner_ring_c{end}" for number in (2, 3) for end in ("", ".twin")
+    ]
+
+
 async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
     broker: Broker, host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -193,13 +231,14 @@ async def test_a_broker_that_was_away_gets_everything_when_it_is_back(
 LOST = """
 import asyncio, sys
 from service.clock import ProcessClock
+from adapters.samples import Quality
 from service.bus.stream import Bus
 from service.plant.mqtt.publisher import MqttPublisher
 from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
 from service.site.settings import MqttSection
 section = MqttSection.model_validate_json(sys.argv[1])
-host = Host((), None, None, None)  # it asks for no keys and keeps no files
+host = Host(None, None, None)  # it asks for no keys and keeps no files
 publisher = MqttPublisher(section)
 asyncio.run(PublisherRounds("mqtt", publisher, 1.0, {}, Bus(ProcessClock()), host).run())
 """

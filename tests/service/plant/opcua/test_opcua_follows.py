@@ -140,3 +140,79 @@ async def test_a_write_that_the_library_refuses_is_counted_and_tried_again(
     told = capsys.readouterr().out
     assert told.count("opcua_update_failed") == 1
     assert "BadNodeIdUnknown" in told
+
+
+@pytest.mark.wires
+async def test_objects_come_and_go_with_assets_while_clients_stay_connected(
+    tmp_path: Path, store: Store, outbox: Outbox
+) -> None:
+    first, loop = Asset(), asyncio.get_running_loop()
+    assets: dict[str, Any] = {"bench-1": first}
+    async with inside(first, tmp_path, store, outbox, assets=assets) as served:
+        nodes = served.publisher.server.iserver.aspace
+
+        async def change(id: str, asset: Asset | None) -> None:
+            """Add or remove an asset, and have the server follow in its own loop."""
+
+            async def there() -> None:
+                if asset is None:
+                    del assets[id]
+                else:
+                    assets[id] = asset
+                await served.rounds.publish_tags()
+
+            await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(there(), loop))
+
+        async def names(client: Client) -> set[str]:
+            children = await client.nodes.objects.get_children()
+            ids = [node.nodeid for node in children if node.nodeid.NamespaceIndex == 2]
+            return {str(one.Identifier) for one in ids}
+
+        async def look() -> None:
+            async with Client(served.address) as client:
+                before = len(nodes.keys())
+                changes = Changes()
+                subscription = await client.create_subscription(100, changes)
+
+                async def subscribe(id: str) -> Any:
+                    watched = client.get_node(f"ns=2;s={id}/{RING}")
+                    await subscription.subscribe_data_change(watched)
+                    # Its name as well: every attribute of a node can be watched.
+                    await subscription.subscribe_data_change(watched, ua.AttributeIds.BrowseName)
+
+                async def next_one() -> tuple[Any, int]:
+                    return await asyncio.wait_for(changes.values.get(), PATIENCE_S)
+
+                second = Asset()
+                await change("bench-2", second)
+                assert await names(client) == {"bench-1", "bench-2"}
+                bench = await client.nodes.objects.get_child("2:bench-2")
+                assert len(await bench.get_children()) == len(second.tags)
+                await subscribe("bench-2")
+                first_two = [await next_one(), await next_one()]
+                assert (61.5, 0) in first_two
+                await change("bench-2", None)
+                assert await next_one() == (None, ua.StatusCodes.BadOutOfService)
+                assert await names(client) == {"bench-1"}
+                assert len(nodes.keys()) == before  # nothing of it is left
+                gone = await client.get_node(f"ns=2;s=bench-2/{RING}").read_data_value(
+                    raise_on_bad_status=False
+                )
+                assert gone.StatusCode.value == ua.StatusCodes.BadNodeIdUnknown
+                # It comes back with other tags, under the same names.
+                third = Asset()
+                third.tell(RING, 50.0)
+                third.tell("load_n", 900.0, unit="N")
+                await change("bench-2", third)
+                assert (await bench.get_children())[-1].nodeid.Identifier == "bench-2/load_n"
+                await subscribe("bench-2")
+                assert (50.0, 0) in [await next_one(), await next_one()]
+                del third.tags["load_n"]
+                await change("bench-2", third)
+                assert len(await bench.get_children()) == len(third.tags)
+                # The end of a subscription to nodes of which some are gone.
+                await subscription.delete()
+                assert (await read(client, RING)).Value.Value == 61.5
+
+        await apart(look)
+    assert served.rounds.problem is None
