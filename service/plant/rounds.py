@@ -1,6 +1,7 @@
 """Runs one publisher: opens it, gives it what changes, and opens it again when it is lost."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Collection, Mapping
 
@@ -116,12 +117,11 @@ class PublisherRounds:
 
     def _tags(self, asset: str, twin: AssetReplica) -> Mapping[str, TagValue] | None:
         guard = self._guards.setdefault(asset, Guard(f"{self.name}_tags", asset))
-        with guard():
-            try:
-                return twin.snapshot()["tags"]
-            except CellUnavailableError:
-                return None  # an asset so new that its first snapshot is still under way
-        return None
+        tags: Mapping[str, TagValue] | None = None
+        # An asset may be so new that its first snapshot is still under way.
+        with guard(), contextlib.suppress(CellUnavailableError):
+            tags = twin.snapshot()["tags"]
+        return tags
 
     async def _publish(self, asset: str, tags: Mapping[str, TagValue]) -> int:
         """Hand on what has changed; tells how many tags were refused."""
