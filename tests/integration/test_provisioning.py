@@ -1,0 +1,226 @@
+"""Assets that come and go while the service runs, on real wires, through kills and restarts."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from processes import Command, Station, free_port, wait_until
+
+from service.clock import rfc3339
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
+
+PATIENCE_S = 60.0
+FIRST = "bench-1"
+CONFIGURATION = """
+[service]
+port = {port}
+
+[[sources]]
+name = "gateway"
+driver = "modbus-tcp"
+host = "127.0.0.1"
+port = {modbus}
+poll_interval_s = 0.2
+
+[[templates]]
+name = "axle"
+bearing = "6311"
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+values = {{ ring = 1 }}
+[templates.channels]
+t_inner_ring_c = {{ source = "push" }}
+t_outer_ring_c = {{ source = "gateway", register = "{{ring}}", kind = "input", type = "int16", scale = 0.1 }}
+ambient_c = {{ source = "gateway", register = 2, kind = "input", type = "int16", scale = 0.1 }}
+speed_rpm = {{ source = "push" }}
+load_n = {{ source = "push" }}
+
+[[assets]]
+id = "bench-1"
+template = "axle"
+"""  # noqa: E501
+
+
+class Hall(Station):
+    """A service with one asset in its file, and a bench that answers as the gateway."""
+
+    def __init__(self, folder: Path) -> None:
+        port, modbus = free_port(), free_port()
+        configuration = folder / "bearing-twin.toml"
+        configuration.write_text(CONFIGURATION.format(port=port, modbus=modbus))
+        super().__init__(folder, configuration, port)
+        self.bench = Command(
+            ["virtual-bench", "--modbus-port", str(modbus), "--can-port", "0", "--json"],
+            folder / "bench.log",
+        )
+
+    def change(self, tables: Mapping[str, Mapping[str, Any] | None]) -> None:
+        """As a command of another process does."""
+        with self.open_store() as store:
+            store.assets.change(tables, time.time_ns() // 1000)
+
+    def ids(self) -> list[str]:
+        return [one["id"] for one in self.get("/api/v1/assets")["items"]]
+
+    def until_followed(self, *ids: str) -> None:
+        wait_until(lambda: set(self.ids()) == {FIRST, *ids}, PATIENCE_S, f"{ids} to be followed")
+
+    def until_measured(self, asset: str) -> float:
+        def value() -> float | None:
+            tag = self.get(f"/api/v1/assets/{asset}/snapshot")["tags"]["t_outer_ring_c"]
+            return tag["value"] if tag["quality"] >= 192 else None
+
+        return wait_until(value, PATIENCE_S, f"a temperature of {asset}")
+
+    def push(self, asset: str) -> httpx2.Response:
+        now = rfc3339(self.now_us())
+        values = {"t_inner_ring_c": 41.0, "speed_rpm": 900.0, "load_n": 1200.0}
+        samples = [{"channel": n, "time": now, "value": v} for n, v in values.items()]
+        return self.client.post(f"/api/v1/assets/{asset}/measurements", json={"samples": samples})
+
+    def until_estimated(self, asset: str) -> dict[str, Any]:
+        def state() -> dict[str, Any] | None:
+            self.push(asset)
+            found: dict[str, Any] = self.get(f"/api/v1/assets/{asset}/state")
+            return found if found["nodes"]["t_node_7_c"]["mean_c"] is not None else None
+
+        return wait_until(state, PATIENCE_S, f"an estimate of {asset}")
+
+    def check(self, name: str) -> Mapping[str, Any]:
+        checks = self.client.get("/readyz").json()["checks"]
+        return next(one for one in checks if one["name"] == name)
+
+    def close(self) -> None:
+        super().close()
+        self.bench.end()
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hall]:
+    hall = Hall(tmp_path_factory.mktemp("hall"))
+    try:
+        hall.start_service()
+        hall.until_measured(FIRST)
+        yield hall
+    finally:
+        hall.close()
+
+
+@pytest.fixture
+def hall(started: Hall) -> Hall:
+    """The hall with the asset of its file alone."""
+    started.change({name: None for name in started.ids() if name != FIRST})
+    started.until_followed()
+    return started
+
+
+def test_a_new_asset_is_followed_and_no_other_is_disturbed(hall: Hall) -> None:
+    began = rfc3339(hall.now_us())
+    names = [f"axle-{number}" for number in range(1, 21)]
+    hall.change({name: {"template": "axle"} for name in names})
+    hall.until_followed(*names)
+    assert hall.until_measured("axle-20") == pytest.approx(hall.until_measured(FIRST), abs=5.0)
+    hall.until_measured(FIRST)
+    stored = hall.get(
+        f"/api/v1/assets/{FIRST}/measurements", channel="t_outer_ring_c", start=began, limit=10_000
+    )["items"]
+    assert len(stored) > 5
+    assert {one["quality"] for one in stored} == {192}, "no sample was lost with a connection"
+    # All that is asked of an asset works for one that is not in the file.
+    assert hall.push("axle-7").json()["accepted"] == 3
+    hall.until_estimated("axle-7")
+    what_if = {"profile": [{"duration_s": 600, "speed_rpm": 3000, "load_n": 2000}]}
+    answer = hall.client.post("/api/v1/assets/axle-7/forecasts", json=what_if)
+    assert answer.is_success, answer.text
+    assert hall.get("/api/v1/assets/axle-7/windows")["items"] == []
+
+
+def test_a_change_is_in_effect_and_the_twin_goes_on(hall: Hall) -> None:
+    hall.change({"axle-1": {"template": "axle"}})
+    hall.until_followed("axle-1")
+    before = hall.until_estimated("axle-1")
+    limits = {"t_inner_ring_c": {"warning": 61.0, "alarm": 71.0}}
+    hall.change({"axle-1": {"template": "axle", "limits": limits, "name": "Left axle"}})
+
+    def changed() -> bool:
+        asset = hall.get("/api/v1/assets/axle-1")
+        return bool(asset["name"] == "Left axle" and asset["limits"] == limits)
+
+    wait_until(changed, PATIENCE_S, "the changed asset")
+    after = hall.until_estimated("axle-1")
+    assert after["time"] >= before["time"]
+    assert after["model_version"] == before["model_version"]
+    for name, node in after["nodes"].items():
+        assert node["mean_c"] == pytest.approx(before["nodes"][name]["mean_c"], abs=3.0)
+
+
+def test_a_removed_asset_leaves_its_history_and_no_alarm(hall: Hall) -> None:
+    hall.change({"axle-9": {"template": "axle"}, "axle-2": {"template": "axle"}})
+    hall.until_followed("axle-9", "axle-2")
+    assert hall.push("axle-9").json()["accepted"] == 3
+    hall.until_measured("axle-2")
+    hall.change({"axle-9": None})
+    hall.until_followed("axle-2")
+    assert hall.client.get("/api/v1/assets/axle-1/snapshot").status_code == 404
+    assert hall.push("axle-9").status_code == 404
+    assert not [one for one in hall.get("/api/v1/alarms")["items"] if one["asset"] == "axle-9"]
+    hall.until_measured("axle-2")
+    with hall.open_store() as store:
+        assert store.samples.counts(1000)["axle-9", "load_n"] == 1
+    hall.change({"axle-9": {"template": "axle"}})
+    hall.until_followed("axle-9", "axle-2")
+    loads = hall.get(
+        "/api/v1/assets/axle-1/measurements", channel="load_n", start="2020-01-01T00:00:00Z"
+    )
+    assert 1200.0 in [one["value"] for one in loads["items"]]
+
+
+def test_other_registers_are_read_where_an_asset_asks_for_them(hall: Hall) -> None:
+    hall.change({"axle-1": {"template": "axle"}})
+    hall.until_followed("axle-1")
+    hall.until_measured("axle-1")
+    hall.change({"axle-1": {"template": "axle", "values": {"ring": 9999}}})
+    # The device has no such register: what others read from it must not suffer.
+    wait_until(
+        lambda: "t_outer_ring_c" in hall.check("twin:axle-1").get("detail", ""),
+        PATIENCE_S,
+        "the register to be missed",
+    )
+    hall.until_measured(FIRST)
+    hall.change({"axle-1": {"template": "axle", "values": {"ring": 1}}})
+    hall.until_measured("axle-1")
+
+
+def test_what_was_written_is_taken_up_whenever_the_cell_is_killed(hall: Hall) -> None:
+    assert hall.service is not None
+    hall.change({"axle-1": {"template": "axle"}})
+    os.kill(hall.service.side("cell"), signal.SIGKILL)
+    hall.until_followed("axle-1")
+    hall.until_measured("axle-1")
+    hall.until_measured(FIRST)
+
+
+def test_an_asset_that_does_not_fit_the_file_any_more_is_named_and_the_others_run(
+    hall: Hall,
+) -> None:
+    assert hall.service is not None
+    hall.change({"axle-1": {"template": "axle"}, "axle-2": {"template": "axel"}})
+    hall.until_followed("axle-1")
+    check = wait_until(
+        lambda: (found := hall.check("assets"))["status"] == "degraded" and found,
+        PATIENCE_S,
+        "the check of the assets",
+    )
+    assert check["detail"] == "axle-2: axle-2.template = 'axel': did you mean 'axle'?"
+    hall.until_measured("axle-1")
+    assert hall.service.terminate() == 0
+    hall.start_service()
+    hall.until_followed("axle-1")
+    assert hall.check("assets")["status"] == "degraded"
+    hall.change({"axle-2": None})
+    wait_until(lambda: hall.check("assets")["status"] == "ok", PATIENCE_S, "all assets to be right")
