@@ -166,7 +166,7 @@ def test_a_removed_asset_leaves_its_history_and_no_alarm(hall: Hall) -> None:
     hall.until_measured("axle-2")
     hall.change({"axle-9": None})
     hall.until_followed("axle-2")
-    assert hall.client.get("/api/v1/assets/axle-1/snapshot").status_code == 404
+    assert hall.client.get("/api/v1/assets/axle-9/snapshot").status_code == 404
     assert hall.push("axle-9").status_code == 404
     assert not [one for one in hall.get("/api/v1/alarms")["items"] if one["asset"] == "axle-9"]
     hall.until_measured("axle-2")
@@ -175,7 +175,7 @@ def test_a_removed_asset_leaves_its_history_and_no_alarm(hall: Hall) -> None:
     hall.change({"axle-9": {"template": "axle"}})
     hall.until_followed("axle-9", "axle-2")
     loads = hall.get(
-        "/api/v1/assets/axle-1/measurements", channel="load_n", start="2020-01-01T00:00:00Z"
+        "/api/v1/assets/axle-9/measurements", channel="load_n", start="2020-01-01T00:00:00Z"
     )
     assert 1200.0 in [one["value"] for one in loads["items"]]
 

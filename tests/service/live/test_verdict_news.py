@@ -44,24 +44,25 @@ async def test_limits_bad_samples_and_silence_are_told_without_being_asked(
     live.start()
     await live.until(lambda: live.runtime.estimate.started, "a start", WARM)
 
-    async def until(word: str, what: str) -> list[str]:
+    async def until(word: str, missing: str = "") -> None:
+        """Wait for a word; on a slow machine others may be told before, and more be missing."""
         while True:
-            told, missing = await words(subscription)
-            if told == word:
-                return missing
-            assert told in ("unknown", "safe", "not safe", "recovering"), what
+            told, without = await words(subscription)
+            if told == word and (not missing or missing in without):
+                assert word != "safe" or "t_inner_ring_c" not in without
+                return
 
-    assert "t_inner_ring_c" not in await until("safe", "a healthy start")
+    await until("safe")
     live.feed(HOT)
-    await until("not safe", "a temperature over its limit")
+    await until("not safe")
     live.feed({"t_inner_ring_c": 75.0}, Quality.SENSOR_FAILURE)
-    assert "t_inner_ring_c" in await until("unknown", "a broken sensor")
+    await until("unknown", missing="t_inner_ring_c")  # a broken sensor
     live.feed(WARM)
-    await until("safe", "good again")
+    await until("safe")
     # Nothing comes any more: the channels get stale by time alone.
-    assert "t_inner_ring_c" in await until("unknown", "silence")
+    await until("unknown", missing="t_inner_ring_c")
     live.feed(WARM)
-    await until("safe", "back again")
+    await until("safe")
 
 
 @pytest.mark.usefixtures("only_news")
