@@ -4,7 +4,7 @@ import csv
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 
 class TableFileError(ValueError):
@@ -65,33 +65,54 @@ def open_table(path: Path, delimiter: str = ",") -> Iterator[tuple[list[str], It
 @contextmanager
 def _csv(path: Path, delimiter: str) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
     try:
-        size = max(path.stat().st_size, 1)
-        with path.open("rb") as binary:
-
-            def lines() -> Iterator[str]:
-                for raw in binary:
-                    yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
-
-            reader = csv.reader(lines(), delimiter=delimiter)
-            header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
-            if header is None:
-                raise TableFileError(f"{path.name}: line 1: empty file; expected a header line")
-            columns = [cell.strip() for cell in header]
-
-            def rows() -> Iterator[TableRow]:
-                for cells in reader:
-                    if not any(cell.strip() for cell in cells):
-                        continue
-                    row: Mapping[str, object] | RowError = dict(zip(columns, cells, strict=False))
-                    if len(cells) != len(columns):
-                        row = RowError(f"{len(cells)} cells; expected {len(columns)}")
-                    yield TableRow(binary.tell() / size, reader.line_num, row)
-
-            yield columns, rows()
+        size = path.stat().st_size
+        with path.open("rb") as binary, csv_table(binary, path.name, size, delimiter) as table:
+            yield table
     except OSError as error:
         raise TableFileError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+@contextmanager
+def csv_table(
+    binary: BinaryIO, name: str, size: int, delimiter: str
+) -> Iterator[tuple[list[str], Iterator[TableRow]]]:
+    """Read CSV with a header line, in UTF-8 with or without a byte order mark; as `open_table`.
+
+    Parameters
+    ----------
+    binary
+        What is read.
+    name
+        Names it in messages.
+    size
+        Its length in bytes.
+    delimiter
+        Between two cells.
+    """
+
+    def lines() -> Iterator[str]:
+        for raw in binary:
+            yield raw.decode("utf-8-sig" if binary.tell() == len(raw) else "utf-8")
+
+    try:
+        reader = csv.reader(lines(), delimiter=delimiter)
+        header = next((cells for cells in reader if any(cell.strip() for cell in cells)), None)
+        if header is None:
+            raise TableFileError(f"{name}: line 1: empty file; expected a header line")
+        columns = [cell.strip() for cell in header]
+
+        def rows() -> Iterator[TableRow]:
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                row: Mapping[str, object] | RowError = dict(zip(columns, cells, strict=False))
+                if len(cells) != len(columns):
+                    row = RowError(f"{len(cells)} cells; expected {len(columns)}")
+                yield TableRow(binary.tell() / max(size, 1), reader.line_num, row)
+
+        yield columns, rows()
     except (UnicodeDecodeError, csv.Error) as error:
-        raise TableFileError(f"{path.name}: not CSV in UTF-8 ({error})") from error
+        raise TableFileError(f"{name}: not CSV in UTF-8 ({error})") from error
 
 
 @contextmanager

@@ -19,6 +19,11 @@ def text_cell(text: str) -> str:
     return text
 
 
+def text_of(cell: str) -> str:
+    """Give the text of which `text_cell` made a cell."""
+    return cell[1:] if cell.startswith("'") and text_cell(cell[1:]) == cell else cell
+
+
 def cell(value: object) -> object:
     """Give a cell for `csv.writer`: texts as `text_cell`, anything else as it is."""
     return text_cell(value) if isinstance(value, str) else value

@@ -22,6 +22,10 @@ class TemporaryError(ServiceError):
     passes = True
 
 
+class ChangedMeanwhileError(Exception):
+    """Somebody else changed what a change was made of; the text says what."""
+
+
 class JobConflictError(Exception):
     """A job runs for this asset already.
 

@@ -7,12 +7,14 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    RootModel,
     Tag,
     ValidationInfo,
     field_validator,
 )
 
 from service.domain.channels import NODES, RING_SENSORS
+from service.domain.json_values import Json
 from service.domain.times import Instant
 
 MAX_PROFILE_HOURS = 48
@@ -163,3 +165,41 @@ class IdentificationRequest(RequestBody):
     budget: int | None = Field(
         None, ge=100, le=5_000_000, description="Most evaluations; absent: the method's own."
     )
+
+
+class AssetTable(RootModel[dict[str, Json]]):
+    """The table of an asset as in the configuration file; an `id` is that of the address."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"template": "axle", "values": {"unit": 11}, "name": "Car 3, axle 1"}]
+        }
+    )
+
+
+class AssetToImport(BaseModel):
+    """An asset of a list: its id, and its table as in the configuration file."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Json]
+
+    id: str = Field(examples=["axle-1"])
+
+
+class AssetsToImport(RequestBody):
+    """A list of assets."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "assets": [
+                        {"id": "axle-1", "template": "axle", "values": {"unit": 11}},
+                        {"id": "axle-2", "template": "axle", "values": {"unit": 12}},
+                    ]
+                }
+            ]
+        }
+    )
+
+    assets: list[AssetToImport]

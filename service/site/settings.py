@@ -7,7 +7,7 @@ text), which wins over the file. Errors name the key, the value and what was exp
 import ipaddress
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -201,10 +201,14 @@ ModelName = Literal["default", "paper", "paper-reduced"]
 """Models of a bearing; see `twin_core.models`."""
 
 
+#: Pattern of the id of an asset.
+ASSET_ID: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+
+
 class AssetSection(Section):
     """One bearing on a bench or in a motor."""
 
-    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    id: str = Field(pattern=ASSET_ID)
     #: What it was made from, if anything; its tables are the template's with what it gives itself.
     template: str = Field("", max_length=64)
     #: What the pages call the asset; its id if absent.

@@ -16,6 +16,8 @@ TEMPLATE: Final = "template"
 VALUES: Final = "values"
 #: The one value that nobody gives.
 _ID: Final = "id"
+#: Keys of a template that are no keys of an asset.
+_OWN: Final = ("name", VALUES)
 _HOLE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 
 
@@ -70,7 +72,7 @@ def from_template(asset: TomlTable, templates: Mapping[str, TomlTable], key: str
         if VALUES in asset:
             raise SettingsError(f"{key}.values: expected a template too, whose holes they fill")
         return asset
-    if name not in templates:
+    if not isinstance(name, str) or name not in templates:
         known = suggestion(str(name), templates) if templates else "there are no templates"
         raise SettingsError(f"{key}.template = {name!r}: {known}")
     given = asset.get(VALUES, {})
@@ -79,7 +81,7 @@ def from_template(asset: TomlTable, templates: Mapping[str, TomlTable], key: str
     template = templates[name]
     values = template.get(VALUES, {}) | given | {_ID: asset.get(_ID, "")}
     asked: set[str] = set()
-    body = {part: one for part, one in template.items() if part not in ("name", VALUES)}
+    body = {part: one for part, one in template.items() if part not in _OWN}
     filled = _filled(body, values, asked)
     missing = sorted(asked - values.keys())
     unasked = sorted(given.keys() - asked)
@@ -90,6 +92,13 @@ def from_template(asset: TomlTable, templates: Mapping[str, TomlTable], key: str
         )
     own = {part: one for part, one in asset.items() if part != VALUES}
     return _merged(filled, own)
+
+
+def holes_of(template: TomlTable) -> list[str]:
+    """Names of the values that a template asks for, those that it gives itself too."""
+    asked: set[str] = set()
+    _filled({part: one for part, one in template.items() if part not in _OWN}, {}, asked)
+    return sorted(asked - {_ID})
 
 
 def _filled(part: Any, values: Mapping[str, Any], asked: set[str]) -> Any:

@@ -269,9 +269,9 @@ def _source_name(table: TomlTable, sources: Mapping[str, SourceWiring | None], k
     name = table.get("source")
     if name is None:
         raise SettingsError(f"{key}.source: missing; expected the name of a source or 'push'")
-    if name != PUSH and name not in sources:
+    if not isinstance(name, str) or (name != PUSH and name not in sources):
         raise SettingsError(f"{key}.source = {name!r}: {suggestion(str(name), [*sources, PUSH])}")
-    return str(name)
+    return name
 
 
 def _wire_plan(asset: AssetTables, sources: Mapping[str, SourceWiring | None]) -> None:

@@ -4,8 +4,9 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Row, Select, bindparam, func, insert, select, text, update
+from sqlalchemy import Connection, Row, Select, bindparam, func, insert, select, text, update
 
+from service.domain.errors import ChangedMeanwhileError
 from service.store.audit import add_line
 from service.store.part import StorePart, rows_of
 from service.store.records import AuditEntry, ProvisionedAsset
@@ -55,6 +56,7 @@ class ProvisionedAssets(StorePart):
         changes: Mapping[str, Mapping[str, Any] | None],
         at_us: int,
         line: AuditEntry | None = None,
+        based_on: Mapping[str, int] | None = None,
     ) -> int:
         """Write all changes and the line of the audit trail in one transaction.
 
@@ -66,16 +68,24 @@ class ProvisionedAssets(StorePart):
             Wall time, UTC microseconds.
         line
             Who changes it.
+        based_on
+            Revisions, by id, of the tables that the changes were made of.
 
         Returns
         -------
         int
             Their revision.
+
+        Raises
+        ------
+        ChangedMeanwhileError
+            If one of `based_on` has another revision now; nothing is written.
         """
         with self._database.writing() as connection:
             if connection.dialect.name == "postgresql":
                 # Revisions are seen in their order: no reader knows the later of two first.
                 connection.execute(text("LOCK TABLE provisioned_assets IN EXCLUSIVE MODE"))
+            _compare(connection, based_on or {})
             newest = connection.scalar(select(func.max(ProvisionedAssetRow.revision))) or 0
             key = ProvisionedAssetRow.id
             known = {row[0] for row in rows_of(connection, key, select(key), changes)}
@@ -104,6 +114,15 @@ class ProvisionedAssets(StorePart):
     def _found(self, query: Select[*tuple[Any, ...]]) -> list[ProvisionedAsset]:
         with self._database.reading() as connection:
             return [_asset(row) for row in connection.execute(query)]
+
+
+def _compare(connection: Connection, based_on: Mapping[str, int]) -> None:
+    for asset_id, revision in based_on.items():
+        query = select(ProvisionedAssetRow.revision).where(ProvisionedAssetRow.id == asset_id)
+        if connection.scalar(query) != revision:
+            raise ChangedMeanwhileError(
+                f"asset {asset_id!r} was changed meanwhile; read it again, then change it"
+            )
 
 
 def _asset(row: Row[*tuple[Any, ...]]) -> ProvisionedAsset:

@@ -55,7 +55,7 @@ _DESCRIPTIONS: Final = {
     404: "Not found.",
     409: "In conflict with the present state.",
     413: "The body is too long.",
-    415: "The body is not JSON, or compressed by another method than gzip.",
+    415: "The body is of another media type, or compressed by another method than gzip.",
     422: "A field is wrong; `errors` names it.",
     426: "This address accepts WebSocket connections only.",
     429: "Too many requests of this key, or wrong keys from this address; see `Retry-After`.",

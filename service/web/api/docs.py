@@ -12,6 +12,7 @@ from starlette.staticfiles import StaticFiles
 
 from service.documents.messages import asyncapi_document
 from service.documents.problems import ProblemDocument
+from service.domain.requests import AssetsToImport
 from service.web.api.access import AUDIT, SECURITY_SCHEMES, problems
 
 #: Description of the stream, beside that of the calls (`/openapi.json`).
@@ -96,11 +97,14 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         schemas = components.setdefault("schemas", {})
         for name in _UNUSED_SCHEMAS:
             schemas.pop(name, None)
-        problem = ProblemDocument.model_json_schema(
-            ref_template="#/components/schemas/{model}", mode="serialization"
-        )
-        schemas.update(problem.pop("$defs"))
-        schemas[ProblemDocument.__name__] = problem
+        # What no signature of a route names: the handlers and the route itself read and write it.
+        place = "#/components/schemas/{model}"
+        for added in (
+            ProblemDocument.model_json_schema(ref_template=place, mode="serialization"),
+            AssetsToImport.model_json_schema(ref_template=place),
+        ):
+            schemas.update(added.pop("$defs"))
+            schemas[added["title"]] = added
         examples = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
         for path, item in schema["paths"].items():
             for method, operation in item.items():

@@ -16,14 +16,17 @@ from service.web.api.access import known_caller
 from service.web.api.problems import Problem, problem_response
 
 STREAM_PATH = "/api/v1/stream"
+IMPORT_PATH = "/api/v1/assets:import"
 KIB = 1024
 _DEFAULT_BODY_BYTES = 64 * KIB
 _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
+    (re.compile(IMPORT_PATH), 8192 * KIB),
 )
 
 _JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")
+CSV = "text/csv"
 
 #: A small body may hold a very long one: it is decompressed in pieces, each counted.
 _UNPACKED_BYTES = 64 * KIB
@@ -305,7 +308,7 @@ def _too_much_behind() -> Problem:
 
 
 class JsonBodies:
-    """Refuse a body that does not say that it is JSON.
+    """Refuse a body that does not say that it is JSON, or CSV where that is taken too.
 
     Parameters
     ----------
@@ -322,10 +325,13 @@ class JsonBodies:
             headers = Request(scope).headers
             has_body = headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
             given = headers.get("content-type", "")
-            if has_body and not _JSON.fullmatch(given.partition(";")[0].strip().lower()):
-                detail = f"Content-Type {given!r}, expected application/json"
+            kind = given.partition(";")[0].strip().lower()
+            others = (CSV,) if scope["path"] == IMPORT_PATH else ()
+            if has_body and kind not in others and not _JSON.fullmatch(kind):
+                expected = ("application/json", *others)
+                detail = f"Content-Type {given!r}, expected {' or '.join(expected)}"
                 response = problem_response(
-                    415, detail, scope["path"], headers={"Accept-Post": "application/json"}
+                    415, detail, scope["path"], headers={"Accept-Post": ", ".join(expected)}
                 )
                 await response(scope, receive, send)
                 return

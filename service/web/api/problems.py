@@ -1,6 +1,7 @@
 """Every error as a problem document (RFC 9457), the framework's own ones too."""
 
 import http.client
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from service.documents.problems import FieldError, ProblemDocument
 from service.domain.errors import (
     ActivationRefusedError,
     CellUnavailableError,
+    ChangedMeanwhileError,
     JobConflictError,
     KeyUsedBeforeError,
     NotIdentifiedError,
@@ -81,6 +83,26 @@ def pointer_problem(pointer: str, detail: str, status: int = 422) -> Problem:
     )
 
 
+_KEY = re.compile(r"([A-Za-z_][A-Za-z0-9_.-]*(?:\[\d+\][A-Za-z0-9_.-]*)*)(?: = |: )")
+
+
+def line_error(line: str, below: str = "", prefix: str = "") -> FieldError:
+    """Show a line of a `SettingsError` that begins with its key, as one wrong place of the body.
+
+    Parameters
+    ----------
+    line : str
+        ``channels.load_n.unit_id = 300: expected …``, or without a key.
+    below : str
+        JSON pointer of the table that holds the key.
+    prefix : str
+        Comes before the line.
+    """
+    key = _KEY.match(line)
+    parts = re.split(r"[.\[\]]+", key[1].rstrip("]")) if key else ()
+    return FieldError(pointer="/".join((below, *parts)), detail=f"{prefix}{line}")
+
+
 def problem_response(
     status: int,
     detail: str,
@@ -135,6 +157,9 @@ def install_handlers(app: FastAPI) -> None:
     async def on_refusal(request: Request, error: ActivationRefusedError) -> Response:
         return _answer(request, Problem(409, str(error)))
 
+    async def on_changed_meanwhile(request: Request, error: ChangedMeanwhileError) -> Response:
+        return _answer(request, Problem(409, str(error)))
+
     async def on_refused_request(request: Request, error: RequestRefusedError) -> Response:
         return _answer(request, pointer_problem(error.pointer, error.detail))
 
@@ -164,6 +189,7 @@ def install_handlers(app: FastAPI) -> None:
 
     handlers: dict[type[Exception], Any] = {
         CellUnavailableError: on_cell_away,
+        ChangedMeanwhileError: on_changed_meanwhile,
         NotKeptError: on_not_kept,
         BusyError: on_busy,
         HTTPException: on_http_exception,

@@ -52,7 +52,7 @@ def _shown(body: bytes) -> str:
     """What was asked for, as people read it."""
     try:
         asked: Any = json.loads(body) if body else {}
-    except ValueError:  # longer than what is kept
+    except (ValueError, RecursionError):  # longer than what is kept, or too deep
         asked = body.decode(errors="replace")
     if isinstance(asked, dict):
         asked = "; ".join(

@@ -43,6 +43,8 @@ class Turns:
         Streams that send what was missed.
     studies : Shares
         Envelope, advice and the search for windows.
+    imports : Shares
+        Lists of assets, from the last byte of the body to the answer.
     """
 
     def __init__(self) -> None:
@@ -53,6 +55,7 @@ class Turns:
         self.streams = Shares("streams", at_once=1000, at_once_each=600)
         self.catching_up = Shares("streams", at_once=4, at_once_each=2, waiting_each=600)
         self.studies = Shares("studies", at_once=2, at_once_each=1, waiting_each=4)
+        self.imports = Shares("imports of assets", at_once=1, at_once_each=1, waiting_each=2)
         self._reads = Shares("reads", at_once=_READERS, at_once_each=_READERS, waiting_each=64)
         self._readers = ThreadPoolExecutor(_READERS, thread_name_prefix="read")
         self._judges = ThreadPoolExecutor(_JUDGES, thread_name_prefix="push")

@@ -5,6 +5,7 @@ from threading import Thread
 
 import pytest
 
+from service.domain.errors import ChangedMeanwhileError
 from service.store import AuditEntry, Store
 
 LINE = AuditEntry(time_us=1, who="engineer", address="", action="asset.put", target="", detail="")
@@ -42,6 +43,17 @@ def test_a_change_that_cannot_be_written_whole_is_not_written(store: Store) -> N
     with pytest.raises(TypeError):
         store.assets.change({"a": {"n": 2}, "b": {"n": object()}}, 2)
     assert [one.table for one in store.assets.present()] == [{"n": 1}]
+
+
+def test_a_change_of_what_is_no_longer_there_is_not_written(store: Store) -> None:
+    first = store.assets.change({"a": {"n": 1}}, 1)
+    second = store.assets.change({"a": {"n": 2}}, 2, LINE, based_on={"a": first})
+    with pytest.raises(ChangedMeanwhileError, match="'a' was changed meanwhile"):
+        store.assets.change({"a": {"n": 3}, "b": {}}, 3, LINE, based_on={"a": first})
+    with pytest.raises(ChangedMeanwhileError):
+        store.assets.change({"b": {"n": 3}}, 3, LINE, based_on={"b": 1})
+    assert [(one.id, one.revision) for one in store.assets.present()] == [("a", second)]
+    assert len(store.audit.page(10).items) == 1
 
 
 def test_writers_side_by_side_get_revisions_of_their_own(store: Store) -> None:

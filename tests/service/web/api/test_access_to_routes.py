@@ -25,6 +25,12 @@ CHAIN = ("viewer", "operator", "engineer", "admin")
 LEAST = {
     ("GET", "/api/v1/assets"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}"): "viewer",
+    ("PUT", "/api/v1/assets/{asset_id}"): "admin",
+    ("PATCH", "/api/v1/assets/{asset_id}"): "admin",
+    ("DELETE", "/api/v1/assets/{asset_id}"): "admin",
+    ("POST", "/api/v1/assets:import"): "admin",
+    ("GET", "/api/v1/assets/{asset_id}/configuration"): "engineer",
+    ("GET", "/api/v1/provisioning"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/snapshot"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/state"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/verdict"): "viewer",

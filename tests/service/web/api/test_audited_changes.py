@@ -19,7 +19,16 @@ from .test_models_api import DOCUMENT
 
 JOBS = "/api/v1/assets/bench-1/identifications"
 # Calls that write into the store by themselves: their answer says whether the change was made.
-REFUSED_AT_ONCE = ("activation", "job", "cancelled job", "key", "revoked key", "session", "grease")
+REFUSED_AT_ONCE = (
+    "activation",
+    "job",
+    "cancelled job",
+    "key",
+    "revoked key",
+    "session",
+    "grease",
+    "asset",
+)
 # An alarm changes in memory; the store gets change and line from the queue on the disk.
 ALARM_ACTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "acknowledge": ("operator", {}),
@@ -102,6 +111,14 @@ async def made_ready(world: Any, change: str) -> tuple[Callable[[], Any], Callab
         return (
             lambda: client("engineer").post("/api/v1/assets/bench-1/grease-renewed", json={}),
             lambda: store.states.load("bench-1"),
+        )
+    if change == "asset":
+        pushed = {name: {"source": "push"} for name in ("speed_rpm", "load_n", "t_inner_ring_c")}
+        low_risk = {"speed_rpm_max": 900, "load_n_max": 4000}
+        table = {"bearing": "6311", "low_risk": low_risk, "channels": pushed}
+        return (
+            lambda: client("admin").put("/api/v1/assets/axle-1", json=table),
+            lambda: store.assets.get("axle-1"),
         )
     browser = client(timeout=30)
     page = {"Sec-Fetch-Site": "same-origin", "Sec-Fetch-Mode": "cors"}

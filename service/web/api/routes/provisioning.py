@@ -1,0 +1,404 @@
+"""Provisioning: assets that are made, changed and removed while the service runs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Annotated, Any, Final
+
+from anyio import to_thread
+from fastapi import APIRouter, Path, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from service.clock import wall_us
+from service.documents.problems import FieldError
+from service.documents.provisioning import (
+    AssetConfiguration,
+    ImportedAssets,
+    ProvisioningDocument,
+    RejectedAsset,
+    TemplateDocument,
+)
+from service.domain.errors import CellUnavailableError, ChangedMeanwhileError
+from service.domain.requests import AssetsToImport, AssetTable
+from service.domain.roles import ADMIN, ENGINEER
+from service.site.asset_lists import (
+    AssetListError,
+    JudgedList,
+    WrongRow,
+    judge_list,
+    key_line,
+    read_csv,
+    read_json,
+)
+from service.site.configuration import SettingsError, TomlTable
+from service.site.provisioning import AssetInFileError, check_asset
+from service.site.settings import ASSET_ID
+from service.site.templates import templates_by_name
+from service.store import AuditEntry, ProvisionedAsset
+from service.web.api.access import LOCATION, secured
+from service.web.api.context import ServiceContext
+from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
+from service.web.api.deps import Context, json_response
+from service.web.api.middleware import CSV
+from service.web.api.problems import Problem, line_error, parameter_problem, pointer_problem
+from service.web.api.trail import ChangeLine
+from service.web.api.turns import caller_of, turns_of
+
+_AWAY: Final = "the cell does not answer; it takes the asset up when it is back"
+_NOT_TAKEN_UP: Final = "the cell has not taken it up"
+#: How often a merge begins again when somebody else changes the same asset meanwhile.
+_TRIES = 5
+_NAMED_IN_TRAIL = 20
+
+router = APIRouter(tags=["provisioning"])
+
+NewId = Annotated[str, Path(pattern=ASSET_ID, description="The asset's id.", examples=["axle-1"])]
+KnownId = Annotated[str, Path(max_length=200, description="The asset's id.", examples=["axle-1"])]
+
+_KEPT: dict[str, Any] = {
+    "model": AssetConfiguration,
+    "description": "Kept, but not in effect now; `not_running` says why.",
+}
+
+
+@router.get(
+    "/assets/{asset_id}/configuration",
+    response_model=AssetConfiguration,
+    summary="Where an asset is configured, and how",
+    **secured(ENGINEER, 404),
+)
+def get_configuration(context: Context, asset_id: KnownId) -> Response:
+    """Give the table of an asset that is not in the configuration file."""
+    why = None if asset_id in context.assets else _NOT_TAKEN_UP
+    for asset in context.settings.assets:
+        if asset.id == asset_id:
+            return json_response(AssetConfiguration.of_file(asset, why))
+    return json_response(AssetConfiguration.of(_stored(context, asset_id), why))
+
+
+@router.put(
+    "/assets/{asset_id}",
+    response_model=AssetConfiguration,
+    summary="Make an asset, or give it another table",
+    **secured(
+        ADMIN,
+        404,
+        409,
+        audit="asset.put",
+        responses={
+            201: {"model": AssetConfiguration, "description": "Made.", "headers": LOCATION},
+            202: _KEPT,
+        },
+    ),
+)
+async def put_asset(
+    context: Context, asset_id: NewId, line: ChangeLine, table: AssetTable, request: Request
+) -> Response:
+    """Check the table as one of the configuration file, keep it, and follow the asset by it.
+
+    The answer means that it is in effect. A table that changes nothing writes nothing. 409 for an
+    asset of the configuration file.
+    """
+    before, asset, changed = await to_thread.run_sync(
+        partial(_put, context, asset_id, table.root, line)
+    )
+    headers = {"Location": request.url.path} if before is None else {}
+    return await _answer(context, asset, changed, 201 if before is None else 200, headers)
+
+
+@router.patch(
+    "/assets/{asset_id}",
+    response_model=AssetConfiguration,
+    summary="Change parts of an asset's table",
+    **secured(ADMIN, 404, 409, audit="asset.patch", responses={202: _KEPT}),
+)
+async def patch_asset(
+    context: Context, asset_id: NewId, line: ChangeLine, table: AssetTable
+) -> Response:
+    """Merge the body into the table (JSON merge patch, RFC 7396): null removes a key."""
+    asset, changed = await to_thread.run_sync(partial(_patch, context, asset_id, table.root, line))
+    return await _answer(context, asset, changed)
+
+
+@router.delete(
+    "/assets/{asset_id}",
+    status_code=204,
+    response_class=Response,
+    summary="Remove an asset",
+    **secured(
+        ADMIN,
+        404,
+        409,
+        audit="asset.delete",
+        responses={202: {"description": "Removed, but the cell does not answer now."}},
+    ),
+)
+async def delete_asset(context: Context, asset_id: KnownId, line: ChangeLine) -> Response:
+    """Follow an asset no longer; its history stays. 409 for an asset of the configuration file."""
+    await to_thread.run_sync(partial(_delete, context, asset_id, line))
+    return Response(status_code=202 if await _take_up(context) is None else 204)
+
+
+@router.get(
+    "/provisioning",
+    response_model=ProvisioningDocument,
+    summary="Templates, and assets that are not in the configuration file",
+    **secured(ENGINEER),
+)
+def get_provisioning(
+    context: Context, request: Request, limit: Limit = LIMIT, cursor: Cursor = None
+) -> Response:
+    """Give all templates, and the tables of the provisioned assets by id."""
+    present = context.store.assets.present()
+    page, following = page_of(present, limit, cursor, lambda asset: asset.id)
+    templates = templates_by_name(context.settings.templates)
+    running = context.assets
+    answer = ProvisioningDocument(
+        templates=[TemplateDocument.of(name, table) for name, table in templates.items()],
+        items=[
+            AssetConfiguration.of(one, None if one.id in running else _NOT_TAKEN_UP) for one in page
+        ],
+        next=following,
+    )
+    return json_response(answer, headers=next_link(request, following))
+
+
+_importing = secured(
+    ADMIN,
+    audit="assets.import",
+    responses={
+        202: {
+            "model": ImportedAssets,
+            "description": "Kept, but the cell does not answer now.",
+        }
+    },
+)
+_importing["openapi_extra"]["requestBody"] = {
+    "required": True,
+    "content": {
+        "application/json": {"schema": {"$ref": f"#/components/schemas/{AssetsToImport.__name__}"}},
+        CSV: {
+            "schema": {"type": "string"},
+            "example": 'id,template,name,unit\naxle-1,axle,"Car 3, axle 1",11\n',
+        },
+    },
+}
+
+
+@router.post(
+    "/assets:import",
+    response_model=ImportedAssets,
+    summary="Make and change many assets",
+    **_importing,
+)
+async def import_assets(
+    context: Context,
+    request: Request,
+    line: ChangeLine,
+    partial_: Annotated[
+        bool, Query(alias="partial", description="Take the good rows where others are wrong.")
+    ] = False,
+    dry_run: Annotated[bool, Query(description="Judge the list, write nothing.")] = False,
+) -> Response:
+    """Take a list of assets in one transaction, JSON or CSV.
+
+    CSV: columns `id`, `template`, `name`, `group`, `bearing`, `model`, `network`; every other
+    column is a value for the holes of the template. Without `partial` one wrong row refuses all,
+    and `errors` names every wrong row.
+    """
+    content = await request.body()
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    async with turns_of(request).imports.turn(caller_of(request)):
+        judged = await to_thread.run_sync(
+            partial(_import, context, content, kind == CSV, partial_, dry_run, line)
+        )
+        away = False
+        not_running: Mapping[str, str] = {}
+        if judged.changes and not dry_run:
+            taken_up = await _take_up(context)
+            away = taken_up is None
+            not_running = {
+                name: why for name, why in (taken_up or {}).items() if name in judged.changes
+            }
+    answer = ImportedAssets(
+        created=len(judged.created),
+        changed=len(judged.changed),
+        unchanged=judged.unchanged,
+        rejected=[_rejected(row) for row in judged.wrong],
+        not_running=not_running,
+    )
+    return json_response(answer, 202 if away else 200)
+
+
+def _put(
+    context: ServiceContext, asset_id: str, table: TomlTable, line: AuditEntry
+) -> tuple[ProvisionedAsset | None, ProvisionedAsset, bool]:
+    """Write a table; returns what there was, what there is, and whether they differ."""
+    _check(context, asset_id, table)
+    whole = _without_id(table)
+    before = context.store.assets.get(asset_id)
+    if before is not None and before.table == whole:
+        return before, before, False
+    return before, _written(context, asset_id, whole, line), True
+
+
+def _patch(
+    context: ServiceContext, asset_id: str, patch: TomlTable, line: AuditEntry, tries: int = _TRIES
+) -> tuple[ProvisionedAsset, bool]:
+    """Merge a patch into a table; returns what there is, and whether it has changed."""
+    if any(asset.id == asset_id for asset in context.settings.assets):
+        raise _in_file(asset_id)
+    before = _stored(context, asset_id)
+    merged = merge_patch(before.table, patch)
+    _check(context, asset_id, merged)
+    whole = _without_id(merged)
+    if whole == before.table:
+        return before, False
+    try:
+        return _written(context, asset_id, whole, line, {asset_id: before.revision}), True
+    except ChangedMeanwhileError:
+        if tries == 1:
+            raise
+        return _patch(context, asset_id, patch, line, tries - 1)
+
+
+def _written(
+    context: ServiceContext,
+    asset_id: str,
+    table: TomlTable,
+    line: AuditEntry,
+    based_on: Mapping[str, int] | None = None,
+) -> ProvisionedAsset:
+    at_us = wall_us()
+    revision = context.store.assets.change({asset_id: table}, at_us, line, based_on)
+    return ProvisionedAsset(asset_id, table, revision, at_us)
+
+
+def _delete(context: ServiceContext, asset_id: str, line: AuditEntry) -> None:
+    in_file = any(asset.id == asset_id for asset in context.settings.assets)
+    if in_file and context.store.assets.get(asset_id) is None:
+        raise _in_file(asset_id)
+    _stored(context, asset_id)
+    context.store.assets.change({asset_id: None}, wall_us(), line)
+
+
+def _import(
+    context: ServiceContext,
+    content: bytes,
+    is_csv: bool,
+    partial_: bool,
+    dry_run: bool,
+    line: AuditEntry,
+) -> JudgedList:
+    """Read and judge a list, and write what it changes."""
+    try:
+        listed = read_csv(content) if is_csv else read_json(content)
+    except AssetListError as error:
+        raise pointer_problem("", str(error)) from error
+    present = {one.id: one.table for one in context.store.assets.present()}
+    judged = judge_list(context.settings, listed, present)
+    if judged.wrong and not partial_:
+        raise _refused(judged.wrong)
+    if judged.changes and not dry_run:
+        context.store.assets.change(judged.changes, wall_us(), replace(line, detail=_what(judged)))
+    return judged
+
+
+def _what(judged: JudgedList) -> str:
+    """What an import changes, for the audit trail."""
+    names = list(judged.changes)
+    more = f", and {len(names) - _NAMED_IN_TRAIL} more" if len(names) > _NAMED_IN_TRAIL else ""
+    return (
+        f"created: {len(judged.created)}; changed: {len(judged.changed)}; "
+        f"assets: {', '.join(names[:_NAMED_IN_TRAIL])}{more}"
+    )
+
+
+def _check(context: ServiceContext, asset_id: str, table: TomlTable) -> None:
+    try:
+        check_asset(context.settings, asset_id, table)
+    except AssetInFileError as error:
+        raise _in_file(asset_id) from error
+    except SettingsError as error:
+        lines = [key_line(asset_id, line) for line in error.lines]
+        raise Problem(422, _first_of(lines), errors=[line_error(one) for one in lines]) from error
+
+
+def _in_file(asset_id: str) -> Problem:
+    return parameter_problem(
+        "asset_id",
+        f"asset {asset_id!r} stands in the configuration file; expected a change there",
+        409,
+    )
+
+
+def _stored(context: ServiceContext, asset_id: str) -> ProvisionedAsset:
+    found = context.store.assets.get(asset_id)
+    if found is None:
+        raise parameter_problem("asset_id", f"no asset {asset_id!r} is provisioned", 404)
+    return found
+
+
+def _without_id(table: TomlTable) -> TomlTable:
+    return {name: part for name, part in table.items() if name != "id"}
+
+
+def merge_patch(target: Any, patch: Any) -> Any:
+    """Apply a JSON merge patch (RFC 7396, section 2)."""
+    if not isinstance(patch, dict):
+        return patch
+    merged = dict(target) if isinstance(target, dict) else {}
+    for name, part in patch.items():
+        if part is None:
+            merged.pop(name, None)
+        else:
+            merged[name] = merge_patch(merged.get(name), part)
+    return merged
+
+
+def _refused(wrong: Sequence[WrongRow]) -> Problem:
+    rejected = [_rejected(row) for row in wrong]
+    errors: list[FieldError] = [error for one in rejected for error in one.errors]
+    rows = "1 row is" if len(rejected) == 1 else f"{len(rejected)} rows are"
+    return Problem(422, f"{rows} wrong, nothing is changed; {errors[0].detail}", errors=errors)
+
+
+def _rejected(row: WrongRow) -> RejectedAsset:
+    named = "" if row.id is None else f" ({row.id})"
+    below, prefix = f"/assets/{row.entry}", f"row {row.row}{named}: "
+    return RejectedAsset(
+        row=row.row,
+        id=row.id,
+        detail=_first_of(row.lines),
+        errors=[line_error(line, below, prefix) for line in row.lines],
+    )
+
+
+def _first_of(lines: Sequence[str]) -> str:
+    return f"{lines[0]} (and {len(lines) - 1} more)" if len(lines) > 1 else lines[0]
+
+
+async def _take_up(context: ServiceContext) -> Mapping[str, str] | None:
+    """Have the cell follow what the store holds; None when it is away."""
+    try:
+        return await context.apply_assets()
+    except CellUnavailableError:
+        return None
+
+
+async def _answer(
+    context: ServiceContext,
+    asset: ProvisionedAsset,
+    changed: bool,
+    status: int = 200,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Answer with an asset once it is in effect."""
+    if not changed:
+        why = None if asset.id in context.assets else _NOT_TAKEN_UP
+    else:
+        taken_up = await _take_up(context)
+        why = _AWAY if taken_up is None else taken_up.get(asset.id)
+    document = AssetConfiguration.of(asset, why)
+    return json_response(document, status if why is None else 202, headers)
