@@ -29,6 +29,15 @@ LATCHED = "\n[assets.alarms.stale_data]\nlatched = true\n"
 MESSAGES_S = 400.0
 STEP = {"duration_s": 600, "speed_rpm": 4200, "load_n": 2650}
 ENDLESS = {"method": "noa", "budget": 5_000_000}
+#: An asset that is not in the configuration file.
+SPARE = "spare-1"
+SPARE_TABLE = {
+    "bearing": "6311",
+    "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},
+    "channels": {
+        name: {"source": "push"} for name in ("speed_rpm", "load_n", "ambient_c", "t_inner_ring_c")
+    },
+}
 #: A caller who may not do what a route does: gateways push and see assets, nothing else.
 STRANGERS = ("gateway", "viewer")
 
@@ -230,6 +239,7 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("POST", f"{A}/models/1/activate", 200, json={"comment": "back to the priors"})
     call("GET", f"{A}/models/activations", 200)
     call("POST", f"{A}/grease-renewed", 200, json={"comment": "regreased"})
+    provision(published)
     call("GET", f"{ALARMS}/statistics", 200)
     call("GET", f"{ALARMS}/journal", 200)
     call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})
@@ -255,6 +265,21 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
         published.check("DELETE", "/api/v1/session", 204, answer)
 
 
+def provision(published: Published) -> None:
+    call, spare = published.call, f"/api/v1/assets/{SPARE}"
+    call("PUT", spare, 201, json=SPARE_TABLE)
+    call("PUT", spare, 200, json=SPARE_TABLE)
+    call("GET", f"{spare}/verdict", 200)
+    call("PATCH", spare, 200, json={"group": "spare parts"})
+    call("DELETE", spare, 204)
+    call("PATCH", A, 409, json={"group": "spare parts"})
+    listed = [{"id": SPARE} | SPARE_TABLE, {"id": "spare-2"}]
+    call("POST", "/api/v1/assets:import", 200, json={"assets": listed}, params={"partial": True})
+    call("GET", f"{A}/configuration", 200)
+    call("GET", f"{spare}/configuration", 200)
+    call("GET", "/api/v1/provisioning", 200)
+
+
 def test_every_refusal_is_a_problem_as_published(published: Published) -> None:
     refusals: list[tuple[int, str | None, Callable[[dict[str, Any]], bool]]] = [
         (401, None, lambda operation: bool(operation["security"])),
@@ -271,7 +296,7 @@ def test_every_refusal_is_a_problem_as_published(published: Published) -> None:
                 published.check(method, address, status, answer)
     for name, operation in published.operations.items():
         method, path = name.split()
-        here = path.replace("{asset_id}", ASSET)
+        here = path.replace("{asset_id}", SPARE if method in ("PUT", "PATCH") else ASSET)
         if "404" in operation["responses"]:
             away = re.sub(r"\{\w+\}", "9999", path)
             published.call(method, away, 404, **fitting(method, path))
@@ -297,6 +322,8 @@ def fitting(method: str, path: str) -> dict[str, Any]:
     last = path.rpartition("/")[2]
     if last == "advice":
         return {"params": {"speed_rpm": 6200, "load_n": 5500}}
+    if method == "PATCH":
+        return {"json": {}}
     return {"json": bodies[last]} if method == "POST" and last in bodies else {}
 
 

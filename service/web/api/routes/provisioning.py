@@ -83,7 +83,6 @@ def get_configuration(context: Context, asset_id: KnownId) -> Response:
     summary="Make an asset, or give it another table",
     **secured(
         ADMIN,
-        404,
         409,
         audit="asset.put",
         responses={
