@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -15,6 +16,14 @@ from service.domain.errors import CellUnavailableError
 #: Documents asked for at once: the answers about thousands of assets are too long for one message,
 #: and take the cell longer than who asks waits.
 PORTION: Final = 32
+_ALL: Final[tuple[DocumentKind, ...]] = (
+    "facts",
+    "summary",
+    "snapshot",
+    "state",
+    "verdict",
+    "forecast",
+)
 #: Wall seconds between two looks for other assets.
 _LOOK_EVERY_S: Final = 0.25
 
@@ -33,6 +42,7 @@ class Replicas:
     questions: Questions | None = None
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
+    _loading: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     async def load(self) -> None:
         """Learn which assets there are; to be done again when that has changed.
@@ -42,13 +52,19 @@ class Replicas:
         CellUnavailableError
             If the cell does not answer.
         """
-        names = await self.reader.ask(AssetNames(), PATIENCE_S)
-        for gone in self.assets.keys() - set(names):
-            del self.assets[gone]
-        for name in names:
-            if name not in self.assets:
-                self.assets[name] = AssetReplica(name, self.reader, self.questions, self.fresh_s)
-        await self.refresh("facts", "summary", "snapshot", "state", "verdict", "forecast")
+        async with self._loading:
+            names = await self.reader.ask(AssetNames(), PATIENCE_S)
+            new = {
+                name: AssetReplica(name, self.reader, self.questions, self.fresh_s)
+                for name in names
+                if name not in self.assets
+            }
+            # Nobody meets an asset of which nothing is known yet.
+            await self._refresh(new.values(), _ALL)
+            known = {name: self.assets.get(name) or new[name] for name in names}
+            self.assets.clear()
+            self.assets.update(known)
+            await self.refresh(*_ALL)
 
     async def follow(self) -> None:
         """Learn it again whenever the cell has taken up other assets, until cancelled."""
@@ -70,9 +86,10 @@ class Replicas:
 
     async def refresh(self, *kinds: DocumentKind) -> None:
         """Bring the documents of all assets up to date, some with each question."""
-        due = [
-            (asset, kind) for asset in self.assets.values() for kind in kinds if asset.is_due(kind)
-        ]
+        await self._refresh(self.assets.values(), kinds)
+
+    async def _refresh(self, assets: Iterable[AssetReplica], kinds: Sequence[DocumentKind]) -> None:
+        due = [(asset, kind) for asset in assets for kind in kinds if asset.is_due(kind)]
         for begin in range(0, len(due), PORTION):
             portion = due[begin : begin + PORTION]
             wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
