@@ -69,7 +69,14 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
     close = get_close_matches(str(wrong), names, n=3, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(repr(name) for name in close) + "?"
-    return "expected one of " + ", ".join(names) if names else "there are none"
+    return f"expected one of {listed(names)}" if names else "there are none"
+
+
+def listed(names: Iterable[str], most: int = 20) -> str:
+    """List names for a message; of thousands the first ones."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
 
 
 def ascending(limits: tuple[float, float] | None) -> tuple[float, float] | None:

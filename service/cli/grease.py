@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from service.cli.keys import command_line_actor
+from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.serve import ConfigFile
 from service.site.configuration import SettingsError
 from service.site.settings import load_settings
@@ -27,9 +28,8 @@ def grease_renewed(
     from service.store import AuditEntry, DataDirectoryInUseError, Store, lock_data_directory
 
     settings = load_settings(config)
-    known = [one.id for one in settings.assets]
-    if asset not in known:
-        raise SettingsError(f"{asset}: no such asset; expected one of {', '.join(known) or 'none'}")
+    if find_asset(settings, asset) is None:
+        raise no_such_asset(settings, asset)
     try:
         lock = lock_data_directory(settings.data_dir)
     except DataDirectoryInUseError:

@@ -13,8 +13,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from adapters.configuration import listed
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
+from service.cli.known_assets import find_asset, no_such_asset
 from service.offline.interruption import exit_on_signals
 from service.site.machines.bearings import BearingSection, named_bearing
 from service.site.machines.networks import NetworkSection
@@ -144,28 +146,28 @@ def _machine(
             raise BadInputError("--bearing is missing; expected it, or --config and --asset")
         return "default", _named(bearing, {}), None
     settings = load_settings(config)
-    ids = ", ".join(section.id for section in settings.assets) or "none in this file"
     if asset is None:
         if bearing is None:
+            ids = listed(section.id for section in settings.assets) or "none in this file"
             raise BadInputError(
                 f"--config without --asset: expected one of its assets ({ids}), or --bearing"
             )
         return "default", _named(bearing, settings.bearings), None
-    for section in settings.assets:
-        if section.id == asset:
-            known = section.bearing and section.bearing.name
-            if known is None and bearing is not None:
-                raise BadInputError(
-                    f"--bearing {bearing!r}: expected none, asset {asset!r} in {config} has a "
-                    "network of its own"
-                )
-            if bearing not in (None, known):
-                raise BadInputError(
-                    f"--bearing {bearing!r}: expected {known!r}, the bearing of asset {asset!r} in "
-                    f"{config}, or no --bearing"
-                )
-            return section.model, section.bearing, section.network
-    raise BadInputError(f"--asset {asset!r}: expected one of the assets of {config} ({ids})")
+    section = find_asset(settings, asset)
+    if section is None:
+        raise no_such_asset(settings, f"{config}: --asset {asset!r}")
+    known = section.bearing and section.bearing.name
+    if known is None and bearing is not None:
+        raise BadInputError(
+            f"--bearing {bearing!r}: expected none, asset {asset!r} in {config} has a "
+            "network of its own"
+        )
+    if bearing not in (None, known):
+        raise BadInputError(
+            f"--bearing {bearing!r}: expected {known!r}, the bearing of asset {asset!r} in "
+            f"{config}, or no --bearing"
+        )
+    return section.model, section.bearing, section.network
 
 
 def _with_model(

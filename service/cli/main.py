@@ -8,6 +8,7 @@ import typer
 from typer.exceptions import TyperException
 
 from service.app.exits import refusals, refuse
+from service.cli.assets import assets
 from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
 from service.cli.benchmark import benchmark
@@ -48,6 +49,7 @@ app.command()(export)
 app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
+app.add_typer(assets, name="assets")
 app.add_typer(keys, name="keys")
 app.add_typer(db, name="db")
 

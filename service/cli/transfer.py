@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
 from service.clock import from_rfc3339, rfc3339
@@ -137,8 +138,10 @@ def export(
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         known = store.samples.channels(asset)
         if not known:  # what the configuration names no more can still be exported
-            stored = set(store.samples.counts(0))
-            _check_asset(settings, asset, {one for one, _ in stored})
+            stored = sorted({one for one, _ in store.samples.counts(0)})
+            is_strange = bool(settings.assets or stored) and asset not in stored
+            if is_strange and find_asset(settings, asset) is None:
+                raise no_such_asset(settings, f"--asset {asset}", stored)
         for name in channel or ():
             if name not in known:
                 raise SettingsError(
@@ -163,19 +166,12 @@ def _channels(settings: Settings, asset: str) -> list[str] | None:
 
     Without any asset in the configuration every name is taken.
     """
-    for one in settings.assets:
-        if one.id == asset:
-            return None if one.network is None else list(one.channels)
+    found = find_asset(settings, asset)
+    if found is not None:
+        return None if found.network is None else list(found.channels)
     if settings.assets:
-        _check_asset(settings, asset, set())
+        raise no_such_asset(settings, f"--asset {asset}")
     return None
-
-
-def _check_asset(settings: Settings, asset: str, stored: set[str]) -> None:
-    """Refuse an asset that neither the configuration nor the store knows."""
-    known = dict.fromkeys([*(one.id for one in settings.assets), *sorted(stored)])
-    if known and asset not in known:
-        raise SettingsError(f"--asset {asset}: no such asset; expected one of {', '.join(known)}")
 
 
 def _time_us(option: str, text: str) -> int:

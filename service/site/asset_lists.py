@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from adapters.configuration import listed
 from adapters.tables import RowError, TableFileError, csv_table
 from service.site.configuration import SettingsError, TomlTable
 from service.site.provisioning import check_assets
@@ -111,9 +112,15 @@ class JudgedList:
         """Everything that is to be written."""
         return self.created | self.changed
 
+    @property
+    def summary(self) -> str:
+        """What is changed, in one line for the audit trail."""
+        counts = f"created: {len(self.created)}; changed: {len(self.changed)}"
+        return f"{counts}; assets: {listed(self.changes)}"
+
 
 def judge_list(
-    settings: Settings, listed: AssetRows, present: Mapping[str, TomlTable | None]
+    settings: Settings, rows: AssetRows, present: Mapping[str, TomlTable | None]
 ) -> JudgedList:
     """Check each asset of a list and compare it with those that there are.
 
@@ -121,16 +128,16 @@ def judge_list(
     ----------
     settings
         The configuration.
-    listed
+    rows
         The list.
     present
         Tables of the provisioned assets by id.
     """
-    tables = {name: one.table for name, one in listed.assets.items()}
+    tables = {name: one.table for name, one in rows.assets.items()}
     right, errors = check_assets(settings, tables)
-    wrong = list(listed.wrong)
+    wrong = list(rows.wrong)
     for name, lines in errors.items():
-        one = listed.assets[name]
+        one = rows.assets[name]
         wrong.append(WrongRow(one.entry, one.row, name, tuple(key_line(name, x) for x in lines)))
     created = {name: tables[name] for name in right if name not in present}
     changed = {
@@ -239,8 +246,8 @@ def read_json(content: bytes) -> AssetRows:
 
 def as_json(assets: Mapping[str, TomlTable]) -> str:
     """Write assets as `read_json` reads them."""
-    listed = [{_ID: name} | table for name, table in assets.items()]
-    return json.dumps({"assets": listed}, indent=1, ensure_ascii=False) + "\n"
+    entries = [{_ID: name} | table for name, table in assets.items()]
+    return json.dumps({"assets": entries}, indent=1, ensure_ascii=False) + "\n"
 
 
 def as_csv(assets: Mapping[str, TomlTable]) -> str:

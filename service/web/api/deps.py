@@ -7,6 +7,7 @@ from fastapi import Depends, Path
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
+from adapters.configuration import listed
 from service.bus.replica import AssetReplica
 from service.documents.base import Document
 from service.documents.interfaces import DocumentKind
@@ -47,7 +48,7 @@ async def get_asset(
     """Give the asset that the path names."""
     asset = context.assets.get(asset_id)
     if asset is None:
-        known = ", ".join(context.assets) or "none"
+        known = listed(context.assets) or "none"
         raise parameter_problem("asset_id", f"no asset {asset_id!r}; there is: {known}", 404)
     return asset
 

@@ -19,7 +19,9 @@ from service.security import create_key
 from service.store import Retention, Store
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
-COMMANDS = ("demo", "serve", "check", "virtual-bench", "identify", "forecast", "keys", "db")
+COMMANDS = (
+    "demo", "serve", "check", "virtual-bench", "identify", "forecast", "assets", "keys", "db",
+)  # fmt: skip
 
 
 def test_the_version_is_that_of_the_package(cli: Cli) -> None:

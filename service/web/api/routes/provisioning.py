@@ -49,7 +49,6 @@ _AWAY: Final = "the cell does not answer; it takes the asset up when it is back"
 _NOT_TAKEN_UP: Final = "the cell has not taken it up"
 #: How often a merge begins again when somebody else changes the same asset meanwhile.
 _TRIES = 5
-_NAMED_IN_TRAIL = 20
 
 router = APIRouter(tags=["provisioning"])
 
@@ -300,18 +299,8 @@ def _import(
     if judged.wrong and not partial_:
         raise _refused(judged.wrong)
     if judged.changes and not dry_run:
-        context.store.assets.change(judged.changes, wall_us(), replace(line, detail=_what(judged)))
+        context.store.assets.change(judged.changes, wall_us(), replace(line, detail=judged.summary))
     return judged
-
-
-def _what(judged: JudgedList) -> str:
-    """What an import changes, for the audit trail."""
-    names = list(judged.changes)
-    more = f", and {len(names) - _NAMED_IN_TRAIL} more" if len(names) > _NAMED_IN_TRAIL else ""
-    return (
-        f"created: {len(judged.created)}; changed: {len(judged.changed)}; "
-        f"assets: {', '.join(names[:_NAMED_IN_TRAIL])}{more}"
-    )
 
 
 def _check(context: ServiceContext, asset_id: str, table: TomlTable) -> None:

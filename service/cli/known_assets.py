@@ -1,0 +1,58 @@
+"""Assets that commands may name: those of the configuration file, and the provisioned ones."""
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from adapters.configuration import listed
+from service.site.configuration import SettingsError
+from service.site.settings import AssetSection, Settings
+
+if TYPE_CHECKING:
+    from service.store import ProvisionedAsset
+
+
+def find_asset(settings: Settings, asset: str) -> AssetSection | None:
+    """Give an asset of the file or of the store; None where there is none of this id.
+
+    Raises
+    ------
+    SettingsError
+        If what the store holds does not fit the configuration.
+    """
+    from service.site.provisioning import check_asset
+
+    for one in settings.assets:
+        if one.id == asset:
+            return one
+    table = {one.id: one.table for one in _provisioned(settings)}.get(asset)
+    return None if table is None else check_asset(settings, asset, table).section
+
+
+def no_such_asset(settings: Settings, asset: str, others: Collection[str] = ()) -> SettingsError:
+    """Make the error of an asset that there is not.
+
+    Parameters
+    ----------
+    settings
+        The configuration.
+    asset
+        As it was given, with the option.
+    others
+        Further names that may be given.
+    """
+    names = [one.id for one in settings.assets] + [one.id for one in _provisioned(settings)]
+    expected = listed(dict.fromkeys([*names, *others])) or "none"
+    return SettingsError(f"{asset}: no such asset; expected one of {expected}")
+
+
+def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":
+    """Assets of the store; a store that is not there yet is not made for it."""
+    from service.store import Store
+    from service.store.opening import database_address
+
+    url = database_address(settings.service.database_url, settings.data_dir)
+    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():
+        return []
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        return store.assets.present()
