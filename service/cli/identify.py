@@ -13,10 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from adapters.configuration import listed
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
-from service.cli.known_assets import find_asset, no_such_asset
+from service.cli.known_assets import asset_names, find_asset
 from service.offline.interruption import exit_on_signals
 from service.site.machines.bearings import BearingSection, named_bearing
 from service.site.machines.networks import NetworkSection
@@ -148,14 +147,16 @@ def _machine(
     settings = load_settings(config)
     if asset is None:
         if bearing is None:
-            ids = listed(section.id for section in settings.assets) or "none in this file"
             raise BadInputError(
-                f"--config without --asset: expected one of its assets ({ids}), or --bearing"
+                f"--config without --asset: expected one of its assets ({asset_names(settings)}), "
+                "or --bearing"
             )
         return "default", _named(bearing, settings.bearings), None
     section = find_asset(settings, asset)
     if section is None:
-        raise no_such_asset(settings, f"{config}: --asset {asset!r}")
+        raise BadInputError(
+            f"--asset {asset!r}: expected one of the assets of {config} ({asset_names(settings)})"
+        )
     known = section.bearing and section.bearing.name
     if known is None and bearing is not None:
         raise BadInputError(

@@ -41,9 +41,13 @@ def no_such_asset(settings: Settings, asset: str, others: Collection[str] = ()) 
     others
         Further names that may be given.
     """
+    return SettingsError(f"{asset}: no such asset; expected one of {asset_names(settings, others)}")
+
+
+def asset_names(settings: Settings, others: Collection[str] = ()) -> str:
+    """List the assets that there are, and others, for a message."""
     names = [one.id for one in settings.assets] + [one.id for one in _provisioned(settings)]
-    expected = listed(dict.fromkeys([*names, *others])) or "none"
-    return SettingsError(f"{asset}: no such asset; expected one of {expected}")
+    return listed(dict.fromkeys([*names, *others])) or "none"
 
 
 def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":

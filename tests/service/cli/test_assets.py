@@ -179,7 +179,7 @@ def test_other_commands_know_provisioned_assets(
     assert "m-9: no such asset; expected one of motor-1, m-1, m-2" in unknown
     assert cli("grease-renewed", "m-1", "-c", config).returncode == 0
     other = ("identify", "rows.csv", "--config", config, "--out", "model.json", "--asset")
-    assert "--asset 'm-9': no such asset; expected one of motor-1, m-1, m-2" in refused(
+    assert f"--asset 'm-9': expected one of the assets of {config} (motor-1, m-1, m-2)" in refused(
         *other, "m-9"
     )
     assert "'6310': expected '6311', the bearing of asset 'm-1'" in refused(
