@@ -23,6 +23,7 @@ VIEWS = (
     "engineer",
     "history",
     "alarms",
+    "assets",
     "away",
 )
 SIZES = {

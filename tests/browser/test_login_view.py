@@ -59,7 +59,10 @@ def test_a_call_without_a_session_leads_to_the_login_and_back(
 @pytest.mark.parametrize(
     ("link", "text"),
     [
-        ("operator/bench-of-old", "Unknown asset “bench-of-old”. It may have been renamed."),
+        (
+            "operator/bench-of-old",
+            "Unknown asset “bench-of-old”. It may have been renamed or removed.",
+        ),
         ("history/%E0%A4%A", "Unknown asset “%E0%A4%A”."),
         ("nosuchview", "Unknown view “nosuchview”."),
         ("toString/press-1", "Unknown view “toString”."),

@@ -27,6 +27,7 @@ VIEWS = (
     f"engineer/{BEARING}",
     f"history/{BEARING}",
     "alarms",
+    "assets",
 )
 
 

@@ -9,27 +9,34 @@ export function onRefusedKey(action) {
   refusedKey = action;
 }
 
-/** A refused or failed request; `status` 0 means the service did not answer. */
+/**
+ * A refused or failed request; `status` 0 means the service did not answer. `errors` has each thing
+ * that is wrong, as { pointer, detail }.
+ */
 export class ApiError extends Error {
-  constructor(status, message) {
+  constructor(status, message, errors = []) {
     super(message);
     this.status = status;
+    this.errors = errors;
   }
 }
 
 async function describe(response) {
   try {
     const problem = await response.json();
-    const details = (problem.errors ?? []).map((error) => error.detail);
-    return [problem.detail ?? problem.title, ...details].filter(Boolean).join(': ');
+    const errors = problem.errors ?? [];
+    const details = errors.map((error) => error.detail);
+    return [[problem.detail ?? problem.title, ...details].filter(Boolean).join(': '), errors];
   } catch {
-    return `${response.status} ${response.statusText}`;
+    return [`${response.status} ${response.statusText}`];
   }
 }
 
 /** Ask the service and `read` its answer where it is no refusal. Options as those of `call`. */
 async function ask(path, options, read) {
-  const { method = 'GET', body, query = {}, headers = {}, timeoutMs = 15000, signal } = options;
+  const {
+    method = 'GET', body, file, query = {}, headers = {}, timeoutMs = 15000, signal,
+  } = options;
   const parameters = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) {
     for (const one of [value].flat()) parameters.append(name, one);
@@ -43,12 +50,12 @@ async function ask(path, options, read) {
       credentials: 'same-origin',
       cache: 'no-store',
       headers: { ...(body ? { 'Content-Type': 'application/json' } : {}), ...headers },
-      body: body ? JSON.stringify(body) : undefined,
+      body: file ?? (body ? JSON.stringify(body) : undefined),
       signal: AbortSignal.any(limits),
     });
     // The service may also fall silent in the middle of its answer.
     if (response.ok) return await read(response);
-    refusal = new ApiError(response.status, await describe(response));
+    refusal = new ApiError(response.status, ...await describe(response));
   } catch (error) {
     if (signal?.aborted) throw error;
     throw new ApiError(0, 'the service does not answer');
@@ -60,7 +67,8 @@ async function ask(path, options, read) {
 /**
  * Call the service and give its JSON (null for an empty answer).
  *
- * options: method, body (an object), query (values may be arrays), headers, signal, timeoutMs.
+ * options: method, body (an object), file (a Blob, with its type), query (values may be arrays),
+ * headers, signal, timeoutMs.
  */
 export async function call(path, options = {}) {
   const text = await ask(path, options, (response) => response.text());

@@ -43,6 +43,10 @@ const VIEWS = {
   alarms: {
     title: 'Alarms', from: 'viewer', load: async () => (await import('./views/alarms.js')).AlarmsView,
   },
+  assets: {
+    title: 'Assets', from: 'engineer', load: async () => (await import('./views/assets.js')).AssetsView,
+    style: 'css/assets.css',
+  },
 };
 const FETCH_OTHERS_MS = 3000;
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
@@ -50,7 +54,8 @@ const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
 
 const clock = new ProcessClock();
-const live = new Live(clock, () => start('Your key is no longer valid, or your session has ended.'));
+const live = new Live(clock, () => start('Your key is no longer valid, or your session has ended.'),
+  takeAssets);
 onRefusedKey(() => live.isLoggedOut());
 const main = find('#main');
 let session = null;
@@ -66,17 +71,25 @@ const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
 /** Why this user may not do what needs a role, or ''. */
 const refusal = (role) =>
   (may(role) ? '' : `Needs the role ${role}; you are logged in as ${session?.role}.`);
+/** Whether a view can be shown with the assets that there are; only one needs none. */
+const isOf = (name) => (name === 'assets' ? may(VIEWS.assets.from)
+  : assets.length > (name === 'fleet' ? 1 : 0));
 const viewName = () => {
   const { view: name } = readHash();
-  const known = VIEWS[name] && may(VIEWS[name].from) && (name !== 'fleet' || several());
+  if (!assets.length) return 'assets';
+  const known = VIEWS[name] && may(VIEWS[name].from) && isOf(name);
   return known ? name : several() && !name ? 'fleet' : 'operator';
 };
 /** Why the address leads nowhere, or ''. */
 const nowhere = () => {
   const { view: name, asset } = readHash();
+  if (!assets.length) {
+    return may(VIEWS.assets.from) ? ''
+      : 'No asset is configured. Add an [[assets]] section to the configuration file.';
+  }
   if (name && !Object.hasOwn(VIEWS, name)) return `Unknown view “${name}”.`;
   if (!asset || live.feeds.has(asset)) return '';
-  return `Unknown asset “${asset}”. It may have been renamed.`;
+  return `Unknown asset “${asset}”. It may have been renamed or removed.`;
 };
 const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? id;
 
@@ -87,6 +100,7 @@ const page = {
   get store() { return feed.store; },
   get live() { return feed; },
   get assets() { return assets; },
+  reloadAssets: () => live.loadAssets(),
   openAsset: (id, name) => { location.hash = assetHash(name, id); },
   wish: null, // a point that one view hands over to another: { speed_rpm, load_n }
 };
@@ -121,18 +135,12 @@ async function showView() {
   view = null;
   shown = nowhere() ? '' : name;
   const asked = readHash().view;
-  if (VIEWS[asked] && asked !== name) {
+  if (VIEWS[asked] && asked !== name && assets.length) {
     notify(refusal(VIEWS[asked].from) || 'Only one asset is configured.');
   }
   put(main).className = `v-${shown || 'nowhere'}`;
   document.body.dataset.view = shown || 'nowhere';
-  const tabs = Object.entries(VIEWS).filter(([key]) => key !== 'fleet' || several());
-  header.showViews(tabs.map(([key, { title, from }]) => ({
-    title, href: assetHash(key, several() ? feed.assetId : null), current: key === shown,
-    reason: refusal(from),
-  })));
-  // In the fleet view no asset is the one looked at.
-  header.showAssets(assets, shown && shown !== 'fleet' ? feed.assetId : null);
+  showHeader();
   latest += 1;
   if (!shown) {
     showNowhere();
@@ -152,10 +160,19 @@ async function showView() {
   updateFrame();
 }
 
+/** The views and the asset that is looked at; views of all assets look at none. */
+function showHeader() {
+  header.showViews(Object.entries(VIEWS).filter(([key]) => isOf(key)).map(([key, { title, from }]) => ({
+    title, href: assetHash(key, several() ? feed.assetId : null), current: key === shown,
+    reason: refusal(from),
+  })));
+  header.showAssets(assets, ofAll() ? null : feed.assetId);
+}
+
 /** The address names an asset or a view that is not there: no other is shown in its place. */
 function showNowhere() {
   put(main, h('div', { class: 'panel waiting', role: 'status' }, h('p', {}, nowhere()),
-    h('p', {}, several() ? h('a', { href: '#fleet' }, 'All assets')
+    assets.length > 0 && h('p', {}, several() ? h('a', { href: '#fleet' }, 'All assets')
       : h('a', { href: '#operator' }, 'Operator view'))));
   updateFrame();
 }
@@ -190,11 +207,39 @@ function fetchOthers() {
 
 /** Show what the address asks for. */
 function follow() {
-  const wanted = readHash().asset;
-  const id = live.feeds.has(wanted) ? wanted : feed?.assetId ?? assets[0].id;
-  feed = live.feeds.get(id);
-  live.guarded(() => feed.open('whole'));
+  chooseFeed();
   showView();
+}
+
+function chooseFeed() {
+  const id = [readHash().asset, feed?.assetId, assets[0]?.id].find((one) => live.feeds.has(one));
+  feed = live.feeds.get(id) ?? null;
+  if (feed) live.guarded(() => feed.open('whole'));
+}
+
+/** Assets have come or gone: what lists them is made again, what shows one of them stays. */
+function takeAssets(list) {
+  assets = list;
+  watchFeeds();
+  const lost = shown !== 'assets' && live.feeds.get(feed?.assetId) !== feed;
+  if (lost || !isOf(shown) || ['fleet', 'alarms', ''].includes(shown)) {
+    follow();
+    return;
+  }
+  chooseFeed();
+  showHeader();
+  view?.assetsChanged?.();
+}
+
+const watched = new WeakSet();
+
+function watchFeeds() {
+  for (const one of live.feeds.values()) {
+    if (!watched.has(one)) {
+      one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250);
+    }
+    watched.add(one);
+  }
 }
 
 function tick() {
@@ -210,13 +255,13 @@ const chipsShown = (state) => (ofAll() ? driverChips(state, clock) : sourceChips
 
 /** A page without connection looks out of date and takes no input. */
 function showLink() {
-  const away = Boolean(feed) && live.link.status === 'away';
+  const away = Boolean(live.stream) && live.link.status === 'away';
   document.body.classList.toggle('away', away);
   main.inert = away;
 }
 
 /** Whether the page speaks of all assets instead of one. */
-const ofAll = () => shown === 'fleet' || shown === '';
+const ofAll = () => ['fleet', 'assets', ''].includes(shown);
 const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);
 const bannerWords = () => ({
   nameOf: (alarm) => (bannerFeeds().length > 1 ? nameOf(alarm.asset) : ''),
@@ -224,7 +269,7 @@ const bannerWords = () => ({
 });
 
 function updateFrame() {
-  if (!feed || (!view && shown)) return;
+  if (!live.stream || (!view && shown) || !(feed || ofAll())) return;
   const feeds = bannerFeeds();
   const answers = feeds.map((one) => situation(one.store.state, clock));
   const words = answers.map((one) => one?.verdict.now.word);
@@ -270,13 +315,8 @@ async function start(reason = '') {
   }
   header.showSession(session);
   assets = (await whileAway(() => call('/assets'))).items;
-  if (!assets.length) {
-    put(main, h('p', { class: 'panel waiting' },
-      'No asset is configured. Add an [[assets]] section to the configuration file.'));
-    return;
-  }
   live.start(assets);
-  live.feeds.forEach((one) => one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250));
+  watchFeeds();
   follow();
   setTimeout(fetchOthers, FETCH_OTHERS_MS);
 }
@@ -284,7 +324,7 @@ async function start(reason = '') {
 setInterval(tick, TICK_MS);
 setInterval(updateFrame, 1000); // times to limits run down between messages
 window.addEventListener('hashchange', () => {
-  if (feed) follow();
+  if (live.stream) follow();
 });
 setTheme(localStorage.getItem('theme') ?? 'dark');
 [offeredKey] = await Promise.all([

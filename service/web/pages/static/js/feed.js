@@ -75,6 +75,10 @@ export class AssetFeed {
     this.newerAlarms = newer;
     await this.loadAsset();
     const path = (rest) => assetPath(this.assetId, rest);
+    // The stream greets with a snapshot; an asset that came later has had none.
+    if (!Object.keys(this.store.get('tags')).length) {
+      this.takeSnapshot((await call(path('/snapshot'))).tags);
+    }
     const [state, forecast, alarms, verdict] = await Promise.all([
       call(path('/state')), this.firstForecast(), callPages('/alarms', { asset: this.assetId }),
       call(path('/verdict')),

@@ -7,12 +7,17 @@ import { Stream } from './stream.js';
 
 export const SENSORS = RINGS;
 const SUMMARY_EVERY_MS = 20000;
+const LOOK_AFTER_MS = 500;
 
 export class Live {
-  /** `onLoggedOut(reason)` is called when the service no longer knows the session. */
-  constructor(clock, onLoggedOut) {
+  /**
+   * `onLoggedOut(reason)` is called when the service no longer knows the session, `onAssets(assets)`
+   * when assets have come or gone.
+   */
+  constructor(clock, onLoggedOut, onAssets) {
     this.clock = clock;
     this.onLoggedOut = onLoggedOut;
+    this.onAssets = onAssets;
     this.feeds = new Map();
     this.link = { status: 'connecting' };
   }
@@ -22,12 +27,9 @@ export class Live {
     this.stop();
     this.clock.reset();
     this.epoch = null;
-    const guarded = (request) => this.guarded(request);
-    this.feeds = new Map(assets.map((asset) =>
-      [asset.id, new AssetFeed(asset.id, this.clock, guarded)]));
-    assets.forEach((asset) => this.feeds.get(asset.id).takeAsset(asset));
+    this.feeds = new Map(assets.map((asset) => [asset.id, this.createFeed(asset)]));
     this.setLink({ status: 'connecting' });
-    this.stream = new Stream(assets.map((asset) => asset.id), {
+    this.stream = new Stream({
       message: (message) => this.receive(message),
       up: () => this.setLink({ status: 'live' }),
       down: ({ nextTryMs }) => this.goAway(nextTryMs),
@@ -36,9 +38,18 @@ export class Live {
     this.summaryTimer = setInterval(() => this.guarded(() => this.loadAssets()), SUMMARY_EVERY_MS);
   }
 
+  createFeed(asset) {
+    const feed = new AssetFeed(asset.id, this.clock, (request) => this.guarded(request));
+    feed.epoch = this.epoch;
+    feed.takeAsset(asset);
+    return feed;
+  }
+
   stop() {
     this.stream?.stop();
     clearInterval(this.summaryTimer);
+    clearTimeout(this.look);
+    this.look = null;
     this.feeds.forEach((feed) => feed.stop());
     this.stream = null;
   }
@@ -92,7 +103,8 @@ export class Live {
     // A restarted service may have another clock.
     if (restarted) this.clock.reset();
     this.clock.update(...times);
-    if (message.asset) this.feeds.get(message.asset)?.receive(message);
+    if (message.asset && !this.feeds.has(message.asset)) this.lookForAssets();
+    else if (message.asset) this.feeds.get(message.asset).receive(message);
     else this.feeds.forEach((feed) => feed.receive(message));
     if (!restarted) return;
     this.epoch = message.epoch;
@@ -101,14 +113,38 @@ export class Live {
 
   /** Alarms of the assets that are not shown. */
   async loadOthers() {
-    if (this.feeds.size < 2) return;
+    if ([...this.feeds.values()].every((feed) => feed.depth)) return;
     const alarms = await callPages('/alarms', {});
     for (const [id, feed] of this.feeds) {
       if (!feed.depth) feed.takeAlarms(alarms.filter((alarm) => alarm.asset === id));
     }
   }
 
+  /** A message about an asset that is not known yet. */
+  lookForAssets() {
+    this.look ??= setTimeout(() => {
+      this.look = null;
+      this.guarded(() => this.loadAssets());
+    }, LOOK_AFTER_MS);
+  }
+
+  /** All assets as they are now: some may have come or gone. */
   async loadAssets() {
-    for (const asset of await callPages('/assets', {})) this.feeds.get(asset.id)?.takeAsset(asset);
+    const { stream } = this;
+    const assets = await callPages('/assets', {});
+    if (stream !== this.stream) return; // of another session
+    const before = this.feeds;
+    this.feeds = new Map(assets.map((asset) => {
+      const known = before.get(asset.id);
+      known?.takeAsset(asset);
+      return [asset.id, known ?? this.createFeed(asset)];
+    }));
+    const added = [...this.feeds.values()].filter((feed) => !before.has(feed.assetId));
+    const gone = [...before.values()].filter((feed) => !this.feeds.has(feed.assetId));
+    if (!added.length && !gone.length) return;
+    gone.forEach((feed) => feed.stop());
+    added.forEach((feed) => feed.store.set('link', this.link));
+    this.onAssets(assets);
+    if (added.length) await this.loadOthers();
   }
 }

@@ -7,10 +7,11 @@ const LONGEST_WAIT_S = 30;
 
 export class Stream {
   /**
+   * Of all assets, also of those that come later.
+   *
    * handlers: message(message), up(), down({ nextTryMs }), refused() when the session is over.
    */
-  constructor(assetIds, handlers) {
-    this.assetIds = assetIds;
+  constructor(handlers) {
     this.handlers = handlers;
     this.epoch = null;
     this.sequence = null;
@@ -34,7 +35,7 @@ export class Stream {
   }
 
   address() {
-    const query = new URLSearchParams({ assets: this.assetIds.join(',') });
+    const query = new URLSearchParams();
     if (this.sequence !== null) {
       query.set('resume', String(this.sequence));
       query.set('epoch', this.epoch);

@@ -1,0 +1,409 @@
+"""Assets are added, imported and removed on the page; every list of it follows without a reload."""
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import BrowserContext, Locator, Page, expect
+
+from tests.browser.conftest import WAIT_MS
+from tests.browser.plant import Plant
+from tests.browser.test_page_quality import violations
+
+pytestmark = pytest.mark.browser
+
+IN_FILE = "axle-0"
+PHONE = {"width": 390, "height": 844}
+CONFIGURATION = """
+[service]
+port = {port}
+
+[[templates]]
+name = "axle"
+bearing = "6311"
+group = "Line {{line}}"
+values = {{ line = "A" }}
+low_risk = {{ speed_rpm_max = 4300, load_n_max = 3400 }}
+limits = {{ t_inner_ring_c = {{ warning = "{{warning}}", alarm = 95 }} }}
+[templates.channels]
+t_inner_ring_c = {{ source = "push" }}
+ambient_c = {{ source = "push" }}
+speed_rpm = {{ source = "push" }}
+load_n = {{ source = "push" }}
+
+[[assets]]
+id = "axle-0"
+template = "axle"
+values = {{ warning = 70 }}
+"""
+ALONE = {
+    "bearing": "6311",
+    "name": "Spindle",
+    "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3400},
+    "channels": {
+        name: {"source": "push"} for name in ("t_inner_ring_c", "ambient_c", "speed_rpm", "load_n")
+    },
+}
+
+
+class Hall(Plant):
+    """A service with a template, and one asset in its file."""
+
+    rate = 1.0
+    in_file = (IN_FILE,)
+
+    def __init__(self, folder: Path) -> None:
+        pushed = ("t_inner_ring_c", "ambient_c", "speed_rpm", "load_n")
+        super().__init__(folder, dict.fromkeys(self.in_file, pushed))
+
+    def configure(self) -> str:
+        return CONFIGURATION.format(port=self.port)
+
+    def ready(self) -> bool:
+        listed = self.client.get("/api/v1/assets")
+        return listed.is_success and len(listed.json()["items"]) == len(self.in_file)
+
+    def put(self, asset: str, name: str | None = None) -> None:
+        table = {"template": "axle", "values": {"warning": 70}} | ({"name": name} if name else {})
+        answer = self.client.put(f"/api/v1/assets/{asset}", json=table)
+        assert answer.is_success, answer.text
+
+    def provisioned(self) -> dict[str, dict[str, object]]:
+        return {one["id"]: one["table"] for one in self.get("/provisioning")["items"]}
+
+
+class EmptyHall(Hall):
+    """A service with a template alone."""
+
+    in_file = ()
+
+    def configure(self) -> str:
+        return super().configure().partition("[[assets]]")[0]
+
+
+@pytest.fixture(scope="module")
+def started_plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    hall = Hall(tmp_path_factory.mktemp("hall"))
+    try:
+        hall.start()
+        yield hall
+    finally:
+        hall.close()
+
+
+@pytest.fixture
+def hall(plant: Plant) -> Iterator[Hall]:
+    """The service with the asset of its file alone."""
+    assert isinstance(plant, Hall)
+    yield plant
+    for asset in plant.provisioned():
+        assert plant.client.delete(f"/api/v1/assets/{asset}").is_success
+
+
+Screen = Callable[..., Page]
+
+
+def row(page: Page, asset: str) -> Locator:
+    return page.locator(f'tr[data-asset="{asset}"]')
+
+
+def tabs(page: Page) -> Locator:
+    return page.locator("nav.tabs a")
+
+
+def overflow_px(page: Page) -> int:
+    wider: int = page.evaluate(
+        "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    )
+    return wider
+
+
+def test_an_asset_is_added_from_a_template_and_removed_again(
+    screen: Screen, hall: Hall, problems: list[str]
+) -> None:
+    page = screen("assets")
+    expect(row(page, IN_FILE)).to_contain_text("configuration file")
+    expect(row(page, IN_FILE).get_by_role("button")).to_have_count(0)
+    expect(tabs(page).filter(has_text="Fleet")).to_have_count(0)  # of one asset there is no fleet
+    page.get_by_role("button", name="Add asset…").press("Enter")
+    expect(page.get_by_label("Template", exact=True)).to_be_focused()
+    page.get_by_label("Id", exact=True).fill("axle-1")
+    page.get_by_label("Name (optional)").fill("Car 3, axle 1")
+    expect(page.get_by_text('Empty: "A", from the template.')).to_be_visible()
+    page.get_by_label("warning", exact=True).fill("warm")
+    page.get_by_role("button", name="Add asset", exact=True).click()
+    expect(page.get_by_role("alert").filter(has_text="was not added")).to_be_visible()
+    page.get_by_label("warning", exact=True).fill("72.5")
+    page.get_by_label("warning", exact=True).press("Enter")
+    expect(page.get_by_text("Asset axle-1 added.")).to_be_visible()
+    expect(page.get_by_role("button", name="Add asset…")).to_be_focused()
+    assert hall.provisioned() == {
+        "axle-1": {"template": "axle", "name": "Car 3, axle 1", "values": {"warning": 72.5}}
+    }
+    assert hall.get("/assets/axle-1")["limits"]["t_inner_ring_c"]["warning"] == 72.5
+    expect(row(page, "axle-1")).to_contain_text("Line A")
+    expect(row(page, "axle-1")).to_contain_text("provisioned")
+    # The other views know it, and the page was not loaded again.
+    tabs(page).filter(has_text="Fleet").click()
+    expect(page.locator(".card", has_text="Car 3, axle 1")).to_be_visible()
+    expect(page.locator("#banner")).not_to_contain_text("loading")
+    page.locator(".card", has_text="Car 3, axle 1").click()
+    expect(page.get_by_label("Asset", exact=True)).to_have_value("axle-1")
+    tabs(page).filter(has_text="Assets").click()
+    row(page, "axle-1").get_by_role("button", name="Remove Car 3, axle 1").click()
+    question = page.get_by_role("dialog")
+    expect(question).to_contain_text("Remove the asset Car 3, axle 1 (axle-1)?")
+    expect(question).to_contain_text("stay in the database")
+    question.get_by_role("button", name="Cancel").click()
+    expect(row(page, "axle-1")).to_be_visible()
+    row(page, "axle-1").get_by_role("button", name="Remove Car 3, axle 1").click()
+    question.get_by_role("button", name="Remove asset").click()
+    expect(page.get_by_text("Asset axle-1 removed. Its history is kept.")).to_be_visible()
+    expect(row(page, "axle-1")).to_have_count(0)
+    expect(tabs(page).filter(has_text="Fleet")).to_have_count(0)
+    assert hall.provisioned() == {}
+    # The browser reports the one answer 422.
+    assert all("422" in one for one in problems)
+
+
+def test_an_asset_without_a_template_is_given_as_json(screen: Screen, hall: Hall) -> None:
+    page = screen("assets")
+    page.get_by_role("button", name="Add asset…").click()
+    page.get_by_label("Template", exact=True).select_option("none (configuration as JSON)")
+    page.get_by_label("Id", exact=True).fill("spindle-1")
+    table = page.get_by_label("Configuration", exact=True)
+    table.fill('{"bearing": ')
+    page.get_by_role("button", name="Add asset", exact=True).click()
+    expect(page.get_by_text("Not valid JSON")).to_be_visible()
+    expect(table).to_be_focused()
+    table.fill(json.dumps(ALONE))
+    page.get_by_role("button", name="Add asset", exact=True).click()
+    expect(row(page, "spindle-1")).to_contain_text("Spindle")
+    expect(row(page, "spindle-1")).to_contain_text("none")
+    assert hall.provisioned() == {"spindle-1": ALONE}
+
+
+def test_a_faulty_csv_file_names_its_rows_and_its_good_rows_are_imported(
+    screen: Screen, hall: Hall, tmp_path: Path, problems: list[str]
+) -> None:
+    hall.put("axle-1")
+    page = screen("assets")
+    faulty = tmp_path / "fleet.csv"
+    faulty.write_text(
+        "id,template,name,warning,colour\n"
+        "axle-1,axle,First,71,\n"  # line 2: another name and value
+        "axle-2,axle,Second,70,\n"
+        "axle-3,axel,Third,70,\n"  # line 4: no such template
+        "axle-4,axle,Fourth,,\n"  # line 5: no value
+        "axle-5,axle,Fifth,70,red\n"  # line 6: what nobody asks for
+        "axle-6,axle,Sixth,70,\n"
+        "axle-6,axle,Sixth,70,\n"  # lines 7 and 8: one id
+    )
+    page.get_by_role("button", name="Import CSV…").click()
+    expect(page.get_by_label("CSV file", exact=True)).to_be_focused()
+    page.get_by_label("CSV file", exact=True).set_input_files(faulty)
+    summary = page.locator(".p-import [role=status]")
+    expect(summary).to_have_text("fleet.csv: 1 new, 1 changed, 0 unchanged, 5 rows with errors.")
+    faults = page.locator("table.ft tbody tr")
+    expect(faults).to_have_count(5)
+    for number, (line, asset, field, reason) in enumerate(
+        (
+            ("4", "axle-3", "template", "axel"),
+            ("5", "axle-4", "values.warning", "missing; template 'axle' asks for it"),
+            ("6", "axle-5", "values.colour", "template 'axle' does not ask for it"),
+            ("7", "axle-6", "id", "expected unique"),
+            ("8", "axle-6", "id", "expected unique"),
+        )
+    ):
+        cells = faults.nth(number).locator("td")
+        expect(cells.nth(0)).to_contain_text(line)
+        expect(cells.nth(1)).to_have_text(asset)
+        expect(cells.nth(2)).to_have_text(field)
+        expect(cells.nth(3)).to_contain_text(reason)
+        expect(cells.nth(3)).not_to_have_text(re.compile(r"^row \d"))
+    assert list(hall.provisioned()) == ["axle-1"]  # so far it was only looked at
+    page.get_by_role("button", name="Import the 2 good rows").click()
+    expect(page.locator(".p-assets [role=status]")).to_have_text(
+        "1 asset added, 1 changed, 5 rows not imported."
+    )
+    expect(row(page, "axle-2")).to_contain_text("Second")
+    expect(row(page, "axle-1")).to_contain_text("First")
+    assert sorted(hall.provisioned()) == ["axle-1", "axle-2"]
+
+    right = tmp_path / "rest.csv"
+    right.write_text("id,template,warning\naxle-3,axle,70\naxle-2,axle,70\n")
+    page.get_by_role("button", name="Import CSV…").click()
+    page.get_by_label("CSV file", exact=True).set_input_files(right)
+    page.get_by_role("button", name="Import 2 assets").click()
+    expect(row(page, "axle-3")).to_be_visible()
+    page.get_by_role("button", name="Import CSV…").click()
+    page.get_by_label("CSV file", exact=True).set_input_files(right)
+    expect(summary).to_have_text(
+        "rest.csv: 0 new, 0 changed, 2 unchanged, 0 rows with errors. Nothing to import."
+    )
+    expect(page.get_by_role("button", name=re.compile("^Import [0-9t]"))).to_have_count(0)
+    assert problems == []
+
+    broken = tmp_path / "broken.csv"
+    broken.write_text("name,template\nFirst,axle\n")
+    page.get_by_label("CSV file", exact=True).set_input_files(broken)
+    expect(summary).to_contain_text("broken.csv cannot be imported: ")
+    expect(summary).to_contain_text("missing column 'id'")
+
+
+def test_an_asset_that_somebody_else_makes_and_removes_is_followed(
+    screen: Screen, hall: Hall, problems: list[str]
+) -> None:
+    page = screen("assets")
+    expect(row(page, IN_FILE)).to_be_visible()
+    hall.put("axle-7", "Made elsewhere")
+    expect(row(page, "axle-7")).to_contain_text("Made elsewhere")
+    page.goto(f"{hall.address}/#operator/axle-7")
+    expect(page.get_by_label("Asset", exact=True)).to_have_value("axle-7")
+    hall.client.delete("/api/v1/assets/axle-7")
+    expect(page.get_by_text("Unknown asset “axle-7”.")).to_be_visible()
+    page.goto(f"{hall.address}/#operator")
+    expect(page.locator(".ans .word").first).to_be_visible()
+    assert all("404" in one for one in problems)  # it was looked at when it went
+
+
+def test_who_may_change_nothing_sees_why(screen: Screen, hall: Hall) -> None:
+    hall.put("axle-1")
+    page = screen("assets", "engineer")
+    for name in ("Add asset…", "Import CSV…", "Remove axle-1"):
+        button = page.get_by_role("button", name=name)
+        expect(button).to_be_disabled()
+        expect(button).to_have_attribute("title", re.compile("Needs the role admin"))
+
+
+def test_an_operator_has_no_such_view(screen: Screen, hall: Hall) -> None:
+    page = screen("assets", "operator")
+    expect(tabs(page).filter(has_text="Alarms")).to_be_visible()
+    expect(tabs(page).filter(has_text="Assets")).to_have_count(0)
+    expect(page.locator(".note")).to_contain_text("Needs the role engineer")
+    expect(page.locator("h1")).not_to_have_text("Assets")
+
+
+def test_many_assets_are_searched_and_shown_in_parts(
+    screen: Screen, hall: Hall, tmp_path: Path
+) -> None:
+    rows = [f"unit-{number:03d},axle,70" for number in range(1, 121)]
+    answer = hall.client.post(
+        "/api/v1/assets:import",
+        content="\n".join(["id,template,warning", *rows]),
+        headers={"Content-Type": "text/csv"},
+        timeout=WAIT_MS / 1000,
+    )
+    assert answer.json()["created"] == 120
+    page = screen("assets")
+    shown = page.locator("table.at tbody tr")
+    expect(page.locator(".p-assets header")).to_contain_text(
+        "121 assets: 1 in the configuration file"
+    )
+    expect(shown).to_have_count(100)
+    page.get_by_role("button", name="Show 100 more").click()
+    expect(shown).to_have_count(121)
+    page.get_by_label("Search assets").fill("unit-11")
+    expect(shown).to_have_count(10)
+
+
+def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Path) -> None:
+    hall.put("axle-1")
+    page = screen("assets")
+    page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
+    page.get_by_role("button", name="Add asset…").click()
+    page.get_by_label("Template", exact=True).select_option("none (configuration as JSON)")
+    page.get_by_label("Id", exact=True).fill("axle-2")
+    page.get_by_label("Configuration", exact=True).fill("{")
+    page.get_by_role("button", name="Add asset", exact=True).click()
+    expect(page.get_by_text("Not valid JSON")).to_be_visible()
+    found = violations(page, "form")
+    page.get_by_role("button", name="Import CSV…").click()
+    faulty = tmp_path / "fleet.csv"
+    faulty.write_text("id,template\naxle-3,axle\n")
+    page.get_by_label("CSV file", exact=True).set_input_files(faulty)
+    expect(page.locator("table.ft")).to_be_visible()
+    found += violations(page, "import")
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Remove axle-1").click()
+    expect(page.get_by_role("dialog")).to_be_visible()
+    found += violations(page, "question")
+    assert not found, "\n".join(found)
+
+
+def test_the_view_fits_a_phone(context: BrowserContext, screen: Screen, hall: Hall) -> None:
+    hall.put("axle-1", "The left axle of the third car of the morning train to the north")
+    page = screen("assets")
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    expect(row(page, "axle-1")).to_contain_text("Template: axle")
+    assert overflow_px(page) <= 0
+    page.get_by_role("button", name="Add asset…").click()
+    expect(page.get_by_label("warning", exact=True)).to_be_visible()
+    assert overflow_px(page) <= 0
+
+
+def test_the_first_asset_of_all_is_made_on_the_page(
+    context: BrowserContext, tmp_path: Path
+) -> None:
+    hall = EmptyHall(tmp_path)
+    try:
+        hall.start()
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.goto(f"{hall.address}/#key={hall.key}")
+        expect(page.get_by_text("No asset is configured yet.")).to_be_visible()
+        expect(tabs(page)).to_have_text(["Assets"])
+        page.get_by_role("button", name="Add asset…").click()
+        page.get_by_label("Id", exact=True).fill("axle-1")
+        page.get_by_label("warning", exact=True).fill("70")
+        page.get_by_role("button", name="Add asset", exact=True).click()
+        row(page, "axle-1").get_by_role("link", name="axle-1").click()
+        expect(tabs(page).filter(has_text="Operator")).to_have_attribute("aria-current", "page")
+        tabs(page).filter(has_text="Assets").click()
+        row(page, "axle-1").get_by_role("button", name="Remove axle-1").click()
+        page.get_by_role("button", name="Remove asset").click()
+        expect(page.get_by_text("No asset is configured yet.")).to_be_visible()
+        expect(tabs(page)).to_have_text(["Assets"])
+    finally:
+        hall.close()
+
+
+def test_states_values_and_faults_in_words(parts: Page) -> None:
+    found = parts.evaluate(
+        """async () => {
+          const { assetRows, holeValue, wrongField } = await import('/js/provisioning.js');
+          const asset = (id, running) => ({ id, name: null, health: { twin_running: running } });
+          const item = (id, why) => ({ id, table: { name: 'N' }, template: null, not_running: why
+          });
+          return {
+            rows: assetRows([asset('a10', true), asset('a9', false), asset('b', true)],
+              [item('b', null), item('c', 'no such template')])
+              .map(({ id, name, origin, state, why }) => [id, name, origin, state, why]),
+            values: ['11', '-0.5', '1e3', '007', '1.', 'nan', '', '12345678901234567890']
+              .map(holeValue),
+            faults: [
+              ['/values/unit', "values.unit: missing"], ['', 'a row too long'],
+              ['/assets/3/channels/t_a~1b', 'row 5 (x (y)): channels.t_a/b: unknown'],
+              [undefined, 'row 2: no id'],
+            ].map(([pointer, detail]) => Object.values(wrongField({ pointer, detail }))),
+          };
+        }"""
+    )
+    assert found == {
+        "rows": [
+            ["a9", "a9", "file", "waiting for data", ""],
+            ["a10", "a10", "file", "running", ""],
+            ["b", "N", "provisioned", "running", ""],
+            ["c", "N", "provisioned", "not running", "no such template"],
+        ],
+        "values": [11, -0.5, 1000, "007", "1.", "nan", "", "12345678901234567890"],
+        "faults": [
+            ["values.unit", "missing"],
+            ["", "a row too long"],
+            ["channels.t_a/b", "unknown"],
+            ["", "no id"],
+        ],
+    }
