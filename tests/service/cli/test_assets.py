@@ -1,6 +1,7 @@
 """Lists of assets on the command line, whether the service runs or not."""
 
 import json
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from processes import wait_until
 from adapters.samples import Sample
 from service.store import Store
 
+PAGE = Path(__file__).parents[3] / "docs" / "many-assets.md"
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]
 Configure = Callable[..., Path]
 
@@ -217,3 +219,27 @@ def test_a_running_service_follows_what_the_command_line_changes(
         wait_until(lambda: present() == ["motor-1", "m-1"], 60, "the removal")
         document = client.get("/assets/m-1/configuration").json()
         assert (document["origin"], document["not_running"]) == ("provisioned", None)
+
+
+def test_the_commands_of_the_page_do_as_it_says(
+    cli: Cli, configure: Configure, tmp_path: Path
+) -> None:
+    page = PAGE.read_text()
+    (configuration,) = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    (fleet,) = re.findall(r"^```\n(id,.*?)^```", page, re.DOTALL | re.MULTILINE)
+    (commands,) = re.findall(r"^```sh\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    configure(configuration)
+    (tmp_path / "fleet.csv").write_text(fleet)
+    printed = []
+    for command in commands.splitlines():
+        ended = cli(*command.split()[1:])
+        assert (ended.returncode, ended.stderr) == (0, ""), command
+        printed.append(ended.stdout)
+    assert printed[0] == "fleet.csv: 3 created, 0 changed, 0 unchanged.\n"
+    assert "spare-1" in printed[1]
+    assert (tmp_path / "now.csv").read_text().splitlines()[1:] == [
+        'axle-1,axle,"Car 1, axle 1",,11',
+        'axle-2,axle,"Car 1, axle 2",,12',
+        'axle-3,axle,"Car 2, axle 1",8,13',
+    ]
+    assert list(stored(tmp_path)) == ["axle-1"]
