@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from service.site.configuration import SettingsError
 from service.site.settings import Settings, load_settings
@@ -67,6 +68,15 @@ def test_an_asset_of_three_lines_is_whole(tmp_path: Path) -> None:
     (source,) = wire(settings).sources
     assert {binding.config.unit_id for binding in source.channels} == {11}  # type: ignore[attr-defined]
     assert {binding.channel for binding in source.channels} == {"t_outer_ring_c", "ambient_c"}
+
+
+def test_assets_share_what_none_of_them_gives(tmp_path: Path) -> None:
+    """The defaults of the alarms alone are half of what an asset would hold."""
+    first, second = load(tmp_path, SITE + THREE_LINES + THREE_LINES.replace("-1", "-2")).assets
+    assert first.alarms is second.alarms
+    assert first.bearing == second.bearing
+    with pytest.raises(ValidationError, match="frozen"):
+        first.alarms.standstill_rpm = 1.0
 
 
 def test_what_an_asset_gives_itself_wins_key_by_key(tmp_path: Path) -> None:

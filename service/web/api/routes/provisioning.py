@@ -35,7 +35,7 @@ from service.site.configuration import SettingsError, TomlTable
 from service.site.provisioning import AssetInFileError, check_asset
 from service.site.settings import ASSET_ID
 from service.site.templates import templates_by_name
-from service.store import AuditEntry, ProvisionedAsset
+from service.store import AuditEntry, ProvisionedAsset, StoreUnavailableError
 from service.web.api.access import LOCATION, secured
 from service.web.api.context import ServiceContext
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
@@ -45,7 +45,7 @@ from service.web.api.problems import Problem, line_error, parameter_problem, poi
 from service.web.api.trail import ChangeLine
 from service.web.api.turns import caller_of, turns_of
 
-_AWAY: Final = "the cell does not answer; it takes the asset up when it is back"
+_AWAY: Final = "the cell has not answered yet; it takes the asset up by itself"
 _NOT_TAKEN_UP: Final = "the cell has not taken it up"
 #: How often a merge begins again when somebody else changes the same asset meanwhile.
 _TRIES = 5
@@ -368,10 +368,10 @@ def _first_of(lines: Sequence[str]) -> str:
 
 
 async def _take_up(context: ServiceContext) -> Mapping[str, str] | None:
-    """Have the cell follow what the store holds; None when it is away."""
+    """Have the cell follow what the store holds; None when it cannot now, and does so later."""
     try:
         return await context.apply_assets()
-    except CellUnavailableError:
+    except (CellUnavailableError, StoreUnavailableError):
         return None
 
 

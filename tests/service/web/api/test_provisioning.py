@@ -10,7 +10,7 @@ import pytest
 
 from service.domain.errors import CellUnavailableError
 from service.site.settings import Settings
-from service.store import AuditEntry
+from service.store import AuditEntry, StoreUnavailableError
 from service.web.api import create_app
 from service.web.api.routes.provisioning import merge_patch
 
@@ -50,13 +50,13 @@ class Cell:
 
     def __init__(self) -> None:
         self.asked = 0
-        self.away = False
+        self.away: Exception | None = None
         self.wrong: Mapping[str, str] = {}
 
     async def apply(self) -> Mapping[str, str]:
         self.asked += 1
-        if self.away:
-            raise CellUnavailableError("it is being started")
+        if self.away is not None:
+            raise self.away
         return self.wrong
 
 
@@ -196,8 +196,14 @@ async def test_an_id_that_is_none_is_refused(world: Any, cell: Cell) -> None:
         assert refused.json()["errors"][0]["parameter"] == "asset_id"
 
 
-async def test_a_cell_that_is_away_takes_a_change_up_later(world: Any, cell: Cell) -> None:
-    cell.away = True
+@pytest.mark.parametrize(
+    "away",
+    [CellUnavailableError("it is being started"), StoreUnavailableError("the cell's disk is full")],
+)
+async def test_a_cell_that_is_away_takes_a_change_up_later(
+    world: Any, cell: Cell, away: Exception
+) -> None:
+    cell.away = away
     admin = world.client("admin")
     kept = await admin.put(f"{ASSETS}/axle-1", json=AXLE)
     assert kept.status_code == 202
@@ -408,6 +414,14 @@ async def test_every_answer_is_as_published(world: Any, cell: Cell) -> None:
         content = operation["responses"][str(answer.status_code)]["content"]
         schema = content["application/json"]["schema"] | {"components": description["components"]}
         assert [str(error) for error in jsonschema_rs.iter_errors(schema, answer.json())] == []
+
+
+async def test_one_of_thousands_that_is_not_there_is_said_in_few_words(world: Any) -> None:
+    for number in range(5000):
+        world.context.assets[f"axle-{number}"] = world.context.assets["rig-2"]
+    missing = await world.client("viewer").get(f"{ASSETS}/axle-x")
+    assert missing.status_code == 404
+    assert missing.json()["detail"].endswith("axle-16, axle-17 and 4982 more")
 
 
 async def test_thousands_are_taken_at_once_while_others_are_answered(
