@@ -114,6 +114,7 @@ class OpcUaPublisher:
                 await self._show(asset, node_id, tag, shown)
             if guard.failing:
                 refused.append(tag)
+        await asyncio.sleep(0)  # clients are answered between thousands of assets
         return refused
 
     async def withdraw_tags(self, asset: str, tags: Collection[str]) -> None:
@@ -133,7 +134,7 @@ class OpcUaPublisher:
             objects_id = self.server.nodes.objects.nodeid
             await self._detach(objects_id, ua.ObjectIds.Organizes, [object_id])
         self._delete(deleted + [_unit_node_id(node_id) for node_id in deleted])
-        await asyncio.sleep(0)  # thousands of assets may go at once; clients are answered meanwhile
+        await asyncio.sleep(0)  # as in `publish_tags`
 
     async def publish_alarm(self, asset: str | None, alarm: Mapping[str, object]) -> None:
         """Do nothing: the address space has no events; what stands is in the tags."""

@@ -216,3 +216,31 @@ async def test_objects_come_and_go_with_assets_while_clients_stay_connected(
 
         await apart(look)
     assert served.rounds.problem is None
+
+
+@pytest.mark.wires
+async def test_others_have_their_turn_while_many_assets_come_and_go(
+    tmp_path: Path, store: Store, outbox: Outbox
+) -> None:
+    first = Asset()
+    assets: dict[str, Any] = {"bench-1": first}
+    many = {f"axle-{number}": Asset() for number in range(50)}
+    turns = 0
+
+    async def count() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async with inside(first, tmp_path, store, outbox, assets=assets) as served:
+        counting = asyncio.create_task(count())
+        assets |= many
+        await served.rounds.publish_tags()
+        assert turns >= len(many)
+        turns = 0
+        for name in many:
+            del assets[name]
+        await served.rounds.publish_tags()
+        assert turns >= len(many)
+        counting.cancel()
