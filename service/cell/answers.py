@@ -3,7 +3,7 @@
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
@@ -178,9 +178,10 @@ class Answers:
             made.source = source if wanted.kind == "snapshot" else None
         return ask.Document(made.tag, None if made.tag == wanted.tag else made.text)
 
-    def forget(self, asset_id: str) -> None:
-        """Keep no document of an asset that is followed no longer."""
-        for key in [key for key in self._made if key[0] == asset_id]:
+    def forget(self, assets: Collection[str]) -> None:
+        """Keep no document of assets that are followed no longer."""
+        gone = set(assets)
+        for key in [key for key in self._made if key[0] in gone]:
             del self._made[key]
 
     async def renew_grease(self, command: ask.RenewGrease) -> bytes:

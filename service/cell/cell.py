@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
@@ -19,6 +19,7 @@ from service.bus.interface import STREAM_TOPIC, CellBus
 from service.bus.messages import State
 from service.bus.stream import Bus, Message, heartbeats
 from service.cell.acquisition import Acquisition
+from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
 from service.cell.provisioning import Provisioning, Site
@@ -31,16 +32,15 @@ from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
-from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.jobs.runner import JobRunner
 from service.live.asset import AssetRuntime
+from service.live.estimate import ActiveModel
 from service.live.kept import KeptState
 from service.site.provisioning import CheckedAsset
 from service.site.settings import AssetSection, Settings
-from service.site.wiring import Wiring
+from service.site.wiring import ChannelFacts, Wiring
 from service.store import (
     Alarm,
-    ModelVersion,
     Outbox,
     Retention,
     Store,
@@ -132,13 +132,11 @@ class Cell:
         self._states = StateKeeper(store.states.save_all)
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
-        for asset in settings.assets:
-            self._make(asset, wiring)
         self.provisioning = Provisioning(
-            settings, store, Site(self._add_assets, self._remove_asset, acquisition.change)
+            settings, store, Site(self._add_assets, self._remove_assets, acquisition.change)
         )
-        for checked in self.provisioning.first().values():
-            self._make(checked.section, checked.wiring)
+        of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
+        self._make([*of_file, *self.provisioning.first().values()])
         self._kept_states = cast(dict[str, KeptState], store.states.load_all())
         self._twins = asyncio.TaskGroup()
         self._followed: dict[str, asyncio.Task[None]] = {}
@@ -184,56 +182,57 @@ class Cell:
             )
         )
 
-    def _make(self, asset: AssetSection, wiring: Wiring) -> None:
-        """Make what follows an asset; it reads from the store."""
-        runtime = self._runtime(asset, wiring)
-        self.histories[asset.id] = AssetHistory(asset, self.store, self.clock)
-        self.assets[asset.id] = runtime
+    def _make(self, assets: Sequence[CheckedAsset]) -> None:
+        """Make what follows some assets; it reads from the store."""
+        sections = [one.section for one in assets]
+        models = active_models(self.store, self.clock, sections)
+        for one in assets:
+            name = one.section.id
+            runtime = self._runtime(one.section, one.wiring.channels[name], models[name])
+            self.histories[name] = AssetHistory(one.section, self.store, self.clock)
+            self.assets[name] = runtime
 
     async def _add_assets(self, added: Sequence[CheckedAsset]) -> None:
         """Follow assets that were not followed until now."""
+        names = [one.section.id for one in added]
 
         def make() -> dict[str, KeptState]:
-            for one in added:
-                self._make(one.section, one.wiring)
-            return cast(
-                dict[str, KeptState], self.store.states.load_all([one.section.id for one in added])
-            )
+            self._make(added)
+            return cast(dict[str, KeptState], self.store.states.load_all(names))
 
         kept = await to_thread.run_sync(make)
-        for one in added:
-            self._follow(one.section.id, kept.get(one.section.id))
+        for name in names:
+            self._follow(name, kept.get(name))
 
-    async def _remove_asset(self, asset_id: str, for_good: bool) -> None:
-        """Follow an asset no longer; for good: what stands of it is ended too."""
-        task = self._followed.pop(asset_id, None)
-        if task is not None:
+    async def _remove_assets(self, gone: Sequence[str], changed: Sequence[str]) -> None:
+        """Follow some assets no longer; what stands of those that are gone is ended too."""
+        names = [*gone, *changed]
+        tasks = [self._followed.pop(name) for name in names if name in self._followed]
+        for task in tasks:
             task.cancel()
-            await asyncio.wait({task})
-        if for_good:
-            await self.jobs.end(asset_id)
-            self.alarms.withdraw(asset_id, ())
-        self.assets.pop(asset_id, None)
-        self.histories.pop(asset_id, None)
-        self.answers.forget(asset_id)
+        if tasks:  # their last states go together
+            await asyncio.wait(tasks)
+        if gone:
+            await self.jobs.end(gone)
+        for name in gone:
+            self.alarms.withdraw(name, ())
+        for name in names:
+            self.assets.pop(name, None)
+            self.histories.pop(name, None)
+        self.answers.forget(names)
 
     def _follow(self, asset_id: str, kept: KeptState | None) -> None:
         self._followed[asset_id] = self._twins.create_task(
             self.assets[asset_id].run(kept), name=f"twin of {asset_id}"
         )
 
-    def _runtime(self, asset: AssetSection, wiring: Wiring) -> AssetRuntime:
-        active = self.store.models.active(asset.id)
-        if active is None:
-            active = self._default_version(asset, "before the first identification")
-        elif foreign := why_not_of_this_asset(asset, active):
-            _log.warning("active_model_replaced", asset=asset.id, reason=foreign)
-            active = self._default_version(asset, f"version {active.version}: {foreign}")
-
+    def _runtime(
+        self, asset: AssetSection, channels: Mapping[str, ChannelFacts], active: ActiveModel
+    ) -> AssetRuntime:
         return AssetRuntime(
             asset,
-            wiring.channels[asset.id],
-            active_model(asset, active),
+            channels,
+            active,
             clock=self.clock,
             bus=self.bus,
             alarms=self.alarms,
@@ -241,13 +240,6 @@ class Cell:
             store_samples=self._store_derived,
             save_state=partial(self._states.save, asset.id),
             doubt=partial(self._doubt, asset.id),
-        )
-
-    def _default_version(self, asset: AssetSection, why: str) -> ModelVersion:
-        now_us = self.clock.now_us()
-        version = self.store.models.add(asset.id, "candidate", "", first_model(asset), now_us)
-        return self.store.models.activate(
-            asset.id, version, "service", f"default parameters; {why}", now_us
         )
 
     # ------------------------------------------------------------------ what flows

@@ -28,13 +28,13 @@ class Site:
     add
         Follows assets that are not followed.
     remove
-        Follows an asset no longer; the flag tells whether for good or to begin with another table.
+        Follows assets no longer: those that are gone, and those that begin with another table.
     read
         Reads other channels for some assets; None: nothing.
     """
 
     add: Callable[[Sequence[CheckedAsset]], Awaitable[None]]
-    remove: Callable[[str, bool], Awaitable[None]]
+    remove: Callable[[Sequence[str], Sequence[str]], Awaitable[None]]
     read: Callable[[Mapping[str, Wiring | None]], Awaitable[None]]
 
 
@@ -130,9 +130,10 @@ class Provisioning:
             or name not in self._running
             or right[name].section != self._running[name].section
         ]
-        for name in other:
-            if self._running.pop(name, None) is not None:
-                await self._site.remove(name, name not in right)
+        ended = [name for name in other if self._running.pop(name, None) is not None]
+        await self._site.remove(
+            [name for name in ended if name not in right], [name for name in ended if name in right]
+        )
         added = [right[name] for name in other if name in right]
         await self._site.add(added)
         self._running |= {one.section.id: one for one in added}

@@ -7,7 +7,7 @@ goes on from there.
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import anyio.to_thread
@@ -67,11 +67,11 @@ class IdentificationJobs:
         except (StoreUnavailableError, TimeoutError) as error:
             _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
 
-    async def end(self, asset_id: str) -> None:
-        """Cancel the jobs of an asset that is followed no longer."""
+    async def end(self, assets: Collection[str]) -> None:
+        """Cancel the jobs of assets that are followed no longer."""
         for job in await anyio.to_thread.run_sync(self._store.jobs.unfinished):
-            if job.asset == asset_id:
-                await self.cancel(asset_id, job.id)
+            if job.asset in assets:
+                await self.cancel(job.asset, job.id)
 
     # ------------------------------------------------------------------ the API's side
     async def create(

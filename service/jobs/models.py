@@ -1,5 +1,9 @@
 """Model versions: what is kept of one, and how the live twin takes it up."""
 
+import functools
+import json
+from typing import Final
+
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
 from service.site.machines.machine import Machine
@@ -9,6 +13,9 @@ from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
 
+#: Different machines whose models are kept.
+_MACHINES: Final = 256
+
 
 def machine_of(asset: AssetSection) -> Machine:
     """Return what an asset's model is built of."""
@@ -16,17 +23,32 @@ def machine_of(asset: AssetSection) -> Machine:
 
 
 def thermal_model(asset: AssetSection) -> ThermalModel:
-    """Build the model that an asset is configured to run."""
-    return machine_of(asset).build()
+    """Give the model that an asset is configured to run; assets of one machine share it."""
+    return _built(_parts(asset))
 
 
 def first_model(asset: AssetSection) -> JsonDocument:
     """Document of the twin before any identification: the priors themselves."""
-    model = thermal_model(asset)
+    return dict(_prior(_parts(asset))[1])
+
+
+def _parts(asset: AssetSection) -> str:
+    return json.dumps(machine_of(asset).to_dict())
+
+
+# In a fleet thousands of assets are one machine.
+@functools.lru_cache(_MACHINES)
+def _built(parts: str) -> ThermalModel:
+    return Machine.from_dict(json.loads(parts)).build()
+
+
+@functools.lru_cache(_MACHINES)
+def _prior(parts: str) -> tuple[Posterior, JsonDocument]:
+    model = _built(parts)
     posterior = prior_posterior(model)
-    return {
+    return posterior, {
         "model": model.name,
-        "machine": machine_of(asset).to_dict(),
+        "machine": json.loads(parts),
         "posterior": posterior.to_dict(),
         "parameters": posterior.parameters(model),
         "identifiability": posterior.identifiability_document(model),
@@ -74,7 +96,9 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> Jso
 
 def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
     """What the live twin needs of a stored version."""
-    posterior = Posterior.from_dict(version.document["posterior"])
+    prior, document = _prior(_parts(asset))
+    stored = version.document["posterior"]
+    posterior = prior if stored == document["posterior"] else Posterior.from_dict(stored)
     return ActiveModel(
         version=version.version,
         model=thermal_model(asset),

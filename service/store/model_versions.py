@@ -1,10 +1,19 @@
 """Model versions of each asset, and the journal of which one was active when."""
 
+from collections.abc import Collection, Mapping
+
 from sqlalchemy import Connection, func, insert, select, update
 
 from service.store.audit import add_line
-from service.store.part import StorePart
-from service.store.records import Activation, AuditEntry, JsonDocument, ModelStatus, ModelVersion
+from service.store.part import StorePart, rows_of
+from service.store.records import (
+    Activation,
+    AuditEntry,
+    FirstModel,
+    JsonDocument,
+    ModelStatus,
+    ModelVersion,
+)
 from service.store.tables import ActivationRow, ModelVersionRow
 
 _VERSION_COLUMNS = (
@@ -90,6 +99,67 @@ class ModelVersions(StorePart):
         with self._database.reading() as connection:
             row = connection.execute(query).one_or_none()
         return ModelVersion(**row._mapping) if row else None
+
+    def active_of(self, assets: Collection[str]) -> dict[str, ModelVersion]:
+        """Give the active models of some assets, as far as there are any."""
+        query = select(*_VERSION_COLUMNS).where(ModelVersionRow.status == "active")
+        with self._database.reading() as connection:
+            rows = rows_of(connection, ModelVersionRow.asset, query, assets)
+        return {row.asset: ModelVersion(**row._mapping) for row in rows}
+
+    def begin(
+        self, models: Mapping[str, FirstModel], who: str, at_us: int
+    ) -> dict[str, ModelVersion]:
+        """Store a model of each of these assets and make it the active one, all at once.
+
+        Parameters
+        ----------
+        models
+            By asset.
+        who
+            For the journal.
+        at_us
+            Process time, UTC microseconds.
+        """
+        with self._database.writing() as connection:
+            newest = select(
+                ModelVersionRow.asset, func.max(ModelVersionRow.version).label("version")
+            ).group_by(ModelVersionRow.asset)
+            rows = rows_of(connection, ModelVersionRow.asset, newest, models)
+            last = {row.asset: row.version for row in rows}
+            made = {
+                asset: ModelVersion(
+                    asset, last.get(asset, 0) + 1, "active", model.comment, at_us, model.document
+                )
+                for asset, model in models.items()
+            }
+            for asset in last:
+                connection.execute(
+                    update(ModelVersionRow)
+                    .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
+                    .values(status="retired", reason=f"replaced by version {made[asset].version}")
+                )
+            connection.execute(
+                insert(ModelVersionRow),
+                [
+                    {column.key: getattr(one, column.key) for column in _VERSION_COLUMNS}
+                    for one in made.values()
+                ],
+            )
+            connection.execute(
+                insert(ActivationRow),
+                [
+                    {
+                        "asset": asset,
+                        "version": one.version,
+                        "at_us": at_us,
+                        "who": who,
+                        "comment": one.reason,
+                    }
+                    for asset, one in made.items()
+                ],
+            )
+        return made
 
     def activate(
         self,

@@ -87,6 +87,14 @@ class ModelVersion:
 
 
 @dataclass(frozen=True, slots=True)
+class FirstModel:
+    """A model that an asset begins with, and what the journal says of it."""
+
+    document: JsonDocument
+    comment: str
+
+
+@dataclass(frozen=True, slots=True)
 class Activation:
     """One line of the activation journal: who made a version the active one, when and why."""
 
