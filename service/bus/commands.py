@@ -44,8 +44,8 @@ class GetDocuments(Command[list[Document]], frozen=True, array_like=True):
     wanted: list[Wanted]
 
 
-class AssetNames(Command[list[str]], frozen=True, array_like=True):
-    """The ids of all assets."""
+class AssetNames(Command[dict[str, int]], frozen=True, array_like=True):
+    """The ids of all assets, each with a number that is another one when its table has changed."""
 
 
 class ApplyAssets(Command[dict[str, str]], frozen=True, array_like=True):

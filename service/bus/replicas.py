@@ -42,6 +42,7 @@ class Replicas:
     questions: Questions | None = None
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
+    _numbers: dict[str, int] = field(default_factory=dict)
     _loading: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     async def load(self) -> None:
@@ -53,18 +54,18 @@ class Replicas:
             If the cell does not answer.
         """
         async with self._loading:
-            names = await self.reader.ask(AssetNames(), PATIENCE_S)
+            numbers = await self.reader.ask(AssetNames(), PATIENCE_S)
             new = {
                 name: AssetReplica(name, self.reader, self.questions, self.fresh_s)
-                for name in names
-                if name not in self.assets
+                for name, number in numbers.items()
+                if self._numbers.get(name) != number
             }
             # Nobody meets an asset of which nothing is known yet.
             await self._refresh(new.values(), _ALL)
-            known = {name: self.assets.get(name) or new[name] for name in names}
+            known = {name: new.get(name) or self.assets[name] for name in numbers}
             self.assets.clear()
             self.assets.update(known)
-            await self.refresh(*_ALL)
+            self._numbers = numbers
 
     async def follow(self) -> None:
         """Learn it again whenever the cell has taken up other assets, until cancelled."""
@@ -74,7 +75,6 @@ class Replicas:
             present = self.reader.state.assets
             if present != known:
                 with contextlib.suppress(CellUnavailableError):
-                    self.changed()
                     await self.load()
                     known = present
 

@@ -133,9 +133,9 @@ class Answers:
         }
 
     # ------------------------------------------------------------------ assets
-    async def asset_names(self, command: ask.AssetNames) -> list[str]:
-        """Give the ids of all assets."""
-        return list(self.parts.assets)
+    async def asset_names(self, command: ask.AssetNames) -> dict[str, int]:
+        """Give the ids of all assets, and which make each is."""
+        return {name: asset.make_number for name, asset in self.parts.assets.items()}
 
     async def apply_assets(self, command: ask.ApplyAssets) -> dict[str, str]:
         """Take up the assets that the store holds now."""

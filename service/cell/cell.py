@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
@@ -136,7 +136,7 @@ class Cell:
             settings, store, Site(self._add_assets, self._remove_assets, acquisition.change)
         )
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
-        self._make([*of_file, *self.provisioning.first().values()])
+        self._take_in(self._made([*of_file, *self.provisioning.first().values()]))
         self._kept_states = cast(dict[str, KeptState], store.states.load_all())
         self._twins = asyncio.TaskGroup()
         self._followed: dict[str, asyncio.Task[None]] = {}
@@ -182,25 +182,29 @@ class Cell:
             )
         )
 
-    def _make(self, assets: Sequence[CheckedAsset]) -> None:
+    def _made(self, assets: Sequence[CheckedAsset]) -> list[AssetRuntime]:
         """Make what follows some assets; it reads from the store."""
-        sections = [one.section for one in assets]
-        models = active_models(self.store, self.clock, sections)
-        for one in assets:
-            name = one.section.id
-            runtime = self._runtime(one.section, one.wiring.channels[name], models[name])
-            self.histories[name] = AssetHistory(one.section, self.store, self.clock)
-            self.assets[name] = runtime
+        models = active_models(self.store, self.clock, [one.section for one in assets])
+        return [
+            self._runtime(
+                one.section, one.wiring.channels[one.section.id], models[one.section.id]
+            )
+            for one in assets
+        ]
+
+    def _take_in(self, runtimes: Iterable[AssetRuntime]) -> None:
+        for runtime in runtimes:
+            self.histories[runtime.id] = AssetHistory(runtime.settings, self.store, self.clock)
+            self.assets[runtime.id] = runtime
 
     async def _add_assets(self, added: Sequence[CheckedAsset]) -> None:
         """Follow assets that were not followed until now."""
         names = [one.section.id for one in added]
-
-        def make() -> dict[str, KeptState]:
-            self._make(added)
-            return cast(dict[str, KeptState], self.store.states.load_all(names))
-
-        kept = await to_thread.run_sync(make)
+        runtimes = await to_thread.run_sync(self._made, added)
+        kept = cast(
+            dict[str, KeptState], await to_thread.run_sync(self.store.states.load_all, names)
+        )
+        self._take_in(runtimes)
         for name in names:
             self._follow(name, kept.get(name))
 

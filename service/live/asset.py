@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -76,7 +77,14 @@ class AssetRuntime:
         Keeps the estimate, so that a restart goes on from it.
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source can tell.
+
+    Attributes
+    ----------
+    make_number : int
+        Another one for each that is made in this process.
     """
+
+    _numbers = itertools.count(1)
 
     def __init__(
         self,
@@ -93,6 +101,7 @@ class AssetRuntime:
         doubt: Callable[[str], str] = lambda channel: "",
     ) -> None:
         self.settings = settings
+        self.make_number = next(self._numbers)
         self.facts = channels
         ages_s = {
             name: allowed_age_s(facts.max_age_s, clock.rate) for name, facts in channels.items()

@@ -193,7 +193,6 @@ class _Start:
 async def _apply_assets(reader: LocalReaderBus, replicas: Replicas) -> dict[str, str]:
     """Have the cell take up what the store holds now, and know it here too."""
     wrong = await reader.ask(ApplyAssets(), WHILE_S)
-    replicas.changed()
     await replicas.load()
     return wrong
 
