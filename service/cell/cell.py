@@ -186,9 +186,7 @@ class Cell:
         """Make what follows some assets; it reads from the store."""
         models = active_models(self.store, self.clock, [one.section for one in assets])
         return [
-            self._runtime(
-                one.section, one.wiring.channels[one.section.id], models[one.section.id]
-            )
+            self._runtime(one.section, one.wiring.channels[one.section.id], models[one.section.id])
             for one in assets
         ]
 
