@@ -270,6 +270,21 @@ def test_an_asset_that_somebody_else_makes_and_removes_is_followed(
     assert all("404" in one for one in problems)  # it was looked at when it went
 
 
+def test_what_was_refused_of_an_asset_is_asked_for_again(screen: Screen, hall: Hall) -> None:
+    page = screen("assets")
+    expect(row(page, IN_FILE)).to_be_visible()
+    asked = "**/axle-1/verdict"
+    page.route(asked, lambda route: route.fulfill(status=503, json={"title": "not yet"}))
+    hall.put("axle-1")
+    with page.expect_response(asked, timeout=WAIT_MS) as refused:
+        row(page, "axle-1").get_by_role("link").click()
+    assert refused.value.status == 503
+    page.unroute(asked)
+    with page.expect_response(asked, timeout=WAIT_MS) as answered:
+        pass
+    assert answered.value.ok
+
+
 def test_who_may_change_nothing_sees_why(screen: Screen, hall: Hall) -> None:
     hall.put("axle-1")
     page = screen("assets", "engineer")

@@ -120,6 +120,14 @@ export class Live {
     }
   }
 
+  /** What was refused when an asset was opened, as it may be of one that is just being added. */
+  completeFeeds() {
+    if (this.link.status !== 'live') return;
+    for (const feed of this.feeds.values()) {
+      if (feed.depth && !feed.store.get('loaded')) this.guarded(() => feed.loadAll());
+    }
+  }
+
   /** A message about an asset that is not known yet. */
   lookForAssets() {
     this.look ??= setTimeout(() => {
@@ -133,6 +141,7 @@ export class Live {
     const { stream } = this;
     const assets = await callPages('/assets', {});
     if (stream !== this.stream) return; // of another session
+    this.completeFeeds();
     const before = this.feeds;
     this.feeds = new Map(assets.map((asset) => {
       const known = before.get(asset.id);
