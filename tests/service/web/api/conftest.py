@@ -75,6 +75,8 @@ def tag(value: float | None, unit: str, time_us: int, quality: int = 192) -> Tag
 class MemoryTwin:
     """A twin that stands at one temperature and forecasts it to stay."""
 
+    make_number = 1
+
     def __init__(
         self, asset_id: str, channels: Mapping[str, str], time_us: int, store: Store
     ) -> None:
