@@ -221,8 +221,8 @@ class AssetRuntime:
         )
         if audit is not None:
             self._audit.append(audit)
-        await self._keep_state()
         self._forecast_wanted.set()
+        await self._keep_state()
         return GreaseRenewed(
             time=rfc3339(now_us),
             revolutions_before=round(before),
@@ -380,8 +380,15 @@ class AssetRuntime:
     async def _keep_state(self) -> None:
         """Save the state, with the lines of the audit trail about what people changed in it.
 
-        A store that is away takes them with the first state that it takes again.
+        A store that is away takes them with the first state that it takes again. Once begun it
+        ends, whoever waits: a line that is on its way must not be sent again.
         """
+        keeping = asyncio.ensure_future(self._keep_next())
+        # No one may be there any more to hear that it failed.
+        keeping.add_done_callback(lambda done: done.cancelled() or done.exception())
+        await asyncio.shield(keeping)
+
+    async def _keep_next(self) -> None:
         async with self._keeping:
             lines = tuple(self._audit)
             await self._save_state(self._kept(), lines)

@@ -384,3 +384,26 @@ async def test_the_line_of_renewed_grease_is_kept_with_the_first_state_that_has_
     await live.until(lambda: live.saved, "the next state", WARM)
     await live.runtime._keep_state()
     assert live.audit == [line], "once, with the state that has it"
+
+
+async def test_a_line_on_its_way_is_not_sent_again_when_who_waits_for_it_leaves(
+    make_live: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live()
+    await running(live, WARM)
+    save, begun, go_on = live.runtime._save_state, asyncio.Event(), asyncio.Event()
+
+    async def slowly(document: Any, lines: Any) -> None:
+        begun.set()
+        await go_on.wait()
+        await save(document, lines)
+
+    monkeypatch.setattr(live.runtime, "_save_state", slowly)
+    line = AuditEntry(1, "engineer eva", "", "asset.grease-renewed")
+    calling = asyncio.create_task(live.runtime.renew_grease("engineer eva", "", line))
+    await begun.wait()
+    calling.cancel()
+    await asyncio.wait({calling})
+    go_on.set()
+    await live.runtime._keep_state()
+    assert live.audit == [line]
