@@ -2,18 +2,23 @@
 
 import asyncio
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from adapters.samples import Quality, Sample
+from service.cell.keeping import StateKeeper
 from service.domain.channels import NODES
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
+from service.live.kept import KeptState
 from service.store import AuditEntry
 
+PATIENCE_S = 30.0
 WARM = {
     "speed_rpm": 2400.0,
     "load_n": 2650.0,
@@ -391,19 +396,21 @@ async def test_a_line_on_its_way_is_not_sent_again_when_who_waits_for_it_leaves(
 ) -> None:
     live = make_live()
     await running(live, WARM)
-    save, begun, go_on = live.runtime._save_state, asyncio.Event(), asyncio.Event()
+    begun, go_on = threading.Event(), threading.Event()
+    written: list[AuditEntry] = []
 
-    async def slowly(document: Any, lines: Any) -> None:
+    def write(documents: Mapping[str, KeptState], lines: Sequence[AuditEntry]) -> None:
         begun.set()
-        await go_on.wait()
-        await save(document, lines)
+        go_on.wait(PATIENCE_S)
+        written.extend(lines)
 
-    monkeypatch.setattr(live.runtime, "_save_state", slowly)
+    save = partial(StateKeeper(write).save, live.runtime.id)
+    monkeypatch.setattr(live.runtime, "_save_state", save)
     line = AuditEntry(1, "engineer eva", "", "asset.grease-renewed")
     calling = asyncio.create_task(live.runtime.renew_grease("engineer eva", "", line))
-    await begun.wait()
+    assert await asyncio.to_thread(begun.wait, PATIENCE_S)
     calling.cancel()
     await asyncio.wait({calling})
     go_on.set()
     await live.runtime._keep_state()
-    assert live.audit == [line]
+    assert written == [line]
