@@ -130,16 +130,20 @@ class Provisioning:
             or name not in self._running
             or right[name].section != self._running[name].section
         ]
-        ended = [name for name in other if self._running.pop(name, None) is not None]
+        ended = [name for name in other if name in self._running]
         await self._site.remove(
             [name for name in ended if name not in right], [name for name in ended if name in right]
+        )
+        # Only now: what fails here is done again with the next look.
+        for name in ended:
+            del self._running[name]
+        # Reading first, as it may be done again without harm.
+        await self._site.read(
+            {name: right[name].wiring if name in right else None for name in other}
         )
         added = [right[name] for name in other if name in right]
         await self._site.add(added)
         self._running |= {one.section.id: one for one in added}
-        await self._site.read(
-            {name: right[name].wiring if name in right else None for name in other}
-        )
         _log.info("assets_taken_up", changed=len(other), followed=len(self._running))
 
     def _checked(

@@ -147,7 +147,8 @@ class JobRunner:
                 return True  # cancelled while it waited
             known = await self._model_of(job)
             if known is not None:
-                await self._take_effect(job, known)
+                async with self.deciding:
+                    await self._take_effect(job, known)
                 return True
             if job.attempts >= MOST_ATTEMPTS:
                 await self._end(job_id, "fail", f"gave up after {job.attempts} attempts")
