@@ -4,12 +4,14 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.ingest import Ingest, QualityChecks, Spool
+from service.site.check_limits import CheckLimits
 from service.site.wiring import Wiring, with_assets
 
 #: Wall seconds for which the word of a source on its channels holds.
@@ -27,6 +29,8 @@ class Acquisition:
         Process time.
     spool : Spool
         Where samples wait.
+    others : mapping of str to Wiring, optional
+        What is read for assets that are not in the configuration file.
 
     Attributes
     ----------
@@ -40,15 +44,25 @@ class Acquisition:
         Where samples wait.
     """
 
-    def __init__(self, wiring: Wiring, clock: Clock, spool: Spool) -> None:
+    def __init__(
+        self,
+        wiring: Wiring,
+        clock: Clock,
+        spool: Spool,
+        others: Mapping[str, Wiring] = MappingProxyType({}),
+    ) -> None:
         self.registry = CollectorRegistry()
         self.spool = spool
         self.checks = QualityChecks(wiring.check_limits, self.registry)
+        for asset, one in others.items():
+            self.checks.set_limits(asset, _limits(asset, one))
         self.ingest = Ingest(
             None, spool, clock, self._hand_on, registry=self.registry, checks=self.checks
         )
         self._clock = clock
-        self._sources = {source.name: source for source in wiring.sources}
+        of_file = {source.name: source for source in wiring.sources}
+        self._sources = with_assets(of_file, others)
+        self._others = set(others)
         self._by_name = {name: source.create(clock) for name, source in self._sources.items()}
         self._changing = asyncio.Lock()
         self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
@@ -69,6 +83,11 @@ class Acquisition:
         """One for each source that something is read from."""
         return list(self._by_name.values())
 
+    async def read_for(self, assets: Mapping[str, Wiring | None]) -> None:
+        """Read for exactly these assets besides those of the configuration file."""
+        gone: dict[str, Wiring | None] = dict.fromkeys(self._others)
+        await self.change(gone | dict(assets))
+
     async def change(self, assets: Mapping[str, Wiring | None]) -> None:
         """Read other channels of some assets while all others are read on.
 
@@ -79,10 +98,11 @@ class Acquisition:
         """
         async with self._changing:
             for asset, wiring in assets.items():
-                channels = {} if wiring is None else wiring.channels.get(asset, {})
-                self.checks.set_limits(
-                    asset, {name: facts.limits for name, facts in channels.items()}
-                )
+                self.checks.set_limits(asset, _limits(asset, wiring))
+                if wiring is None:
+                    self._others.discard(asset)
+                else:
+                    self._others.add(asset)
             wanted = with_assets(self._sources, assets)
             for name in self._sources.keys() | wanted.keys():
                 source = wanted.get(name)
@@ -125,3 +145,8 @@ class Acquisition:
             self._samples[sample.asset, sample.channel] = sample
         for plan in batch.plans:
             self._plans[plan.asset] = plan
+
+
+def _limits(asset: str, wiring: Wiring | None) -> dict[str, CheckLimits]:
+    channels = {} if wiring is None else wiring.channels.get(asset, {})
+    return {name: facts.limits for name, facts in channels.items()}

@@ -399,7 +399,7 @@ class Cell:
             for asset_id in self.assets:
                 self._follow(asset_id, self._kept_states.pop(asset_id, None))
             self._kept_states = {}
-            await self.acquisition.change(self.provisioning.wirings())
+            await self.acquisition.read_for(self.provisioning.wirings())
             await self.provisioning.follow()
 
     async def _take_up_jobs(self) -> None:

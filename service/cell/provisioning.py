@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import structlog
 from anyio import to_thread
 
+from service.cell.known_assets import keep_copy
+from service.site.configuration import TomlTable
 from service.site.provisioning import CheckedAsset, check_assets
 from service.site.settings import Settings
 from service.site.wiring import Wiring
@@ -63,6 +65,7 @@ class Provisioning:
         self._site = site
         self._running: dict[str, CheckedAsset] = {}
         self._wrong: dict[str, str] = {}
+        self._tables: dict[str, TomlTable] = {}
         self._applying = asyncio.Lock()
 
     @property
@@ -78,6 +81,8 @@ class Provisioning:
         """Take up what there is at the start; reads from the store."""
         changed = self._store.assets.changed_since(0)
         self._running, self._wrong = self._checked(changed)
+        self._tables = {one.id: one.table for one in changed if one.table is not None}
+        self._keep_copy()
         self.revision = max((one.revision for one in changed), default=0)
         for name, why in self._wrong.items():
             _log.error("asset_not_followed", asset=name, reason=why)
@@ -118,7 +123,12 @@ class Provisioning:
                 await self._take_up([one.id for one in changed], right)
                 for one in changed:
                     self._wrong.pop(one.id, None)
+                    if one.table is None:
+                        self._tables.pop(one.id, None)
+                    else:
+                        self._tables[one.id] = one.table
                 self._wrong |= wrong
+                await to_thread.run_sync(self._keep_copy)
                 self.revision = max(one.revision for one in changed)
             return dict(self._wrong)
 
@@ -145,6 +155,9 @@ class Provisioning:
         await self._site.add(added)
         self._running |= {one.section.id: one for one in added}
         _log.info("assets_taken_up", changed=len(other), followed=len(self._running))
+
+    def _keep_copy(self) -> None:
+        keep_copy(self._settings.data_dir, self._tables)
 
     def _checked(
         self, changed: Sequence[ProvisionedAsset]

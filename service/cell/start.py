@@ -14,11 +14,13 @@ from service.bus.local import LocalCellBus
 from service.bus.messages import State
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Cell
+from service.cell.known_assets import read_copy
 from service.clock import ProcessClock
 from service.ingest import Spool
 from service.kernels import compile_kernels
+from service.site.provisioning import check_assets
 from service.site.settings import Settings
-from service.site.wiring import wire
+from service.site.wiring import Wiring, wire
 from service.store import (
     DatabaseInUseError,
     DatabaseLock,
@@ -117,7 +119,8 @@ class _Start:
             self._open.callback(spool.close)
             bus = self._bus = LocalCellBus(data_dir)
             self._open.callback(bus.close)
-            acquisition = Acquisition(self._wiring, clock, spool)
+            others = await to_thread.run_sync(self._known_assets)
+            acquisition = Acquisition(self._wiring, clock, spool, others)
             async with contextlib.AsyncExitStack() as running:
                 # Who asks meanwhile is answered that there is nothing yet.
                 answering = asyncio.create_task(bus.serve({}))
@@ -141,6 +144,11 @@ class _Start:
                 lost = database_lock.lost
         if lost:
             raise DatabaseInUseError(lost)
+
+    def _known_assets(self) -> dict[str, Wiring]:
+        """What is read for assets of the store, as far as they were known before this start."""
+        right, _ = check_assets(self._settings, read_copy(self._settings.data_dir))
+        return {name: one.wiring for name, one in right.items()}
 
     async def _watch(self, acquisition: Acquisition) -> None:
         while True:

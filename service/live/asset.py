@@ -46,7 +46,6 @@ MEASUREMENTS_LEAST_WALL_S = 0.25
 SNAPSHOT_WALL_S = 0.1
 STATE_LEAST_WALL_S = 0.5
 VERDICT_EVERY_WALL_S = 5.0
-TWIN_SOURCE = "twin"
 
 _log = structlog.get_logger(__name__)
 

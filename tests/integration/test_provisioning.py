@@ -1,9 +1,12 @@
 """Assets that come and go while the service runs, on real wires, through kills and restarts."""
 
+import contextlib
 import os
 import signal
+import sqlite3
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,9 @@ import pytest
 from processes import Command, Station, free_port, wait_until
 
 from service.clock import rfc3339
+from service.ingest.spool import FILE_NAME as SPOOL_FILE
+from service.site.settings import load_settings
+from service.store.opening import FILE_NAME as STORE_FILE
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(300)]
 
@@ -203,6 +209,49 @@ def test_what_was_written_is_taken_up_whenever_the_cell_is_killed(hall: Hall) ->
     hall.until_followed("axle-1")
     hall.until_measured("axle-1")
     hall.until_measured(FIRST)
+
+
+def test_their_devices_are_read_though_the_store_is_locked_at_the_start(hall: Hall) -> None:
+    assert hall.service is not None
+    hall.change({"axle-1": {"template": "axle"}})
+    hall.until_followed("axle-1")
+    assert hall.service.terminate() == 0
+    ended = rfc3339(hall.now_us())
+    data = load_settings(hall.configuration).data_dir
+    with (
+        contextlib.closing(sqlite3.connect(data / STORE_FILE, isolation_level=None)) as store,
+        ThreadPoolExecutor(1) as starter,
+    ):
+        store.execute("BEGIN EXCLUSIVE")
+        starting = starter.submit(hall.start_service)
+        wait_until(lambda: waiting_on(data / SPOOL_FILE, "axle-1") > 10, PATIENCE_S, "samples")
+        locked_until = rfc3339(hall.now_us())
+        store.execute("ROLLBACK")
+        starting.result(PATIENCE_S)
+    hall.until_followed("axle-1")
+    hall.until_measured("axle-1")
+
+    def kept() -> bool:
+        stored = hall.get(
+            "/api/v1/assets/axle-1/measurements",
+            channel="t_outer_ring_c",
+            start=ended,
+            end=locked_until,
+            resolution="raw",
+        )
+        return [one["quality"] for one in stored["items"]].count(192) > 10
+
+    wait_until(kept, PATIENCE_S, "what was read before the store was there")
+
+
+def waiting_on(spool: Path, asset: str) -> int:
+    """Samples of an asset in the file in which they wait."""
+    try:
+        with contextlib.closing(sqlite3.connect(f"file:{spool}?mode=ro", uri=True)) as file:
+            query = "SELECT COUNT(*) FROM samples WHERE asset = ?"
+            return int(file.execute(query, (asset,)).fetchone()[0])
+    except sqlite3.OperationalError:
+        return 0
 
 
 def test_an_asset_that_does_not_fit_the_file_any_more_is_named_and_the_others_run(
