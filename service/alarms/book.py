@@ -123,6 +123,16 @@ class AlarmBook:
                     gone = replace(alarm, present=False, returned_at_us=now_us)
                     self._go(gone, AlarmState.NORM, "withdraw", now_us, SERVICE, _NOT_CONFIGURED)
 
+    def forget(self, assets: Collection[str]) -> None:
+        """End the alarms of assets that are not followed any more, and know nothing of them."""
+        for asset in assets:
+            self.withdraw(asset, ())
+        gone = set(assets)
+        with self._lock:
+            for known in (self._normal, self._figures, self._conditions, self._timers):
+                for key in [key for key in known if key[0] in gone]:
+                    del known[key]
+
     def record_event(
         self, asset: str, kind: EventKind, message: str, who: str = SERVICE, comment: str = ""
     ) -> None:

@@ -169,6 +169,11 @@ class AssetReplica:
             if copy.asking is asyncio.current_task():
                 copy.asking = None
 
+    def is_known(self, kind: DocumentKind) -> bool:
+        """Whether there is a copy."""
+        copy = self._copies.get(kind)
+        return copy is not None and bool(copy.text)
+
     def known_tag(self, kind: DocumentKind) -> bytes:
         """Tag of the copy that is there; empty where there is none."""
         return self._copies.setdefault(kind, _Copy()).tag
@@ -177,6 +182,8 @@ class AssetReplica:
         """Take what the cell answered to a question of this monotonic time."""
         copy = self._copies.setdefault(kind, _Copy())
         if asked_s < copy.right_s:  # a later question was answered sooner
+            return
+        if not document.tag:  # the cell has no such asset now: what is known gets old
             return
         if document.text is not None:
             copy.tag, copy.text, copy.data = document.tag, document.text, None

@@ -35,13 +35,14 @@ class Replicas:
     Attributes
     ----------
     assets : mapping of str to AssetReplica
-        By id, in the order of the configuration.
+        By id, in the order of the configuration; those that came later follow.
     """
 
     reader: ReaderBus
     questions: Questions | None = None
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
+    _loaded: int = 0
     _numbers: dict[str, int] = field(default_factory=dict)
     _loading: asyncio.Lock = field(default_factory=asyncio.Lock)
 
@@ -54,6 +55,8 @@ class Replicas:
             If the cell does not answer.
         """
         async with self._loading:
+            # Before asking: what comes meanwhile is learned with the next look.
+            loaded = self.reader.state.assets
             numbers = await self.reader.ask(AssetNames(), PATIENCE_S)
             new = {
                 name: AssetReplica(name, self.reader, self.questions, self.fresh_s)
@@ -62,21 +65,20 @@ class Replicas:
             }
             # Nobody meets an asset of which nothing is known yet.
             await self._refresh(new.values(), _ALL)
-            known = {name: new.get(name) or self.assets[name] for name in numbers}
-            self.assets.clear()
-            self.assets.update(known)
-            self._numbers = numbers
+            for gone in self.assets.keys() - numbers.keys():
+                del self.assets[gone]
+            # One that was removed meanwhile is not known, and never shown.
+            self.assets |= {name: one for name, one in new.items() if one.is_known("summary")}
+            self._numbers = {name: numbers[name] for name in self.assets}
+            self._loaded = loaded
 
     async def follow(self) -> None:
         """Learn it again whenever the cell has taken up other assets, until cancelled."""
-        known = self.reader.state.assets
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
-            present = self.reader.state.assets
-            if present != known:
+            if self.reader.state.assets != self._loaded:
                 with contextlib.suppress(CellUnavailableError):
                     await self.load()
-                    known = present
 
     def changed(self, asset: str | None = None) -> None:
         """Take no copy of an asset, or of any, from before this moment for fresh."""

@@ -6,16 +6,20 @@ import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+import structlog
+from anyio import to_thread
 from prometheus_client import CollectorRegistry
 
 from adapters.protocol import Clock, Driver, SourceHealth
 from adapters.samples import Batch, PlannedProfile, Sample
 from service.ingest import Ingest, QualityChecks, Spool
 from service.site.check_limits import CheckLimits
-from service.site.wiring import Wiring, with_assets
+from service.site.wiring import SourceWiring, Wiring, with_assets
 
 #: Wall seconds for which the word of a source on its channels holds.
 ASK_AGAIN_S = 0.1
+
+_log = structlog.get_logger(__name__)
 
 
 class Acquisition:
@@ -42,6 +46,8 @@ class Acquisition:
         The way of all samples to the store.
     spool : Spool
         Where samples wait.
+    refused : dict of str to str
+        Sources that could not be changed as the assets ask, and why.
     """
 
     def __init__(
@@ -63,6 +69,7 @@ class Acquisition:
         of_file = {source.name: source for source in wiring.sources}
         self._sources = with_assets(of_file, others)
         self._others = set(others)
+        self.refused: dict[str, str] = {}
         self._by_name = {name: source.create(clock) for name, source in self._sources.items()}
         self._changing = asyncio.Lock()
         self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
@@ -104,18 +111,35 @@ class Acquisition:
                 else:
                     self._others.add(asset)
             wanted = with_assets(self._sources, assets)
-            for name in self._sources.keys() | wanted.keys():
-                source = wanted.get(name)
-                if source is self._sources.get(name):
-                    continue
-                driver = source.create(self._clock) if source is not None else None
-                await self.ingest.replace(name, driver)
-                self._problems.pop(name, None)
-                if driver is None:
-                    del self._by_name[name]
-                else:
-                    self._by_name[name] = driver
-            self._sources = wanted
+            changed = [
+                name
+                for name in self._sources.keys() | wanted.keys()
+                if wanted.get(name) is not self._sources.get(name)
+            ]
+            # Side by side: one that does not answer holds up no other.
+            await asyncio.gather(*(self._change(name, wanted.get(name)) for name in changed))
+
+    async def _change(self, name: str, source: SourceWiring | None) -> None:
+        driver: Driver | None = None
+        if source is not None:
+            try:
+                driver = await to_thread.run_sync(source.create, self._clock)
+            except Exception as error:
+                # Two channels that do not go together, a file that is gone: what is read is
+                # read on, and the next change tries again.
+                if name not in self.refused:
+                    _log.exception("source_not_changed", source=name)
+                self.refused[name] = " ".join(str(error).split())
+                return
+        self.refused.pop(name, None)
+        await self.ingest.replace(name, driver)
+        self._problems.pop(name, None)
+        if source is None or driver is None:
+            self._by_name.pop(name, None)
+            self._sources.pop(name, None)
+        else:
+            self._by_name[name] = driver
+            self._sources[name] = source
 
     def health(self) -> list[SourceHealth]:
         """Health of every source, from memory."""

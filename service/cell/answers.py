@@ -154,7 +154,7 @@ class Answers:
     def _document(self, wanted: ask.Wanted) -> ask.Document:
         twin = self.parts.assets.get(wanted.asset)
         if twin is None:  # removed a moment ago, which who asks is about to hear
-            return ask.Document(wanted.tag, None)
+            return ask.Document(b"", None)
         asset = twin.documents
         make: Mapping[str, Callable[[], object]] = {
             "facts": asset.description,

@@ -32,6 +32,7 @@ from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
+from service.jobs.models import machine_of
 from service.jobs.runner import JobRunner
 from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
@@ -53,6 +54,8 @@ _COUNTED_MAX = 100_000
 HEALTH_EVERY_WALL_S = 1.0
 STORE_RETRY_WALL_S = 2.0
 STATE_EVERY_S = 0.25
+#: Twins that are begun or ended in one go.
+_AT_ONCE = 50
 
 _log = structlog.get_logger(__name__)
 
@@ -133,7 +136,7 @@ class Cell:
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
-            settings, store, Site(self._add_assets, self._remove_assets, acquisition.change)
+            settings, store, Site(self._change_assets, acquisition.change)
         )
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
         self._take_in(self._made([*of_file, *self.provisioning.first().values()]))
@@ -195,33 +198,49 @@ class Cell:
             self.histories[runtime.id] = AssetHistory(runtime.settings, self.store, self.clock)
             self.assets[runtime.id] = runtime
 
-    async def _add_assets(self, added: Sequence[CheckedAsset]) -> None:
-        """Follow assets that were not followed until now."""
-        names = [one.section.id for one in added]
-        runtimes = await to_thread.run_sync(self._made, added)
-        kept = cast(
-            dict[str, KeptState], await to_thread.run_sync(self.store.states.load_all, names)
-        )
-        self._take_in(runtimes)
-        for name in names:
-            self._follow(name, kept.get(name))
+    async def _change_assets(self, gone: Sequence[str], given: Sequence[CheckedAsset]) -> None:
+        """Follow some assets no longer, and others from now on or by another table.
 
-    async def _remove_assets(self, gone: Sequence[str], changed: Sequence[str]) -> None:
-        """Follow some assets no longer; what stands of those that are gone is ended too."""
-        names = [*gone, *changed]
-        tasks = [self._followed.pop(name) for name in names if name in self._followed]
-        for task in tasks:
-            task.cancel()
-        if tasks:  # their last states go together
-            await asyncio.wait(tasks)
-        if gone:
-            await self.jobs.end(gone)
-        for name in gone:
-            self.alarms.withdraw(name, ())
-        for name in names:
-            self.assets.pop(name, None)
-            self.histories.pop(name, None)
-        self.answers.forget(names)
+        Whatever needs the store comes first: where it fails, all are followed as before.
+        """
+        changed = {one.section.id: one for one in given if one.section.id in self.assets}
+        new = [one.section.id for one in given if one.section.id not in self.assets]
+        await self.jobs.end(
+            [*gone, *(name for name, one in changed.items() if self._is_another(name, one))]
+        )
+        # What is activated meanwhile must be what the new twin runs on.
+        async with self.jobs.switching:
+            runtimes = await to_thread.run_sync(self._made, given)
+            load = partial(self.store.states.load_all, new)
+            kept = cast(dict[str, KeptState | None], await to_thread.run_sync(load))
+            await self._stop([*gone, *changed])
+            for runtime in runtimes:
+                if runtime.id in changed:
+                    kept[runtime.id] = await runtime.take_over(self.assets[runtime.id])
+            for name in gone:
+                self.assets.pop(name, None)
+                self.histories.pop(name, None)
+            self.alarms.forget(gone)
+            self.answers.forget([*gone, *changed])
+            self._take_in(runtimes)
+        for number, runtime in enumerate(runtimes):
+            self._follow(runtime.id, kept.get(runtime.id))
+            if number % _AT_ONCE == _AT_ONCE - 1:
+                await asyncio.sleep(0)
+        await self.jobs.resume(new)
+
+    async def _stop(self, assets: Sequence[str]) -> None:
+        for begin in range(0, len(assets), _AT_ONCE):
+            portion = assets[begin : begin + _AT_ONCE]
+            tasks = [self._followed.pop(name) for name in portion if name in self._followed]
+            for task in tasks:
+                task.cancel()
+            if tasks:  # their last states go together
+                await asyncio.wait(tasks)
+
+    def _is_another(self, asset_id: str, changed: CheckedAsset) -> bool:
+        """Whether an asset becomes another machine: what is identified is of the one before."""
+        return machine_of(self.assets[asset_id].settings) != machine_of(changed.section)
 
     def _follow(self, asset_id: str, kept: KeptState | None) -> None:
         self._followed[asset_id] = self._twins.create_task(
@@ -303,10 +322,14 @@ class Cell:
         )
         files = [*([self.maintenance.damage] if self.maintenance.damage else []), *mended]
         return {
-            "assets": self.provisioning.problem,
+            "assets": self.provisioning.problem or self._refused_sources(),
             "history": ingest.too_old_problem or self.maintenance.problem,
             "files": "; ".join(files) or None,
         }
+
+    def _refused_sources(self) -> str | None:
+        refused = self.acquisition.refused
+        return "; ".join(f"source {name}: {why}" for name, why in refused.items()) or None
 
     def _report_too_old(self) -> None:
         """Raise an alarm for the assets whose samples are not stored because they are too old."""

@@ -27,16 +27,13 @@ class Site:
 
     Attributes
     ----------
-    add
-        Follows assets that are not followed.
-    remove
-        Follows assets no longer: those that are gone, and those that begin with another table.
+    follow
+        Follows some assets no longer, and others from now on or by another table; all or nothing.
     read
         Reads other channels for some assets; None: nothing.
     """
 
-    add: Callable[[Sequence[CheckedAsset]], Awaitable[None]]
-    remove: Callable[[Sequence[str], Sequence[str]], Awaitable[None]]
+    follow: Callable[[Sequence[str], Sequence[CheckedAsset]], Awaitable[None]]
     read: Callable[[Mapping[str, Wiring | None]], Awaitable[None]]
 
 
@@ -133,27 +130,25 @@ class Provisioning:
             return dict(self._wrong)
 
     async def _take_up(self, changed: Sequence[str], right: Mapping[str, CheckedAsset]) -> None:
+        in_file = {asset.id for asset in self._settings.assets}
         other = [
             name
             for name in changed
-            if name not in right
-            or name not in self._running
-            or right[name].section != self._running[name].section
+            if name not in in_file
+            and (
+                name not in right
+                or name not in self._running
+                or right[name].section != self._running[name].section
+            )
         ]
-        ended = [name for name in other if name in self._running]
-        await self._site.remove(
-            [name for name in ended if name not in right], [name for name in ended if name in right]
-        )
-        # Only now: what fails here is done again with the next look.
-        for name in ended:
-            del self._running[name]
-        # Reading first, as it may be done again without harm.
-        await self._site.read(
-            {name: right[name].wiring if name in right else None for name in other}
-        )
-        added = [right[name] for name in other if name in right]
-        await self._site.add(added)
-        self._running |= {one.section.id: one for one in added}
+        gone = [name for name in other if name not in right]
+        given = [right[name] for name in other if name in right]
+        await self._site.follow(gone, given)
+        await self._site.read(dict.fromkeys(gone) | {one.section.id: one.wiring for one in given})
+        # Only now: what fails is done again with the next look.
+        for name in gone:
+            self._running.pop(name, None)
+        self._running |= {one.section.id: one for one in given}
         _log.info("assets_taken_up", changed=len(other), followed=len(self._running))
 
     def _keep_copy(self) -> None:

@@ -13,7 +13,7 @@ from prometheus_client import CollectorRegistry
 
 from adapters.backoff import Backoff
 from adapters.protocol import Clock, Driver
-from adapters.samples import Batch, Quality, Sample
+from adapters.samples import Batch, Quality, Sample, is_good
 from service.ingest.metrics import SampleLedger, SourceMetrics, watch_queues
 from service.ingest.quality import QualityChecks
 from service.ingest.spool import Spool
@@ -31,6 +31,7 @@ _BEAT_S = 0.25
 #: Wall seconds after which a driver gives way to the one that replaces it in any case.
 REPLACED_AFTER_S = 3.0
 _LOOK_S = 0.02
+_CANCEL_AGAIN_S = 1.0
 #: Wall seconds after which a refused push may come again: after one refusal, and at most.
 RETRY_PUSH_S = 5.0
 RETRY_PUSH_LAST_S = 60.0
@@ -86,6 +87,8 @@ class Ingest:
         self._retry_after_s = RETRY_PUSH_S
         self._went_on = False
         self._pumps: dict[str, asyncio.Task[None]] = {}
+        # Drivers that replace one which still reads.
+        self._beginning: set[Driver] = set()
         # Where channels ended in the last run; what waits on the spool is newer than the store.
         ends = spool.newest()
         self._unmarked_gaps = {name: end_us for name, end_us in ends.items() if end_us is not None}
@@ -154,7 +157,8 @@ class Ingest:
         """Pump another driver of a source, or none any more, while `run` runs.
 
         The new one reads before the old one ends, so that no poll is missing; a device that takes
-        one connection only gets that of the new one a moment later.
+        one connection only gets that of the new one a moment later. Until then what the new one
+        cannot read is no loss: the old one reads it.
 
         Parameters
         ----------
@@ -167,12 +171,17 @@ class Ingest:
         if driver is None:
             self._source_metrics.forget(name)
         else:
+            if old is not None:
+                self._beginning.add(driver)
             self._start(driver)
             if old is not None:
-                await _until_up(driver)
-        if old is not None:
+                await _until_read(driver)
+        # A library may swallow a cancellation: two drivers of one source store everything twice.
+        while old is not None and not old.done():
             old.cancel()
-            await asyncio.wait({old})
+            await asyncio.wait({old}, timeout=_CANCEL_AGAIN_S)
+        if driver is not None:
+            self._beginning.discard(driver)
 
     @property
     def retry_after_s(self) -> int:
@@ -299,6 +308,8 @@ class Ingest:
                 async with driver:
                     async for batch in driver.batches():
                         backoff.reset()
+                        if driver in self._beginning and not _has_good(batch):
+                            continue
                         if batch.poll_s is not None:
                             poll_seconds.observe(batch.poll_s)
                         self._take(batch)
@@ -350,13 +361,17 @@ class Ingest:
         ]
 
 
-async def _until_up(driver: Driver) -> None:
-    """Wait until a driver has read something, for a while."""
+def _has_good(batch: Batch) -> bool:
+    return any(is_good(sample.quality) for sample in batch.samples)
+
+
+async def _until_read(driver: Driver) -> None:
+    """Wait until a driver has read something good, for a while."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(REPLACED_AFTER_S):
             while True:
                 await asyncio.sleep(_LOOK_S)
-                if driver.health().samples:
+                if driver.health().last_good_us is not None:
                     return
 
 

@@ -175,6 +175,7 @@ class QualityChecks:
         self, limits: Mapping[tuple[str, str], CheckLimits], registry: CollectorRegistry
     ) -> None:
         self._channels: dict[tuple[str, str], _Channel] = {}
+        self._checked: dict[str, tuple[str, ...]] = {}
         by_asset: dict[str, dict[str, CheckLimits]] = {}
         for (asset, channel), of in limits.items():
             by_asset.setdefault(asset, {})[channel] = of
@@ -198,8 +199,7 @@ class QualityChecks:
             checked.setdefault(SPEED, CheckLimits())
         before = {
             channel: self._channels.pop((asset, channel))
-            for of, channel in list(self._channels)
-            if of == asset
+            for channel in self._checked.pop(asset, ())
         }
         machine = next((one.machine for one in before.values()), _Machine())
         for channel, of in checked.items():
@@ -207,6 +207,8 @@ class QualityChecks:
             if known is None or known.limits != of:
                 known = _Channel(of, machine, channel == SPEED)
             self._channels[asset, channel] = known
+        if checked:
+            self._checked[asset] = tuple(checked)
 
     def judge(self, samples: Sequence[Sample]) -> Sequence[Sample]:
         """Return the samples, those that fail a check with a quality that says so.

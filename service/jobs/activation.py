@@ -22,6 +22,11 @@ class Activations:
         Where the versions are; process time.
     assets : mapping of str to AssetRuntime
         The live twins to be switched.
+
+    Attributes
+    ----------
+    switching : asyncio.Lock
+        Held while a twin and its version change.
     """
 
     def __init__(self, store: Store, clock: Clock, assets: Mapping[str, AssetRuntime]) -> None:
@@ -29,7 +34,7 @@ class Activations:
         self._clock = clock
         self._assets = assets
         # Of two activations at a time, the one that wins in the store must win in the twin.
-        self._switching = asyncio.Lock()
+        self.switching = asyncio.Lock()
 
     async def activate(
         self,
@@ -44,8 +49,8 @@ class Activations:
 
         The line of the audit trail, where there is one, is written in the same transaction.
         """
-        asset = self._assets[asset_id]
-        async with self._switching:
+        async with self.switching:
+            asset = self._assets[asset_id]
             model = await anyio.to_thread.run_sync(self._store.models.version, asset_id, version)
             if model is None:
                 raise KeyError(version)

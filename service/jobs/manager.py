@@ -7,7 +7,7 @@ goes on from there.
 """
 
 import asyncio
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import pairwise
 
 import anyio.to_thread
@@ -21,7 +21,7 @@ from service.domain.requests import IdentificationRequest
 from service.jobs.documents import shown
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
 from service.jobs.workspace import JobFolder, clear_folders
-from service.store import ActiveJobError, AuditEntry, StoreUnavailableError
+from service.store import ActiveJobError, AuditEntry, Job, StoreUnavailableError
 
 _log = structlog.get_logger(__name__)
 
@@ -39,6 +39,11 @@ class IdentificationJobs:
         self.runner = runner
         self._store, self._clock, self._assets = runner.store, runner.clock, runner.assets
 
+    @property
+    def switching(self) -> asyncio.Lock:
+        """Held while a twin and its version change."""
+        return self.runner.activations.switching
+
     # ------------------------------------------------------------------ life
     async def start(self) -> None:
         """Take up the jobs that an earlier run of the service left unfinished."""
@@ -46,8 +51,21 @@ class IdentificationJobs:
         unfinished = await anyio.to_thread.run_sync(self._store.jobs.unfinished)
         kept = {job.id for job in unfinished}
         await anyio.to_thread.run_sync(clear_folders, self.runner.folder, kept)
-        for job in unfinished:
-            if job.asset not in self._assets:
+        await self._begin_again([job for job in unfinished if job.asset in self._assets])
+
+    async def resume(self, assets: Collection[str]) -> None:
+        """Take up the unfinished jobs of assets that are followed from now on.
+
+        Before `start` there is nothing to do: it takes up all.
+        """
+        if not self.runner.started:
+            return
+        unfinished = await anyio.to_thread.run_sync(self._store.jobs.unfinished)
+        await self._begin_again([job for job in unfinished if job.asset in assets])
+
+    async def _begin_again(self, jobs: Iterable[Job]) -> None:
+        for job in jobs:
+            if self.runner.busy(job.asset):
                 continue
             await self.runner.change(job.id, "interrupt", progress=0.0)
             self.runner.begin(job)

@@ -102,6 +102,11 @@ class JobRunner:
         self._interrupted: set[str] = set()
         self._behind: set[str] = set()
 
+    @property
+    def started(self) -> bool:
+        """Whether there is a worker."""
+        return self._executor is not None
+
     def start(self) -> None:
         """Make the worker."""
         self._executor = self._make_executor()

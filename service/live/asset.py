@@ -393,5 +393,18 @@ class AssetRuntime:
             await self._save_state(self._kept(), lines)
             del self._audit[: len(lines)]
 
+    async def take_over(self, before: "AssetRuntime") -> KeptState | None:
+        """Take what the twin before could not bring into the store; gives what to go on from.
+
+        Parameters
+        ----------
+        before
+            A twin of the same machine that does not run any more.
+        """
+        async with before._keeping:
+            self._audit += before._audit
+            before._audit = []
+        return before._kept() if before.estimate.started else None
+
     def _kept(self) -> KeptState:
         return {**(self.estimate.to_dict() or {}), "watch": self._watch.to_dict()}

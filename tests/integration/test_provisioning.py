@@ -224,7 +224,7 @@ def test_their_devices_are_read_though_the_store_is_locked_at_the_start(hall: Ha
     ):
         store.execute("BEGIN EXCLUSIVE")
         starting = starter.submit(hall.start_service)
-        wait_until(lambda: waiting_on(data / SPOOL_FILE, "axle-1") > 10, PATIENCE_S, "samples")
+        wait_until(lambda: waiting_on(data / SPOOL_FILE, "axle-1") > 40, PATIENCE_S, "samples")
         locked_until = rfc3339(hall.now_us())
         store.execute("ROLLBACK")
         starting.result(PATIENCE_S)
