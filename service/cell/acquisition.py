@@ -67,10 +67,17 @@ class Acquisition:
         )
         self._clock = clock
         of_file = {source.name: source for source in wiring.sources}
-        self._sources = with_assets(of_file, others)
         self._others = set(others)
         self.refused: dict[str, str] = {}
-        self._by_name = {name: source.create(clock) for name, source in self._sources.items()}
+        self._sources: dict[str, SourceWiring] = {}
+        self._by_name: dict[str, Driver] = {}
+        for name, wanted in with_assets(of_file, others).items():
+            source, driver = wanted, self._created(wanted)
+            if driver is None and name in of_file:
+                source = of_file[name]
+                driver = source.create(clock)
+            if driver is not None:
+                self._sources[name], self._by_name[name] = source, driver
         self._changing = asyncio.Lock()
         self._problems: dict[str, tuple[float, Mapping[str, str]]] = {}
         self._take: Callable[[Batch], None] | None = None
@@ -116,21 +123,29 @@ class Acquisition:
                 for name in self._sources.keys() | wanted.keys()
                 if wanted.get(name) is not self._sources.get(name)
             ]
+            for name in self.refused.keys() - changed:
+                del self.refused[name]
             # Side by side: one that does not answer holds up no other.
             await asyncio.gather(*(self._change(name, wanted.get(name)) for name in changed))
 
+    def _created(self, source: SourceWiring) -> Driver | None:
+        """Make the driver of a source; None where it cannot be, which is noted.
+
+        Each channel is right by itself, but two may not go together, or a file may be gone. What
+        is read is read on then, and the next change tries again.
+        """
+        try:
+            return source.create(self._clock)
+        except Exception as error:
+            if source.name not in self.refused:
+                _log.exception("source_not_changed", source=source.name)
+            self.refused[source.name] = " ".join(str(error).split())
+            return None
+
     async def _change(self, name: str, source: SourceWiring | None) -> None:
-        driver: Driver | None = None
-        if source is not None:
-            try:
-                driver = await to_thread.run_sync(source.create, self._clock)
-            except Exception as error:
-                # Two channels that do not go together, a file that is gone: what is read is
-                # read on, and the next change tries again.
-                if name not in self.refused:
-                    _log.exception("source_not_changed", source=name)
-                self.refused[name] = " ".join(str(error).split())
-                return
+        driver = None if source is None else await to_thread.run_sync(self._created, source)
+        if source is not None and driver is None:
+            return
         self.refused.pop(name, None)
         await self.ingest.replace(name, driver)
         self._problems.pop(name, None)

@@ -6,6 +6,7 @@ from pathlib import Path
 from service.cell.acquisition import Acquisition
 from service.clock import ProcessClock
 from service.ingest import Spool
+from service.site.provisioning import check_asset
 from service.site.settings import load_settings
 from service.site.wiring import wire
 
@@ -50,3 +51,57 @@ async def test_asking_for_all_channels_asks_each_source_once(tmp_path: Path) -> 
         spent_s[count] = (time.process_time() - began_s) / count
         spool.close()
     assert spent_s[50] < 4 * spent_s[5] + 1e-3, "per asset, whatever the number of assets"
+
+
+CAN_SITE = """
+[[sources]]
+name = "drive"
+driver = "can"
+channel = "socket://127.0.0.1:9"
+dbc = "bench.dbc"
+
+[[templates]]
+name = "axle"
+bearing = "6311"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+[templates.channels]
+load_n = { source = "push" }
+[templates.channels.speed_rpm]
+source = "drive"
+message = "DriveStatus"
+signal = "Speed"
+frame_id_mask = "{mask}"
+
+[[assets]]
+id = "first"
+template = "axle"
+values = { mask = 2047 }
+"""
+DBC = """VERSION ""
+BS_:
+BU_: Drive
+BO_ 256 DriveStatus: 8 Drive
+ SG_ Speed : 0|16@1+ (0.25,0) [0|16000] "rpm" Drive
+"""
+
+
+async def test_channels_that_do_not_go_together_leave_a_source_as_it_is(tmp_path: Path) -> None:
+    """Each asset is right by itself; a cell that ended for it would end at each start."""
+    (tmp_path / "bench.dbc").write_text(DBC)
+    (tmp_path / "site.toml").write_text(CAN_SITE)
+    settings = load_settings(tmp_path / "site.toml")
+    table = {"template": "axle", "values": {"mask": 255}}
+    second = check_asset(settings, "second", table).wiring
+    spool = Spool.open(tmp_path, 16)
+    acquisition = Acquisition(wire(settings), ProcessClock(), spool)
+    (before,) = acquisition.drivers
+    await acquisition.change({"second": second})
+    assert acquisition.drivers == [before]
+    assert "frame_id_mask 0xff differs from 0x7ff" in acquisition.refused["drive"]
+    await acquisition.change({"second": None})
+    assert acquisition.refused == {}
+    assert acquisition.drivers == [before]
+    again = Acquisition(wire(settings), ProcessClock(), spool, {"second": second})
+    assert [driver.name for driver in again.drivers] == ["drive"], "nor does a start end for it"
+    assert "frame_id_mask" in again.refused["drive"]
+    spool.close()
