@@ -7,7 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
+from processes import wait_until
 
 from tests.browser.conftest import WAIT_MS
 from tests.browser.plant import Plant
@@ -358,6 +359,24 @@ def test_the_view_fits_a_phone(context: BrowserContext, screen: Screen, hall: Ha
     page.get_by_role("button", name="Add asset…").click()
     expect(page.get_by_label("warning", exact=True)).to_be_visible()
     assert overflow_px(page) <= 0
+
+
+@pytest.mark.usefixtures("hall")
+def test_the_form_waits_for_the_templates(screen: Screen, problems: list[str]) -> None:
+    """Who is quicker than the answer would get a form for an asset without a template."""
+    page = screen("assets")
+    expect(row(page, IN_FILE)).to_be_visible()
+    held: list[Route] = []
+    page.route("**/api/v1/provisioning*", lambda route: held.append(route))
+    page.reload()
+    expect(row(page, IN_FILE)).to_be_visible()
+    page.get_by_role("button", name="Add asset…").click()
+    wait_until(lambda: page.wait_for_timeout(50) or held, 60, "the question for the templates")
+    expect(page.get_by_label("Id", exact=True)).to_be_hidden()
+    for route in held:
+        route.continue_()
+    expect(page.get_by_label("warning", exact=True)).to_be_visible()
+    assert not problems
 
 
 def test_the_first_asset_of_all_is_made_on_the_page(

@@ -21,7 +21,11 @@ export class AssetsView {
       type: 'search', placeholder: 'Search assets', 'aria-label': 'Search assets',
       oninput: () => { this.most = MOST_ROWS; this.show(); },
     });
-    this.add = this.createButton('Add asset…', () => this.open(this.form, this.known.templates));
+    // The form has a field for each hole of a template: it waits until the templates are known.
+    this.add = this.createButton('Add asset…', async () => {
+      await this.first;
+      if (!this.ended) this.open(this.form, this.known.templates);
+    });
     this.importing = this.createButton('Import CSV…', () => this.open(this.file));
     this.form = new AssetForm(page, {
       done: (id, answer) => this.done(answer.not_running
@@ -46,7 +50,7 @@ export class AssetsView {
           this.body), this.more)));
     this.timer = setInterval(() => this.load(), REFRESH_MS);
     this.show();
-    this.load();
+    this.first = this.load();
   }
 
   destroy() {
