@@ -128,6 +128,8 @@ def with_assets(
     assets
         What is read for some assets in the place of what is read for them now; None: nothing.
     """
+    if not assets:
+        return dict(sources)
     news: dict[str, list[SourceWiring]] = {}
     for wiring in assets.values():
         for source in wiring.sources if wiring is not None else ():

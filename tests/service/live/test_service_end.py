@@ -54,7 +54,7 @@ async def test_a_driver_that_misses_its_cancellation_does_not_hold_up_the_end(
 ) -> None:
     settings = Settings(service=ServiceSection(data_dir=tmp_path, port=0))
     driver = AbsentMinded()
-    source: Any = SimpleNamespace(create=lambda clock: driver)
+    source: Any = SimpleNamespace(name=driver.name, create=lambda clock: driver)
     monkeypatch.setattr(
         "service.cell.start.wire", lambda settings: replace(wire(settings), sources=[source])
     )

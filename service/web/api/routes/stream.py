@@ -252,7 +252,9 @@ async def _send(
         for asset_id in wanted or (None,):
             tags: Snapshot = {"tags": {}}
             if asset_id is not None:
-                asset = context.assets[asset_id]
+                asset = context.assets.get(asset_id)
+                if asset is None:  # removed a moment ago
+                    continue
                 await asset.refresh("snapshot")
                 tags = asset.snapshot()
             body = to_json(tags, inf_nan_mode="null").decode()
