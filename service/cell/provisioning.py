@@ -1,6 +1,7 @@
 """Takes up assets that are made, changed and removed while the cell runs."""
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,6 +9,7 @@ import structlog
 from anyio import to_thread
 
 from service.cell.known_assets import keep_copy
+from service.live.guard import Guard
 from service.site.configuration import TomlTable
 from service.site.provisioning import CheckedAsset, check_assets
 from service.site.settings import Settings
@@ -91,15 +93,13 @@ class Provisioning:
 
     async def follow(self) -> None:
         """Take up what others write into the store, until cancelled."""
+        looking = Guard("taking_up_assets", "")
         while True:
             await asyncio.sleep(LOOK_EVERY_WALL_S)
-            try:
+            # Assets that are followed go on, whatever is wrong with a new one. That the store is
+            # away says who stores samples.
+            with looking(), contextlib.suppress(StoreUnavailableError):
                 await self.apply()
-            except StoreUnavailableError:
-                continue  # said by who stores samples
-            except Exception:
-                # Assets that are followed go on, whatever is wrong with a new one.
-                _log.exception("assets_not_taken_up")
 
     async def apply(self) -> dict[str, str]:
         """Take up what has changed in the store; returns what cannot be followed, and why.
