@@ -11,6 +11,7 @@ from typing import Any
 
 from jumping import work
 
+from adapters.samples import Sample
 from service.alarms import AlarmBook
 from service.bus.stream import Bus
 from service.domain.requests import IdentificationRequest
@@ -84,6 +85,7 @@ class Shop:
         self,
         executor: Executor | None = None,
         make_executor: Callable[[], Executor] | None = None,
+        worker_count: int = 1,
     ) -> IdentificationJobs:
         """Start a manager, as a start of the service would."""
         jobs = IdentificationJobs(
@@ -96,11 +98,22 @@ class Shop:
                 make_executor or (lambda: executor or ThreadPoolExecutor(1)),
                 self.folder,
                 self.seconds.append,
+                worker_count,
             )
         )
         self.managers.append(jobs)
         await jobs.start()
         return jobs
+
+    def copy_run(self, asset: str) -> None:
+        """Store the run of the first asset for another one, too."""
+        run = self.store.samples.read(ASSET, None, 0, 2**62, 100_000)
+        self.store.samples.write(
+            [
+                Sample(asset, one.channel, one.time_us, one.value or 0.0, one.quality, 0)
+                for one in run
+            ]
+        )
 
     def row(self, job_id: str) -> Job:
         job = self.store.jobs.get(job_id)

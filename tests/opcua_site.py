@@ -21,7 +21,8 @@ from service.plant.opcua import PERIOD_S
 from service.plant.opcua.server import OpcUaPublisher
 from service.plant.protocol import Host
 from service.plant.rounds import PublisherRounds
-from service.security import AuditTrail, Authenticator
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.site.settings import OpcUaSection
 from service.store import Outbox, Store
 

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.simulation import OperatingProfiles
 from twin_core.simulation.assembly import driving_value, modal_basis
 from twin_core.simulation.compiling import compiled
+from twin_core.simulation.kernels import simulate_range
 from twin_core.simulation.laws import (
     COPPER,
     edge_conductance,
@@ -37,6 +39,12 @@ HEAT_NOISE_W_SQRT_S = 4.0
 """White heat noise per node, in W s^(1/2): 0.17 K per square root of a minute on a ring."""
 NOISE_LIMIT_K = 0.3
 """In the long run the heat noise alone moves no node by more than this."""
+
+SENSOR_NOISE_K = 0.05
+SENSOR_RESOLUTION_K = 0.1
+SENSOR_DRIFT_K = 0.1
+SENSOR_DRIFT_TIME_S = 60.0
+"""White noise, quantisation step, and a part of the error that lasts for about a minute."""
 
 _A = 1.0 / DISTURBANCE_TIME_S
 
@@ -74,6 +82,8 @@ class Modes(NamedTuple):
         (n, nodes) and (n, nodes, nodes), see `twin_core.simulation.assembly.modal_basis`.
     tie_w_k
         (n, nodes) what ties each node to all others.
+    ambient_c
+        (n,) ambient temperature of the last step.
     """
 
     point: FloatArray
@@ -82,6 +92,7 @@ class Modes(NamedTuple):
     modes: FloatArray
     inverse: FloatArray
     tie_w_k: FloatArray
+    ambient_c: FloatArray
 
 
 class Estimates(NamedTuple):
@@ -95,6 +106,8 @@ class Estimates(NamedTuple):
         (n, nodes, nodes) blocks of the covariance.
     revolutions, heat_w
         (n,) revolutions since greasing, and the heat that scales the disturbances.
+    elapsed_s
+        (n, readable) time since the last reading of every sensor and node, long if there was none.
     """
 
     temperatures_c: FloatArray
@@ -104,6 +117,7 @@ class Estimates(NamedTuple):
     dd: FloatArray
     revolutions: FloatArray
     heat_w: FloatArray
+    elapsed_s: FloatArray
 
 
 @compiled
@@ -312,18 +326,67 @@ def predict_range(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def update_range(  # type: ignore[no-untyped-def]
-    rows, readings, variance, estimates, difference, expected, start, stop
-):
-    """Take in the readings of machines start..stop-1.
+def advance_range(net, machines, known, estimates, steps, given):  # type: ignore[no-untyped-def]
+    """Advance every machine by its own step at its operating point; a step of zero does nothing.
 
-    `rows` (sensors, nodes) are the sensors' weights of the nodes, `readings` and `variance` (n,
-    sensors) what they read in degC, NaN where nothing, and how well in K2. Fills `difference` and
-    `expected` (n, sensors) with the innovations in K and their variances, NaN where there is none.
+    `steps` (4, n) are the steps' lengths, the speeds, loads and ambients, `given` (n, inputs).
+    Returns (n,) which ran away; of those nothing changes.
+    """
+    size, count = estimates.temperatures_c.shape
+    step_s, speed, load, ambient = steps[0], np.abs(steps[1]), steps[2].copy(), steps[3]
+    for i in range(size):
+        load[i] = max(load[i], 0.0)
+    heat, scale = np.zeros((size, count)), np.zeros(size)
+    disturb_range(net, machines, known, estimates, step_s, speed, load, given, heat, scale)
+    rows = np.zeros((4, size, 2))
+    drives = np.empty((size, 2, given.shape[1]))
+    for i in range(size):
+        rows[0, i, 1] = step_s[i]
+        rows[1, i, :], rows[2, i, :], rows[3, i, :] = speed[i], load[i], ambient[i]
+        for k in range(given.shape[1]):
+            drives[i, :, k] = given[i, k]
+    two, path = np.full(size, 2), np.empty((size, 2, count))
+    ahead = OperatingProfiles(rows[0], rows[1], rows[2], rows[3], drives, two)
+    failed, start = np.full(size, -1), 0
+    while start < size:
+        stop = start
+        while stop < size and step_s[stop] > 0.0:
+            stop += 1
+        if stop > start:
+            mean, turned = estimates.temperatures_c, estimates.revolutions
+            simulate_range(
+                net, machines.values, ahead, mean, turned, heat, 0.0, two, start, stop, failed, path
+            )
+        start = stop + 1
+    predict_range(machines, known, estimates, step_s, speed, failed, scale, path)
+    for i in range(size):
+        if step_s[i] > 0.0 and failed[i] < 0:
+            known.ambient_c[i] = ambient[i]
+            for k in range(estimates.elapsed_s.shape[1]):
+                estimates.elapsed_s[i, k] += step_s[i]
+    return failed >= 0
+
+
+@compiled
+def reading_variance(elapsed_s):  # type: ignore[no-untyped-def]
+    """Variance of a reading in K2; a quickly repeated one repeats most of the slow error."""
+    repeats = max(SENSOR_DRIFT_TIME_S / max(elapsed_s, 1e-3), 1.0)
+    return SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0 + SENSOR_DRIFT_K**2 * repeats
+
+
+@compiled
+def update_range(rows, columns, readings, estimates):  # type: ignore[no-untyped-def]
+    """Take in the readings of every machine.
+
+    `rows` (sensors, nodes) are the sensors' weights of the nodes, `columns` (sensors,) their
+    places in the estimates' `elapsed_s`, `readings` (n, sensors) what they read in degC, NaN where
+    nothing. Returns the innovations and their standard deviations in K (n, sensors), NaN where
+    there is none.
     """
     sensors, count = rows.shape
+    difference, expected = np.empty(readings.shape), np.empty(readings.shape)
     chosen = np.empty(sensors, np.int64)
-    for i in range(start, stop):
+    for i in range(readings.shape[0]):
         given = 0
         for s in range(sensors):
             difference[i, s] = math.nan
@@ -352,9 +415,10 @@ def update_range(  # type: ignore[no-untyped-def]
             for q in range(given):
                 for k in range(count):
                     spread[m, q] += to[m, k] * rows[chosen[q], k]
-            spread[m, m] += variance[i, chosen[m]]
+            place = columns[chosen[m]]
+            spread[m, m] += reading_variance(estimates.elapsed_s[i, place])
             difference[i, chosen[m]] = missed[m]
-            expected[i, chosen[m]] = spread[m, m]
+            expected[i, chosen[m]] = math.sqrt(spread[m, m])
         gain, left = to.copy(), spread.copy()
         solve_in_place(left, gain)
         # The Joseph form, multiplied out: symmetric, and an error of the gain counts squared.
@@ -372,3 +436,6 @@ def update_range(  # type: ignore[no-untyped-def]
                     tt[j, k] += gain_t * left[m, k] - to[m, j] * gain[m, k]
                     td[j, k] += gain_t * left[m, d] - to[m, j] * gain[m, d]
                     dd[j, k] += gain_d * left[m, d] - to[m, count + j] * gain[m, d]
+        for m in range(given):
+            estimates.elapsed_s[i, columns[chosen[m]]] = 0.0
+    return difference, expected

@@ -17,7 +17,8 @@ A sensor's error is white noise, quantisation and a part that stays for about a 
 that come every second do not count sixty times.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -46,6 +47,25 @@ class Innovation(NamedTuple):
 
     difference_k: float
     std_k: float
+
+
+class Step(NamedTuple):
+    """What one machine did since its last step, and what its sensors say now.
+
+    Attributes
+    ----------
+    dt_s, speed_rpm, load_n, ambient_c, inputs
+        See `Observer.predict`.
+    measured
+        See `Observer.update`.
+    """
+
+    dt_s: float
+    speed_rpm: float
+    load_n: float
+    ambient_c: float
+    inputs: tuple[float, ...]
+    measured: Mapping[str, float]
 
 
 class Observer:
@@ -83,7 +103,14 @@ class Observer:
         own, mean_c, spread = (
             np.asarray(part, np.float64)[None] for part in (values, temperatures_c, covariance)
         )
-        self._one = Observers(model, own, mean_c, spread, [revolutions])
+        self._begin(Observers(model, own, mean_c, spread, [revolutions]))
+
+    def _begin(self, one: Observers) -> None:
+        # Those that were advanced together share arrays of which each has a row; `_one` is a view.
+        self._one, self._shared, self._row = one, one, 0
+
+    def _share(self, shared: Observers, row: int) -> None:
+        self._one, self._shared, self._row = shared.row(row, self._one), shared, row
 
     @property
     def model(self) -> ThermalModel:
@@ -191,10 +218,13 @@ class Observer:
             If the model runs away; the state is left as it was.
         """
         if self._one.predict(dt_s, speed_rpm, load_n, ambient_c, inputs)[0]:
-            raise SimulationError(
-                f"the observer's model {self.model.name!r} ran away at {abs(speed_rpm):g} rpm and "
-                f"{max(load_n, 0.0):g} N"
-            )
+            raise self._ran_away(speed_rpm, load_n)
+
+    def _ran_away(self, speed_rpm: float, load_n: float) -> SimulationError:
+        return SimulationError(
+            f"the observer's model {self.model.name!r} ran away at {abs(speed_rpm):g} rpm and "
+            f"{max(load_n, 0.0):g} N"
+        )
 
     def update(self, measured: Mapping[str, float]) -> dict[str, Innovation]:
         """Take in readings of any sensors; those not named are simply not there.
@@ -217,8 +247,7 @@ class Observer:
         if not measured:
             return {}
         for name, reading in measured.items():
-            if not np.isfinite(reading):
-                raise ValueError(f"reading of {name} is {reading}, expected a finite number")
+            _check_reading(name, reading)
         difference, std = self._one.update(list(measured), [list(measured.values())])
         return {
             name: Innovation(*found)
@@ -236,7 +265,7 @@ class Observer:
             If the model has other nodes, or *values* has the wrong shape.
         """
         swapped = object.__new__(Observer)
-        swapped._one = self._one.with_parameters(model, np.asarray(values, np.float64)[None])
+        swapped._begin(self._one.with_parameters(model, np.asarray(values, np.float64)[None]))
         return swapped
 
     def to_dict(self) -> dict[str, object]:
@@ -258,6 +287,107 @@ class Observer:
         return observer
 
 
+def advance(
+    observers: Sequence[Observer], steps: Sequence[Step]
+) -> list[dict[str, Innovation] | ValueError]:
+    """Advance many machines, each as by its own `Observer.predict` and `Observer.update`.
+
+    Machines of one network form cost one call. They then share arrays, until one of them is
+    advanced together with a machine that is not among them.
+
+    Parameters
+    ----------
+    observers
+        The observers, each of them once.
+    steps
+        (observers,) what each one has to take in.
+
+    Returns
+    -------
+    list
+        (observers,) the innovations, or what `Observer.predict` or `Observer.update` raises.
+    """
+    results: list[dict[str, Innovation] | ValueError] = [{} for _ in observers]
+    sharing: dict[Observers, list[int]] = {}
+    for k, (observer, step) in enumerate(zip(observers, steps, strict=True)):
+        numbers = sum(step.inputs, step.dt_s + step.speed_rpm + step.load_n + step.ambient_c)
+        usual = isfinite(numbers) and step.dt_s >= 0.0
+        if usual and len(step.inputs) == len(observer.model.input_names):
+            sharing.setdefault(observer._shared, []).append(k)
+            continue
+        try:
+            observer.predict(*step[:5])
+            results[k] = observer.update(step.measured)
+        except ValueError as error:
+            results[k] = error
+    forms: dict[object, list[int]] = {}
+    for shared, found in sharing.items():
+        forms.setdefault(shared.form, []).extend(found)
+    for places in forms.values():
+        advanced = _advance_form([observers[k] for k in places], [steps[k] for k in places])
+        for k, result in zip(places, advanced, strict=True):
+            results[k] = result
+    return results
+
+
+def _advance_form(
+    observers: Sequence[Observer], steps: Sequence[Step]
+) -> Iterator[dict[str, Innovation] | ValueError]:
+    """Advance machines of one form by steps that `Observer.predict` takes; gives the results."""
+    many, rows = _shared(observers)
+    inputs, width = np.zeros((many.size, len(many.model.input_names))), len(many.readable)
+    given = np.zeros((4, many.size))
+    given[:, rows] = np.transpose([step[:4] for step in steps])
+    if inputs.size:
+        inputs[rows] = [step.inputs for step in steps]
+    ran_away = many.advance(given, inputs)
+    places: list[int] = []
+    readings: list[float] = []
+    errors: list[ValueError | None] = []
+    for observer, row, step, failed in zip(
+        observers, rows, steps, ran_away[rows].tolist(), strict=True
+    ):
+        error: ValueError | None = None
+        if failed:
+            error = observer._ran_away(step.speed_rpm, step.load_n)
+        if error is None:
+            try:
+                for name, reading in step.measured.items():
+                    _check_reading(name, reading)
+                columns = [many.column(name) for name in step.measured]
+            except ValueError as refused:
+                error = refused
+            else:
+                places += [row * width + column for column in columns]
+                readings += step.measured.values()
+        errors.append(error)
+    table = np.full((many.size, width), np.nan)
+    table.flat[places] = readings
+    found = (part.flat[places].tolist() for part in many.take(table))
+    innovations = map(Innovation, *found)
+    for step, error in zip(steps, errors, strict=True):
+        # Not strict: the innovations of the others follow. The names come first, so that no
+        # innovation is lost at their end.
+        yield error or dict(zip(step.measured, innovations, strict=False))
+
+
+def _shared(observers: Sequence[Observer]) -> tuple[Observers, list[int]]:
+    """Arrays that hold the machines, and the row of each; they may hold others, too."""
+    if len(observers) == 1:
+        return observers[0]._one, [0]
+    shared = observers[0]._shared
+    if any(observer._shared is not shared for observer in observers):
+        shared = Observers.joined([observer._one for observer in observers])
+        for row, observer in enumerate(observers):
+            observer._share(shared, row)
+    return shared, [observer._row for observer in observers]
+
+
+def _check_reading(name: str, reading: float) -> None:
+    if not isfinite(reading):
+        raise ValueError(f"reading of {name} is {reading}, expected a finite number")
+
+
 def not_colder_than(
     floor_c: float, mean_c: ArrayLike, covariance: ArrayLike
 ) -> NDArray[np.float64]:
@@ -275,6 +405,8 @@ def not_colder_than(
         Estimate (nodes,) in degC and its covariance (nodes, nodes) in K2.
     """
     mean = np.asarray(mean_c, np.float64)
+    if mean.min() >= floor_c - 1e-9:
+        return mean.copy()
     spread = np.asarray(covariance, np.float64)
     bound: set[int] = set()
     result = mean.copy()

@@ -1,33 +1,29 @@
 """Observers of many machines of one network form, advanced by one call."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.kalman import (
+    SENSOR_DRIFT_TIME_S,
     Estimates,
     Machines,
     Modes,
-    disturb_range,
+    advance_range,
     disturbance_heats_w,
-    predict_range,
     update_range,
 )
 from twin_core.machine_state import MachineState, course_known
 from twin_core.models import ThermalModel
 from twin_core.process_noise import disturbance_structure
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import OperatingProfiles, kernels
+from twin_core.simulation import kernels
 from twin_core.simulation.compiling import kernel_array
 
 FloatArray = NDArray[np.float64]
-
-SENSOR_NOISE_K = 0.05
-SENSOR_RESOLUTION_K = 0.1
-SENSOR_DRIFT_K = 0.1
-SENSOR_DRIFT_TIME_S = 60.0
-"""White noise, quantisation step, and a part of the error that lasts for about a minute."""
 
 
 class Observers:
@@ -84,8 +80,11 @@ class Observers:
             if not np.isfinite(array).all():
                 raise ValueError(f"{name} is not finite: {array.tolist()}")
         self._model = model
-        self._elapsed_s: dict[str, FloatArray] = {}
-        self._ambient_c = np.zeros(machines)
+        # A node's own sensor goes before a standard one of the same name.
+        names = dict.fromkeys((*model.node_names, *model.sensor_names))
+        self._column = {name: column for column, name in enumerate(names)}
+        self._rows = kernel_array(model.sensor_matrix(list(names)))
+        self._every = np.arange(len(names))
         bound = [kernels.bind_network(model.compiled, row) for row in own]
         capacity, coefficient, friction = (
             np.array([parts[k] for parts in bound]) for k in range(3)
@@ -106,6 +105,7 @@ class Observers:
             np.zeros((machines, nodes, nodes)),
             np.zeros((machines, nodes, nodes)),
             np.zeros((machines, nodes)),
+            np.zeros(machines),
         )
         self._estimates = Estimates(
             mean,
@@ -115,7 +115,44 @@ class Observers:
             np.tile(np.eye(nodes), (machines, 1, 1)),
             turned,
             np.zeros(machines),
+            np.full((machines, len(names)), SENSOR_DRIFT_TIME_S),
         )
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Observers]") -> Self:
+        """Copy the machines of several, all of one form, into one; see `form`."""
+        states = zip(*(part._states() for part in parts), strict=True)
+        return cls._of(
+            parts[0], *([np.concatenate(arrays) for arrays in zip(*s, strict=True)] for s in states)
+        )
+
+    def row(self, machine: int, of: "Observers") -> Self:
+        """A machine alone with the model that *of* has: a view, what happens to one does to both.
+
+        *of* is of this form, see `form`.
+        """
+        only = slice(machine, machine + 1)
+        return self._of(of, *([array[only] for array in state] for state in self._states()))
+
+    def _states(self) -> tuple[Machines, Modes, Estimates]:
+        return self._machines, self._modes, self._estimates
+
+    @classmethod
+    def _of(cls, like: "Observers", *states: Sequence[FloatArray]) -> Self:
+        """Observers of the model that others have, with other arrays."""
+        result = object.__new__(cls)
+        result._model, result._column = like._model, like._column
+        result._rows, result._every = like._rows, like._every
+        machines, modes, estimates = states
+        result._machines, result._modes = Machines(*machines), Modes(*modes)
+        result._estimates = Estimates(*estimates)
+        return result
+
+    @cached_property
+    def form(self) -> tuple[object, ...]:
+        """What the models of machines must have in common to be advanced together."""
+        net = [np.asarray(part).tobytes() for part in self._model.compiled]
+        return *net, *self._column, self._rows.tobytes(), self._model.input_names
 
     @property
     def model(self) -> ThermalModel:
@@ -153,7 +190,7 @@ class Observers:
         if np.isnan(speed_rpm):
             return None
         inputs = tuple(self._modes.given[machine].tolist())
-        return OperatingPoint(speed_rpm, load_n, float(self._ambient_c[machine]), inputs)
+        return OperatingPoint(speed_rpm, load_n, float(self._modes.ambient_c[machine]), inputs)
 
     def heat_disturbance_w(self, machine: int) -> FloatArray:
         """Heat in W that a machine's model lacks per node, (nodes,); see `Observer`."""
@@ -191,9 +228,9 @@ class Observers:
             If a *dt_s* is negative, an argument is not finite or an input is missing.
         """
         columns = {"dt_s": dt_s, "speed_rpm": speed_rpm, "load_n": load_n, "ambient_c": ambient_c}
-        given = {}
-        for name, values in columns.items():
-            array = np.array(np.broadcast_to(np.asarray(values, np.float64), (self.size,)))
+        given = np.empty((len(columns), self.size))
+        for array, (name, values) in zip(given, columns.items(), strict=True):
+            array[:] = values
             wrong = ~np.isfinite(array)
             if name == "dt_s":
                 wrong |= array < 0.0
@@ -203,64 +240,19 @@ class Observers:
                     f"predict: {name} of machine {machine} is {array[machine]}, expected finite "
                     "numbers and dt_s >= 0"
                 )
-            given[name] = array
         count = len(self._model.input_names)
         drives = np.asarray(inputs, np.float64)
         if drives.shape[-1] != count or not np.isfinite(drives).all():
             for row in np.atleast_2d(drives):
                 self._model.holding(row)
-        drives = np.array(np.broadcast_to(drives, (self.size, count)))
-        net, step_s, ambient = self._model.compiled, given["dt_s"], given["ambient_c"]
-        speed, load = np.abs(given["speed_rpm"]), np.maximum(given["load_n"], 0.0)
-        heat = np.zeros(self._estimates.temperatures_c.shape)
-        scale, failed = np.zeros(self.size), np.empty(self.size, np.int64)
-        disturb_range(
-            net,
-            self._machines,
-            self._modes,
-            self._estimates,
-            step_s,
-            speed,
-            load,
-            drives,
-            heat,
-            scale,
-        )
-        path = np.empty((self.size, 2, len(self._model.node_names)))
-        rows = np.empty((4, self.size, 2))
-        rows[0] = np.stack((np.zeros(self.size), step_s), axis=1)
-        for place, column in enumerate((speed, load, ambient), 1):
-            rows[place] = column[:, np.newaxis]
-        kernels.simulate_range(
-            net,
-            self._machines.values,
-            OperatingProfiles(
-                rows[0],
-                rows[1],
-                rows[2],
-                rows[3],
-                np.repeat(drives[:, np.newaxis], 2, axis=1),
-                np.where(step_s > 0.0, 2, 1),
-            ),
-            self._estimates.temperatures_c,
-            self._estimates.revolutions,
-            heat,
-            0.0,
-            np.full(self.size, 2),
-            0,
-            self.size,
-            failed,
-            path,
-        )
-        predict_range(
-            self._machines, self._modes, self._estimates, step_s, speed, failed, scale, path
-        )
-        ran_away = failed >= 0
-        moved = (step_s > 0.0) & ~ran_away
-        self._ambient_c = np.where(moved, ambient, self._ambient_c)
-        for elapsed_s in self._elapsed_s.values():
-            elapsed_s[moved] += step_s[moved]
-        return ran_away
+        every = np.empty((self.size, count))
+        every[:] = drives
+        return self.advance(given, every)
+
+    def advance(self, given: FloatArray, inputs: FloatArray) -> NDArray[np.bool_]:
+        """`predict` without its checks: *given* has the rows dt_s, speed_rpm, load_n, ambient_c."""
+        ran_away = advance_range(self._model.compiled, *self._states(), given, inputs)
+        return np.asarray(ran_away)
 
     def update(self, names: Sequence[str], readings: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Take in readings of any sensors.
@@ -288,16 +280,31 @@ class Observers:
             raise ValueError(
                 f"readings have shape {table.shape}, expected {(self.size, len(names))}"
             )
-        rows = kernel_array(self._model.sensor_matrix(names))
-        variance = np.empty(table.shape)
-        for column, name in enumerate(names):
-            variance[:, column] = _sensor_variance(self._elapsed_s.get(name))
-        difference, expected = np.empty(table.shape), np.empty(table.shape)
-        update_range(rows, table, variance, self._estimates, difference, expected, 0, self.size)
-        for column, name in enumerate(names):
-            elapsed_s = self._elapsed_s.setdefault(name, np.full(self.size, SENSOR_DRIFT_TIME_S))
-            elapsed_s[np.isfinite(table[:, column])] = 0.0
-        return difference, np.sqrt(expected)
+        columns = np.array([self.column(name) for name in names], np.int64)
+        difference_k, std_k = update_range(self._rows[columns], columns, table, self._estimates)
+        return difference_k, std_k
+
+    def take(self, table: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`update` without its checks: *table* (n, readable) has all `readable` in their order."""
+        difference_k, std_k = update_range(self._rows, self._every, table, self._estimates)
+        return difference_k, std_k
+
+    def column(self, name: str) -> int:
+        """Place of a sensor or node among `readable`.
+
+        Raises
+        ------
+        ValueError
+            If there is no such sensor or node.
+        """
+        if name not in self._column:
+            self._model.sensor_row(name)  # raises, and says which there are
+        return self._column[name]
+
+    @property
+    def readable(self) -> Sequence[str]:
+        """The nodes and sensors that can be read."""
+        return tuple(self._column)
 
     def state(
         self,
@@ -329,12 +336,16 @@ class Observers:
 
     def to_dict(self, machine: int) -> dict[str, object]:
         """Return the whole state of a machine as plain JSON types; the model is not in it."""
-        estimates = self._estimates
-        tt, td, dd = (block[machine] for block in (estimates.tt, estimates.td, estimates.dd))
+        estimates, nodes = self._estimates, len(self._model.node_names)
+        covariance = np.empty((2 * nodes, 2 * nodes))
+        covariance[:nodes, :nodes] = estimates.tt[machine]
+        covariance[:nodes, nodes:] = estimates.td[machine]
+        covariance[nodes:, :nodes] = estimates.td[machine].T
+        covariance[nodes:, nodes:] = estimates.dd[machine]
         means = estimates.temperatures_c[machine], estimates.disturbances[machine]
         return {
             "state": np.concatenate(means).tolist(),
-            "covariance": np.block([[tt, td], [td.T, dd]]).tolist(),
+            "covariance": covariance.tolist(),
             "revolutions": float(estimates.revolutions[machine]),
             "heat_w": float(estimates.heat_w[machine]),
         }
@@ -382,18 +393,12 @@ class Observers:
                 f"model {model.name!r} has other nodes than model {self._model.name!r}"
             )
         swapped = Observers(model, values, self.temperatures_c, self.covariance, self.revolutions)
-        swapped._elapsed_s = {name: known.copy() for name, known in self._elapsed_s.items()}
         swapped._estimates.heat_w[:] = self._estimates.heat_w
+        for name, column in swapped._column.items():
+            if name in self._column:
+                since_s = self._estimates.elapsed_s[:, self._column[name]]
+                swapped._estimates.elapsed_s[:, column] = since_s
         return swapped
-
-
-def _sensor_variance(elapsed_s: FloatArray | None) -> FloatArray | float:
-    """Variance of a reading; a quickly repeated one repeats most of the slow error."""
-    once = SENSOR_NOISE_K**2 + SENSOR_RESOLUTION_K**2 / 12.0
-    if elapsed_s is None:
-        return once + SENSOR_DRIFT_K**2
-    repeats = np.maximum(SENSOR_DRIFT_TIME_S / np.maximum(elapsed_s, 1e-3), 1.0)
-    return np.asarray(once + SENSOR_DRIFT_K**2 * repeats)
 
 
 def _number(data: Mapping[str, object], name: str) -> float:

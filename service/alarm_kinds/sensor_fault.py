@@ -18,16 +18,21 @@ class Settings(PlainRule):
 
 def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmCondition]:
     for channel, facts in context.channels.items():
-        sample = context.readings.latest.get(channel)
-        silent = context.readings.is_silent(channel, context.now_us)
-        faulty = sample is not None and not silent and not is_good(sample.quality)
-        why = f" ({context.readings.reason(channel, context.now_us)})" if faulty else ""
+        faulty: bool | None = False
+        why = ""
+        if context.good_value(channel) is None:
+            sample = context.readings.latest.get(channel)
+            if sample is None or context.readings.is_silent(channel, context.now_us):
+                faulty = None
+            elif not is_good(sample.quality):
+                faulty = True
+                why = f" ({context.readings.reason(channel, context.now_us)})"
         yield KIND.condition(
             context,
             rule,
             channel,
             "",
-            None if sample is None or silent else faulty,
+            faulty,
             f"{label(channel)}: no usable value from {facts.source}{why}",
         )
 

@@ -23,14 +23,15 @@ def _conditions(context: AlarmContext, rule: Settings) -> Iterator[AlarmConditio
     threshold = context.residual_threshold
     for channel, test in context.residual_tests.items():
         side = "hotter" if test.high >= test.low else "colder"
+        value = test.value
         yield KIND.condition(
             context,
             rule,
             channel,
             "",
-            test.value > threshold,
+            value > threshold,
             f"{label(channel)} repeatedly {side} than the twin expects",
-            value=round(test.value, 2),
+            value=round(value, 2),
             limit_value=threshold,
             deadband=0.5 * threshold,
         )

@@ -5,8 +5,8 @@ from service.alarms.book import (
     SERVICE,
     AlarmBook,
     NotAllowedError,
-    UnknownAlarmError,
 )
+from service.alarms.register import UnknownAlarmError
 from service.alarms.states import (
     ACTIVE_STATES,
     SET_ASIDE_STATES,

@@ -1,21 +1,12 @@
 """The alarm book: which alarms there are now, and what became of each."""
 
 import threading
-from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 from adapters.protocol import Clock
-from service.alarms.records import (
-    AlarmKey,
-    following,
-    journal_line,
-    key_of,
-    normal_alarm,
-    updated,
-    urgency,
-    with_peak,
-)
+from service.alarms.records import AlarmKey, following, journal_line, updated, urgency, with_peak
+from service.alarms.register import Register, Watched
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
 from service.clock import MICROSECONDS
@@ -31,10 +22,6 @@ _TIME_IS_OVER = "the shelving time has expired"
 # What is said to the alarm of a source counts for these of its channels, too.
 _COVERED = ("stale data", "sensor fault")
 _PASSED_ON = (AlarmEvent.ACKNOWLEDGE, AlarmEvent.SHELVE)
-
-
-class UnknownAlarmError(KeyError):
-    """There is no alarm of this id."""
 
 
 class NotAllowedError(ValueError):
@@ -66,43 +53,45 @@ class AlarmBook:
         self._clock = clock
         self._on_change = on_change
         self._lock = threading.RLock()
-        self._timers: defaultdict[AlarmKey, Timer] = defaultdict(Timer)
-        self._normal: dict[AlarmKey, Alarm] = {}
-        self._open = {key_of(alarm): alarm for alarm in outbox.load_alarms()}
-        # Of those the ones that come back by themselves, looked at with every condition.
-        self._shelved = {key for key, one in self._open.items() if one.shelved_until_us is not None}
-        self._conditions: dict[AlarmKey, AlarmCondition] = {}
-        # The latest figures of normal alarms, put in when somebody looks at them: of hundreds of
-        # machines all that is normal is renewed every few seconds.
-        self._figures: dict[AlarmKey, AlarmCondition] = {}
+        self._register = Register(outbox.load_alarms())
         self._outbox = outbox
 
     # ------------------------------------------------------------------ what the rules say
     def evaluate(self, condition: AlarmCondition) -> None:
         """Take note of the present truth of a condition; raises, renews or returns its alarm."""
+        self.evaluate_all((condition,))
+
+    def evaluate_all(self, conditions: Iterable[AlarmCondition]) -> None:
+        """Take note of the present truth of many conditions, in their order, at one moment."""
         now_us = self._clock.now_us()
         with self._lock:
             self._end_shelving(now_us)
-            self._conditions[condition.key] = condition
-            alarm = self._open.get(condition.key) or self._normal.get(condition.key)
-            if alarm is None:
-                alarm = self._normal[condition.key] = normal_alarm(condition, now_us)
-            holds = condition.active
-            if alarm.present and holds is False and condition.in_deadband:
-                holds = None
-            timer = self._timers[condition.key]
-            if holds is None:
-                timer.pause()
-            elif holds == alarm.present:
-                timer.reset()
-                alarm = self._renew(alarm, condition, now_us)
-            elif timer.run(now_us) >= (condition.on_delay_s if holds else condition.off_delay_s):
-                timer.reset()
+            for condition in conditions:
+                watched = self._register.take(condition, now_us)
+                if condition.active or not watched.rests:
+                    self._judge(watched, condition, now_us)
+                elif condition.active is False:  # as almost always, and nothing comes of it
+                    watched.figures = condition
+
+    def _judge(self, watched: Watched, condition: AlarmCondition, now_us: int) -> None:
+        alarm, holds = watched.alarm, condition.active
+        if alarm.present and holds is False and condition.in_deadband:
+            holds = None
+        if holds is None:
+            if watched.timer is not None:
+                watched.timer.pause()
+        elif holds == alarm.present:
+            watched.timer = None
+            alarm = self._renew(watched, condition, now_us)
+        else:
+            watched.timer = timer = watched.timer or Timer()
+            if timer.run(now_us) >= (condition.on_delay_s if holds else condition.off_delay_s):
+                watched.timer = None
                 alarm = self._turn(alarm, condition, holds, now_us)
-            alarm = self._suppress(alarm, condition, now_us)
-            standing_s = (now_us - alarm.since_us) / MICROSECONDS
-            if alarm.state == AlarmState.ACKED and 0 < condition.re_alarm_s <= standing_s:
-                self._move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE)
+        alarm = self._suppress(alarm, condition, now_us)
+        standing_s = (now_us - alarm.since_us) / MICROSECONDS
+        if alarm.state == AlarmState.ACKED and 0 < condition.re_alarm_s <= standing_s:
+            self._move(alarm, AlarmEvent.RE_ALARM, now_us, SERVICE)
 
     def withdraw(self, asset: str, known: Collection[AlarmKey]) -> None:
         """End the alarms of an asset whose conditions do not exist any more.
@@ -118,20 +107,17 @@ class AlarmBook:
         """
         now_us = self._clock.now_us()
         with self._lock:
-            for key, alarm in list(self._open.items()):
-                if alarm.asset == asset and key not in known:
-                    gone = replace(alarm, present=False, returned_at_us=now_us)
+            for key, watched in list(self._register.open.items()):
+                if key[0] == asset and key not in known:
+                    gone = replace(watched.alarm, present=False, returned_at_us=now_us)
                     self._go(gone, AlarmState.NORM, "withdraw", now_us, SERVICE, _NOT_CONFIGURED)
 
     def forget(self, assets: Collection[str]) -> None:
         """End the alarms of assets that are not followed any more, and know nothing of them."""
-        for asset in assets:
-            self.withdraw(asset, ())
-        gone = set(assets)
         with self._lock:
-            for known in (self._normal, self._figures, self._conditions, self._timers):
-                for key in [key for key in known if key[0] in gone]:
-                    del known[key]
+            for asset in assets:
+                self.withdraw(asset, ())
+            self._register.forget(set(assets))
 
     def record_event(
         self, asset: str, kind: EventKind, message: str, who: str = SERVICE, comment: str = ""
@@ -232,7 +218,7 @@ class AlarmBook:
             alarm = replace(self.alarm(alarm_id), comment=comment)
             if alarm.state == AlarmState.NORM:
                 raise NotAllowedError(f"alarm {alarm_id} is NORM: it has nothing to comment on")
-            self._keep(alarm)
+            self._register.keep(alarm)
             line = journal_line(alarm, alarm.state, "comment", now_us, who, comment)
             self._outbox.record(AlarmChange(alarm, (line,), audit))
             self._on_change(alarm)
@@ -249,42 +235,30 @@ class AlarmBook:
         """
         with self._lock:
             self._end_shelving(self._clock.now_us())
-            for alarm in (*self._open.values(), *self._normal.values()):
-                if alarm.id == alarm_id:
-                    return self._with_figures(alarm)
-        raise UnknownAlarmError(f"no open alarm {alarm_id!r}")
+            return self._register.find(alarm_id)
 
-    def is_present(self, key: AlarmKey) -> bool:
-        """Whether a condition is there, its delays included, whatever its alarm's state."""
+    def present(self, asset: str) -> frozenset[tuple[str, str, str]]:
+        """Kind, channel and level of every condition of an asset that is there.
+
+        With its delays, whatever the state of its alarm.
+        """
         with self._lock:
-            alarm = self._open.get(key)
-        return alarm is not None and alarm.present
+            return self._register.present(asset)
 
     def active(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are not over, of one asset or of all: see `urgency` for their order."""
-        return self._listed(asset, self._open)
+        return self._listed(asset, normal=False)
 
     def normal(self, asset: str | None = None) -> list[Alarm]:
         """All alarms that are normal: the conditions that are watched and not there."""
-        return self._listed(asset, self._normal)
+        return self._listed(asset, normal=True)
 
     # ------------------------------------------------------------------ changes
-    def _listed(self, asset: str | None, alarms: dict[AlarmKey, Alarm]) -> list[Alarm]:
+    def _listed(self, asset: str | None, normal: bool) -> list[Alarm]:
         with self._lock:
             self._end_shelving(self._clock.now_us())
-            wanted = [
-                self._with_figures(one)
-                for one in alarms.values()
-                if asset is None or one.asset == asset
-            ]
-        return sorted(wanted, key=urgency)
-
-    def _with_figures(self, alarm: Alarm) -> Alarm:
-        """A normal alarm with its latest figures; any other one as it is."""
-        if alarm.state != AlarmState.NORM:
-            return alarm
-        condition = self._figures.get(key_of(alarm))
-        return alarm if condition is None else updated(alarm, condition)
+            listed = self._register.listed(asset, normal)
+        return sorted(listed, key=urgency)
 
     def _act(
         self,
@@ -309,7 +283,7 @@ class AlarmBook:
                 until_us = now_us + round(duration_s * MICROSECONDS)
                 alarm = replace(alarm, shelved_until_us=until_us, shelved_by=who)
             alarm = self._move(alarm, event, now_us, who, comment, audit)
-            condition = self._conditions.get(key_of(alarm))
+            condition = self._register.condition(alarm)
             if condition is None:
                 return alarm
             if event in _PASSED_ON:
@@ -327,7 +301,7 @@ class AlarmBook:
     ) -> None:
         """Say the same to the open alarms that this one covers: one cause, one answer."""
         comment = comment or f"with: {alarm.message}"
-        for other in list(self._open.values()):
+        for other in [watched.alarm for watched in self._register.open.values()]:
             if (
                 other.asset == alarm.asset
                 and other.kind in _COVERED
@@ -340,11 +314,11 @@ class AlarmBook:
     def _end_shelving(self, now_us: int) -> None:
         """Bring back what was shelved long enough; also after the clock was set back by hours."""
         longest_us = round(LONGEST_SHELVING_S * MICROSECONDS)
-        for alarm in [self._open[key] for key in self._shelved]:
+        for alarm in [self._register.open[key].alarm for key in self._register.shelved]:
             until_us = alarm.shelved_until_us
             if until_us is not None and not 0 < until_us - now_us <= longest_us:
                 alarm = self._move(alarm, AlarmEvent.UNSHELVE, now_us, SERVICE, _TIME_IS_OVER)
-                condition = self._conditions.get(key_of(alarm))
+                condition = self._register.condition(alarm)
                 if condition is not None:
                     self._suppress(alarm, condition, now_us)
 
@@ -382,17 +356,16 @@ class AlarmBook:
                 return self._replace(replace(alarm, suppressed_reason=reason))
         return alarm
 
-    def _renew(self, alarm: Alarm, condition: AlarmCondition, now_us: int) -> Alarm:
+    def _renew(self, watched: Watched, condition: AlarmCondition, now_us: int) -> Alarm:
         """Keep the figures fresh; only a new text or priority of an open alarm is news."""
-        normal = alarm.state == AlarmState.NORM
-        if not (alarm.present or normal):
+        alarm = watched.alarm
+        if not alarm.present:
+            if alarm.state == AlarmState.NORM:
+                watched.figures = condition
             return alarm  # what was wrong when it returned stays to be read
-        if normal and not alarm.present:
-            self._figures[condition.key] = condition
-            return alarm
         renewed = with_peak(updated(alarm, condition), now_us)
-        if normal or (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
-            self._keep(renewed)
+        if (renewed.message, renewed.priority) == (alarm.message, alarm.priority):
+            self._register.keep(renewed)
             return renewed
         return self._replace(renewed)
 
@@ -425,23 +398,7 @@ class AlarmBook:
             moved = replace(moved, shelved_until_us=None, shelved_by=None)
         if state != AlarmState.DSUPR:
             moved = replace(moved, suppressed_reason=None)
-        key = key_of(moved)
-        self._normal.pop(key, None)
-        self._figures.pop(key, None)
-        if state == AlarmState.NORM:
-            self._open.pop(key, None)
-            condition = self._conditions.get(key)
-            if condition is not None:
-                following_life = normal_alarm(condition, now_us)
-                if not moved.raised_at_us:  # this one has not begun yet
-                    following_life = replace(following_life, id=moved.id)
-                self._normal[key] = following_life
-        else:
-            self._open[key] = moved
-        if moved.shelved_until_us is None:
-            self._shelved.discard(key)
-        else:
-            self._shelved.add(key)
+        self._register.move(moved, now_us)
         line = journal_line(moved, alarm.state, event, now_us, who, comment)
         self._outbox.record(AlarmChange(moved, (line,), audit))
         self._on_change(moved)
@@ -449,13 +406,10 @@ class AlarmBook:
 
     def _replace(self, alarm: Alarm) -> Alarm:
         """Take news of an alarm that stays in its state."""
-        self._keep(alarm)
+        self._register.keep(alarm)
         self._outbox.record(AlarmChange(alarm))
         self._on_change(alarm)
         return alarm
-
-    def _keep(self, alarm: Alarm) -> None:
-        (self._normal if alarm.state == AlarmState.NORM else self._open)[key_of(alarm)] = alarm
 
 
 _ACTIONS = {

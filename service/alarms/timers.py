@@ -20,8 +20,3 @@ class Timer:
     def pause(self) -> None:
         """Stand still until the condition is known again."""
         self._last_us = None
-
-    def reset(self) -> None:
-        """Begin again."""
-        self._total_us = 0
-        self._last_us = None

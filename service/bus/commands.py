@@ -96,6 +96,19 @@ class StreamAfter(Command[StreamPart], frozen=True, array_like=True):
     number: int
 
 
+class StreamMade(msgspec.Struct, frozen=True, array_like=True):
+    """The epoch of the cell, and the number after which there are all messages of some assets."""
+
+    epoch: str
+    after: int
+
+
+class FollowStream(Command[StreamMade], frozen=True, array_like=True):
+    """Have the live messages of some assets made for a while, or those of all."""
+
+    assets: list[str] | None
+
+
 # ---------------------------------------------------------------------------- pushes
 class Samples(msgspec.Struct, frozen=True, array_like=True):
     """Samples column by column, each as the bytes of an array.

@@ -1,12 +1,14 @@
 """The live messages of the cell in another process, without a gap."""
 
 import asyncio
+import contextlib
+from collections.abc import Collection
 from typing import Any, Final, cast
 
 import msgspec
 import structlog
 
-from service.bus.commands import StreamAfter, StreamMessage
+from service.bus.commands import FollowStream, StreamAfter, StreamMessage
 from service.bus.interface import STREAM_TOPIC, ReaderBus
 from service.bus.messages import encode
 from service.bus.stream import Bus, Message
@@ -16,6 +18,11 @@ from service.domain.errors import CellUnavailableError
 PATIENCE_S: Final = 5.0
 #: Wall seconds between two comparisons with the number that the cell reports.
 COMPARE_EVERY_S: Final = 1.0
+#: Wall seconds between two words to the cell of what is followed here.
+FOLLOW_EVERY_S: Final = 5.0
+# The reader hears of a new cell within a fraction of a second.
+_LOOK_EVERY_S: Final = 0.05
+_LOOKS: Final = 40
 #: Live messages in one answer.
 PART: Final = 200
 
@@ -49,6 +56,7 @@ class Following:
         """Follow until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._compare())
+            tasks.create_task(self._go_on_following())
             async for change in self._reader.changes(STREAM_TOPIC):
                 if change.epoch != self._bus.epoch:
                     await self._catch_up(change.epoch, change.number)
@@ -56,6 +64,38 @@ class Following:
                     await self._catch_up(change.epoch, change.number - 1)
                 if self.caught_up.is_set():
                     self._bus.mirror(_message(self._decoder.decode(change.body)))
+
+    async def follow(self, assets: Collection[str] | None) -> int:
+        """Have the cell make the live messages of some assets, or of all.
+
+        Returns
+        -------
+        int
+            Number after which there are all of them; who resumes from an earlier one has a gap.
+
+        Raises
+        ------
+        CellUnavailableError
+            If the cell does not answer.
+        """
+        command = FollowStream(None if assets is None else sorted(assets))
+        made = await self._reader.ask(command, PATIENCE_S)
+        # A cell that has just started again may not have sent anything yet.
+        for _ in range(_LOOKS):
+            if self._reader.epoch == made.epoch:
+                break
+            await asyncio.sleep(_LOOK_EVERY_S)
+        if made.epoch == self._reader.epoch != self._bus.epoch:
+            await self._catch_up(made.epoch, made.after)
+        return made.after
+
+    async def _go_on_following(self) -> None:
+        while True:
+            await asyncio.sleep(FOLLOW_EVERY_S)
+            followed = self._bus.followed()
+            if followed is None or followed:
+                with contextlib.suppress(CellUnavailableError):
+                    await self.follow(followed)
 
     async def _compare(self) -> None:
         """Find what was missed last, which no later message shows."""

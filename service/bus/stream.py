@@ -16,6 +16,7 @@ from itertools import islice
 from pydantic_core import to_json
 
 from adapters.protocol import Clock
+from service.bus.followed import Followed
 from service.clock import rfc3339, wall_us
 from service.documents.messages import Heartbeat, MessageType
 
@@ -31,6 +32,8 @@ _TIER: Mapping[MessageType, int] = {
     "job": 2,
 }
 _TIERS = 3
+#: What is made only for those who follow the asset.
+_ON_DEMAND: frozenset[MessageType] = frozenset({"measurement", "state", "verdict", "forecast"})
 
 HISTORY_MESSAGES = 4096
 HISTORY_BYTES = 4 * 1024 * 1024
@@ -101,6 +104,12 @@ class Subscription:
         self._loop = asyncio.get_running_loop()
         self._thread = threading.get_ident()
         self._something = asyncio.Event()
+
+    @property
+    def followed(self) -> frozenset[str] | None:
+        """Assets whose live messages are wanted; None for all."""
+        live = self._types is None or not self._types.isdisjoint(_ON_DEMAND)
+        return self._assets if live else frozenset()
 
     def wants(self, message: Message) -> bool:
         """Tell whether the message is about one of the assets asked for, or about all."""
@@ -198,6 +207,7 @@ class Bus:
         self._subscriptions: set[Subscription] = set()
         self._closed: str | None = None
         self._on_message = on_message
+        self._followed_elsewhere = Followed()
 
     @property
     def seq(self) -> int:
@@ -213,6 +223,32 @@ class Bus:
     def subscribers(self) -> int:
         """How many subscriptions are open."""
         return len(self._subscriptions)
+
+    def follow(self, assets: Iterable[str] | None) -> int:
+        """Take note of those who follow some assets, or all, on a copy of this bus.
+
+        Returns
+        -------
+        int
+            Number after which there are all messages of these assets.
+        """
+        return self._followed_elsewhere.note(assets, self._seq)
+
+    def is_followed(self, asset: str) -> bool:
+        """See `service.documents.interfaces.Publisher.is_followed`."""
+        if self._followed_elsewhere.has(asset):
+            return True
+        if not self._subscriptions:
+            return False
+        here = self.followed()
+        return here is None or asset in here
+
+    def followed(self) -> frozenset[str] | None:
+        """Assets whose live messages the subscribers of this bus want; None for all."""
+        with self._lock:
+            wanted = [one.followed for one in self._subscriptions]
+        named = [one for one in wanted if one is not None]
+        return None if len(named) < len(wanted) else frozenset().union(*named)
 
     def publish(
         self,
@@ -324,6 +360,7 @@ class Bus:
         resume_from: int | None = None,
         capacity: int = SUBSCRIPTION_MESSAGES,
         types: Iterable[MessageType] | None = None,
+        complete_after: int = 0,
     ) -> Subscription:
         """Open a subscription in the running event loop.
 
@@ -338,11 +375,14 @@ class Bus:
             How many messages may wait.
         types : iterable of str, optional
             Only messages of these types; default all.
+        complete_after : int
+            Number after which there are all messages of the assets: before it nobody followed.
         """
         of_types = None if types is None else frozenset(types)
         wanted = None if assets is None else frozenset(assets)
         with self._lock:
-            gap = resume_from is not None and not (self._forgotten_seq <= resume_from <= self._seq)
+            oldest = max(self._forgotten_seq, complete_after)
+            gap = resume_from is not None and not (oldest <= resume_from <= self._seq)
             start_seq = self._seq if gap or resume_from is None else resume_from
             missed = [message for message in self._history if message.seq > start_seq]
             # What is promised by resuming comes on top of what may wait.

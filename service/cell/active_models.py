@@ -7,7 +7,7 @@ import structlog
 from adapters.protocol import Clock
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
 from service.live.estimate import ActiveModel
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.store import FirstModel, Store
 
 _log = structlog.get_logger(__name__)

@@ -118,6 +118,7 @@ class Answers:
             ask.GetDocuments: self.documents,
             ask.RenewGrease: self.renew_grease,
             ask.StreamAfter: self.stream_after,
+            ask.FollowStream: self.follow_stream,
             ask.TakeSamples: self.take_samples,
             ask.ListAlarms: self.list_alarms,
             ask.ActOnAlarm: self.act_on_alarm,
@@ -190,6 +191,11 @@ class Answers:
         return to_json(await asset.renew_grease(command.who, command.comment, command.audit))
 
     # ------------------------------------------------------------------ live messages
+    async def follow_stream(self, command: ask.FollowStream) -> ask.StreamMade:
+        """Make the live messages of assets that somebody follows."""
+        stream = self.parts.stream
+        return ask.StreamMade(stream.epoch, stream.follow(command.assets))
+
     async def stream_after(self, command: ask.StreamAfter) -> ask.StreamPart:
         """Give the live messages after a number."""
         stream = self.parts.stream

@@ -37,8 +37,10 @@ from service.jobs.runner import JobRunner
 from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
 from service.live.kept import KeptState
+from service.live.twins import Twins
+from service.site.asset_section import AssetSection
 from service.site.provisioning import CheckedAsset
-from service.site.settings import AssetSection, Settings
+from service.site.settings import Settings
 from service.site.wiring import ChannelFacts, Wiring
 from service.store import (
     Alarm,
@@ -141,8 +143,9 @@ class Cell:
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
         self._take_in(self._made([*of_file, *self.provisioning.first().values()]))
         self._kept_states = cast(dict[str, KeptState], store.states.load_all())
-        self._twins = asyncio.TaskGroup()
-        self._followed: dict[str, asyncio.Task[None]] = {}
+        self._tasks = asyncio.TaskGroup()
+        self._twins = Twins(clock)
+        self._running: dict[str, asyncio.Task[None]] = {}
         left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
         self._report_unconfigured(left)
         for alarm in left:
@@ -163,6 +166,7 @@ class Cell:
                 make_executor,
                 settings.data_dir / "jobs",
                 job_seconds.observe,
+                settings.jobs.workers,
             )
         )
         self.maintenance = StoreMaintenance(
@@ -232,7 +236,7 @@ class Cell:
     async def _stop(self, assets: Sequence[str]) -> None:
         for begin in range(0, len(assets), _AT_ONCE):
             portion = assets[begin : begin + _AT_ONCE]
-            tasks = [self._followed.pop(name) for name in portion if name in self._followed]
+            tasks = [self._running.pop(name) for name in portion if name in self._running]
             for task in tasks:
                 task.cancel()
             if tasks:  # their last states go together
@@ -243,9 +247,13 @@ class Cell:
         return machine_of(self.assets[asset_id].settings) != machine_of(changed.section)
 
     def _follow(self, asset_id: str, kept: KeptState | None) -> None:
-        self._followed[asset_id] = self._twins.create_task(
-            self.assets[asset_id].run(kept), name=f"twin of {asset_id}"
+        self._running[asset_id] = self._tasks.create_task(
+            self._run_twin(self.assets[asset_id], kept), name=f"twin of {asset_id}"
         )
+
+    async def _run_twin(self, twin: AssetRuntime, kept: KeptState | None) -> None:
+        with self._twins.stepping(twin):
+            await twin.run(kept)
 
     def _runtime(
         self, asset: AssetSection, channels: Mapping[str, ChannelFacts], active: ActiveModel
@@ -418,7 +426,8 @@ class Cell:
 
     async def _run_twins(self) -> None:
         # Side by side: their last saving takes its time when the store does not answer.
-        async with self._twins:
+        async with self._tasks:
+            self._tasks.create_task(self._twins.run(), name="steps of the twins")
             for asset_id in self.assets:
                 self._follow(asset_id, self._kept_states.pop(asset_id, None))
             self._kept_states = {}

@@ -17,9 +17,10 @@ from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.cli.known_assets import asset_names, find_asset
 from service.offline.interruption import exit_on_signals
+from service.site.asset_section import ModelName
 from service.site.machines.bearings import BearingSection, named_bearing
 from service.site.machines.networks import NetworkSection
-from service.site.settings import ModelName, load_settings
+from service.site.settings import load_settings
 from twin_core.bearings import UnknownBearingError
 
 if TYPE_CHECKING:

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from adapters.configuration import listed
+from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError
-from service.site.settings import AssetSection, Settings
+from service.site.settings import Settings
 
 if TYPE_CHECKING:
     from service.store import ProvisionedAsset

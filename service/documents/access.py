@@ -7,7 +7,7 @@ from pydantic import Field
 from service.clock import rfc3339
 from service.documents.base import Document, Page, Time, time_or_none
 from service.domain.roles import Role
-from service.security import Principal
+from service.security.authenticator import Principal
 from service.store import ApiKey, AuditEntry
 
 

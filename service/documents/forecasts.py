@@ -14,6 +14,9 @@ from service.documents.profiles import ForecastStep
 if TYPE_CHECKING:  # web and plant side show forecasts, and never compute one
     from twin_core.forecasting import Forecast
 
+#: Quantiles are shown to 0.01 K.
+QUANTILE_DECIMALS = 2
+
 # Two days in all nodes are a hundred thousand figures: they are not checked one by one.
 Percentiles = Annotated[
     SkipValidation[list[Number]], Field(description="One temperature per time, °C.")
@@ -83,7 +86,8 @@ def quantiles_document(
     wanted = forecast.names if names is None else names
     rows = [forecast.names.index(name) for name in wanted]
     # By name, quantile and time.
-    rounded = np.round(forecast.quantiles[:, :, rows].transpose(2, 0, 1), 2)
+    shown = forecast.quantiles[:, :, rows].transpose(2, 0, 1).astype(np.float64)
+    rounded = np.round(shown, QUANTILE_DECIMALS)
     values = rounded.tolist()
     if not np.isfinite(rounded).all():
         values = [

@@ -11,6 +11,9 @@ DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "f
 class Publisher(Protocol):
     """Takes live messages for whoever follows the service."""
 
+    def is_followed(self, asset: str) -> bool:
+        """Whether anybody wants what is going on with an asset; alarms and jobs are sent anyway."""
+
     def publish(
         self,
         type: MessageType,

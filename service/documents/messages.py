@@ -159,8 +159,10 @@ def asyncapi_document(version: str, address: str) -> JsonSchemaValue:
             "title": "Bearing Twin: live stream",
             "version": version,
             "description": "JSON messages over WebSocket. `hello` comes first for each asset; "
-            "after a break, `resume` and `epoch` bring what was missed. A client that reads "
-            "slowly loses old measurements, never alarms or jobs.",
+            "after a break, `resume` and `epoch` bring what was missed. Of an asset that nobody "
+            "follows, and nobody has followed for ten minutes, only `alarm` and `job` are made; "
+            "`gap` tells who resumes from before that. A client that reads slowly loses old "
+            "measurements, never alarms or jobs.",
         },
         "defaultContentType": "application/json",
         "channels": {

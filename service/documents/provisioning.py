@@ -9,8 +9,8 @@ from service.clock import rfc3339
 from service.documents.base import Document, Page, Time
 from service.documents.problems import FieldError
 from service.domain.json_values import Json
+from service.site.asset_section import AssetSection
 from service.site.configuration import TomlTable
-from service.site.settings import AssetSection
 from service.site.templates import VALUES, holes_of
 from service.store import ProvisionedAsset
 

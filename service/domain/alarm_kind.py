@@ -5,7 +5,8 @@ How to add one is described in ``CONTRIBUTING.md``: one file in ``service/alarm_
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, Protocol, Self, TypeVar
+from functools import lru_cache
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -35,6 +36,10 @@ class PlainRule(AlarmRule):
     """An alarm of one level."""
 
     priority: Priority = 2
+
+    def priority_of(self, level: str) -> Priority:
+        """Give the priority, which is the same for every level."""
+        return self.priority
 
 
 class LevelRule(AlarmRule):
@@ -145,9 +150,9 @@ class Crossing(Protocol):
         """Seconds until 2.5 % of the members have exceeded it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class AlarmContext:
-    """What is known of an asset at one moment.
+    """What is known of an asset at one moment; what several kinds ask for is found once.
 
     Attributes
     ----------
@@ -202,10 +207,15 @@ class AlarmContext:
     residual_tests: Mapping[str, SequentialTest] = field(default_factory=dict)
     residual_threshold: float = 0.0
     crossings: Mapping[str, Mapping[str, Crossing]] = field(default_factory=dict)
+    _values: dict[str, float | None] = field(default_factory=dict, init=False)
+    _no_data: dict[str, str | None] = field(default_factory=dict, init=False)
+    _unknown: tuple[str | None] | None = field(default=None, init=False)
 
     def good_value(self, channel: str) -> float | None:
         """Value of a channel if it is good and fresh."""
-        return self.readings.good_value(channel, self.now_us)
+        if channel not in self._values:
+            self._values[channel] = self.readings.good_value(channel, self.now_us)
+        return self._values[channel]
 
     # -------------------------------------------------------------- reasons for suppression
     @property
@@ -215,17 +225,22 @@ class AlarmContext:
 
     def no_data(self, channel: str) -> str | None:
         """Reason that the channel sends nothing, which has an alarm of its own."""
-        return f"no data for {label(channel).lower()}" if self._has_no_data(channel) else None
+        if channel not in self._no_data:
+            missing = self._has_no_data(channel)
+            self._no_data[channel] = f"no data for {label(channel).lower()}" if missing else None
+        return self._no_data[channel]
 
     @property
     def not_comparable(self) -> str | None:
         """Reason that the model is not trusted, or does not know the operation."""
-        return self.distrust or self._unknown_operation()
+        if self._unknown is None:
+            self._unknown = (self._unknown_operation(),)
+        return self.distrust or self._unknown[0]
 
     def _unknown_operation(self) -> str | None:
         for channel in (*OPERATING_CHANNELS, *self.inputs):
             if channel in self.channels and (
-                self._has_no_data(channel) or self.is_present(SENSOR_FAULT, channel, "")
+                self.no_data(channel) or self.is_present(SENSOR_FAULT, channel, "")
             ):
                 return f"no usable {label(channel).lower()}"
         return None
@@ -234,8 +249,8 @@ class AlarmContext:
         """Whether a stale-data alarm is there: the channel's own, or that of its source."""
         if self.is_present(STALE_DATA, channel, ""):
             return True
-        source = self.channels[channel].source if channel in self.channels else None
-        return source is not None and self.is_present(STALE_DATA, source_channel(source), "")
+        facts = self.channels.get(channel)
+        return facts is not None and self.is_present(STALE_DATA, source_channel(facts.source), "")
 
 
 def source_channel(source: str) -> str:
@@ -254,6 +269,12 @@ def _never(context: AlarmContext, channel: str, level: str) -> None:
 def _nothing_else(context: AlarmContext) -> Iterable[tuple[str, str]]:
     """No channel and level but those of the present conditions."""
     return ()
+
+
+@lru_cache(maxsize=4096)
+def _over(channel: str, text: str, level: str, limit: float) -> str:
+    """Say that a value is over its limit: the same words every second, for all assets alike."""
+    return f"{label(channel)} {text.format(level=level, limit=limit)}"
 
 
 @dataclass(frozen=True)
@@ -300,24 +321,39 @@ class AlarmKind(Generic[Rule]):
         level: str,
         active: bool | None,
         message: str,
-        **facts: Any,
+        *,
+        value: float | None = None,
+        limit_value: float | None = None,
+        deadband: float = 0.0,
+        unit: str | None = None,
+        predicted: bool = False,
+        lead_time_s: float | None = None,
+        probability: float | None = None,
+        covers: tuple[str, ...] = (),
     ) -> AlarmCondition:
         """Report the state of one alarm, with the delays and priority of its rule."""
-        priority = rule.priority_of(level) if isinstance(rule, LevelRule) else rule.priority
+        # In the order of the fields: by name it takes three times as long, see `AlarmCondition`.
         return AlarmCondition(
-            asset=context.asset,
-            kind=self.name,
-            channel=channel,
-            level=level,
-            active=active,
-            message=message,
-            priority=priority,
-            on_delay_s=rule.on_delay_s,
-            off_delay_s=rule.off_delay_s,
-            latched=rule.latched,
-            re_alarm_s=rule.re_alarm_s,
-            suppressed_reason=self.suppressed(context, channel, level),
-            **({"value": None} | facts),
+            context.asset,
+            self.name,
+            channel,
+            level,
+            active,
+            value,
+            message,
+            rule.priority_of(level),
+            predicted,
+            lead_time_s,
+            probability,
+            rule.on_delay_s,
+            rule.off_delay_s,
+            limit_value,
+            deadband,
+            unit,
+            rule.latched,
+            rule.re_alarm_s,
+            self.suppressed(context, channel, level),
+            covers,
         )
 
     def over_limits(
@@ -343,7 +379,7 @@ class AlarmKind(Generic[Rule]):
                 channel,
                 level,
                 None if value is None else value >= limit,
-                f"{label(channel)} {text.format(level=level, limit=limit)}",
+                _over(channel, text, level, limit),
                 value=value,
                 limit_value=limit,
                 deadband=deadband,

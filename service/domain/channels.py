@@ -6,6 +6,7 @@ form of their names: ``t_gearbox_oil_c`` is the temperature "Gearbox oil".
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 Part = Literal["operation", "ring", "controller"]
@@ -68,6 +69,7 @@ NODES = tuple(f"t_node_{number}_c" for number in range(1, 14))
 """Temperatures inside the bearing that the 14-node network estimates and that may be measured."""
 
 
+@lru_cache(maxsize=4096)
 def label(channel: str) -> str:
     """Name of a channel as an operator says it."""
     if channel in _BY_NAME:

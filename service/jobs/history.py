@@ -11,8 +11,8 @@ from service.clock import MINUTE_US, rfc3339
 from service.documents.identification import WindowDocument
 from service.documents.profiles import StepLevel
 from service.domain.channels import AMBIENT, OPERATING_CHANNELS
+from service.site.asset_section import AssetSection
 from service.site.machines.machine import Machine
-from service.site.settings import AssetSection
 from service.store import MinuteTable, Store
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.minute_rows import StepMeans, minute_rows, row_step_s

@@ -27,7 +27,7 @@ _log = structlog.get_logger(__name__)
 
 
 class IdentificationJobs:
-    """The jobs of all assets; one worker runs them one after the other.
+    """The jobs of all assets, at most one unfinished of each.
 
     Parameters
     ----------

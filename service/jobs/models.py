@@ -6,8 +6,8 @@ from typing import Final
 
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
+from service.site.asset_section import AssetSection
 from service.site.machines.machine import Machine
-from service.site.settings import AssetSection
 from service.store.records import Job, JsonDocument, ModelVersion
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior

@@ -1,4 +1,4 @@
-"""Runs jobs one after the other: worker, progress, result, and what to do when one of them fails.
+"""Runs jobs in the background: worker, progress, result, and what to do when one of them fails.
 
 Notes in the store what becomes of a job; a job whose row has ended is left alone.
 """
@@ -20,15 +20,11 @@ from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.jobs.activation import Activations
 from service.jobs.documents import ProgressCache, shown
 from service.jobs.drift import tell, with_drift
-from service.jobs.executor import (
-    STALLED_AFTER_WALL_S,
-    WorkerStalledError,
-    end_executor,
-    watched,
-)
+from service.jobs.executor import STALLED_AFTER_WALL_S, WorkerStalledError, watched
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
+from service.jobs.workers import Worker, Workers
 from service.jobs.workspace import JobFolder
 from service.live.asset import AssetRuntime
 from service.store import AuditEntry, Store, StoreUnavailableError
@@ -45,7 +41,7 @@ _log = structlog.get_logger(__name__)
 
 
 class JobRunner:
-    """One worker, and the jobs that wait for it.
+    """Some workers, and the jobs that wait for them.
 
     Parameters
     ----------
@@ -61,12 +57,14 @@ class JobRunner:
         Where the workers' folders are made.
     observe_seconds : callable
         Takes the wall seconds of a job that has ended.
+    worker_count : int
+        How many jobs run at a time.
 
     Attributes
     ----------
     stalled_after_wall_s : float
         A worker without a sign of life for this many wall seconds is ended; its job goes on once
-        from the checkpoint, then it fails. Until then the jobs of other assets wait.
+        from the checkpoint, then it fails.
     progress : ProgressCache
         What the workers last reported.
     activations : Activations
@@ -85,6 +83,7 @@ class JobRunner:
         make_executor: Callable[[], Executor],
         folder: Path,
         observe_seconds: Callable[[float], None],
+        worker_count: int = 1,
     ) -> None:
         self.stalled_after_wall_s = STALLED_AFTER_WALL_S
         self.progress = ProgressCache()
@@ -94,38 +93,47 @@ class JobRunner:
         self.activations = Activations(store, clock, assets)
         self._bus = bus
         self._make_executor = make_executor
-        self._executor: Executor | None = None
+        self._worker_count = worker_count
+        self._workers: Workers | None = None
         self._observe_seconds = observe_seconds
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._one_at_a_time = asyncio.Lock()
         # Jobs whose latest attempt the store broke off, and whose progress it does not have.
         self._interrupted: set[str] = set()
         self._behind: set[str] = set()
 
     @property
     def started(self) -> bool:
-        """Whether there is a worker."""
-        return self._executor is not None
+        """Whether there are workers."""
+        return self._workers is not None
+
+    @property
+    def workers(self) -> Workers:
+        """The workers; ask `started` first."""
+        if self._workers is None:
+            raise RuntimeError("the job manager has not started")
+        return self._workers
 
     def start(self) -> None:
-        """Make the worker."""
-        self._executor = self._make_executor()
+        """Make the workers."""
+        self._workers = Workers(self._make_executor, self._worker_count)
 
     async def stop(self) -> None:
-        """End the worker and all that waits for it."""
+        """End the workers and all that waits for them."""
         for task in self._tasks.values():
             task.cancel()
         if self._tasks:  # one may wait for a store that does not answer
             await asyncio.wait(self._tasks.values(), timeout=STOP_WALL_S)
-        self._shut_down_executor()
+        if self._workers is not None:
+            self._workers.end()
 
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running here."""
         return any(task.get_name() == asset_id for task in self._tasks.values())
 
     def begin(self, job: Job) -> None:
-        """Have a job run when those before it have ended."""
-        task = asyncio.create_task(self._run(job.id), name=job.asset)
+        """Have a job run when a worker is free for it; those that people ask for come first."""
+        urgent = job.request.get("who") != AUTOMATIC
+        task = asyncio.create_task(self._run(job.id, urgent), name=job.asset)
         self._tasks[job.id] = task
         task.add_done_callback(lambda _: self._forget(job.id))
 
@@ -134,17 +142,17 @@ class JobRunner:
         self._interrupted.discard(job_id)
         self._behind.discard(job_id)
 
-    async def _run(self, job_id: str) -> None:
-        async with self._one_at_a_time:
+    async def _run(self, job_id: str, urgent: bool) -> None:
+        async with self.workers.turn(urgent) as worker:
             folder = JobFolder(self.folder / job_id)
             try:
-                while not await self._has_ended(job_id, folder):
+                while not await self._has_ended(job_id, folder, worker):
                     pass
             finally:
                 folder.cancel()  # a worker that is still at it has nothing left to do
             folder.remove()
 
-    async def _has_ended(self, job_id: str, folder: JobFolder) -> bool:
+    async def _has_ended(self, job_id: str, folder: JobFolder, worker: Worker) -> bool:
         """Try once to bring a job to its end; False when it is to be tried again."""
         try:
             job = await anyio.to_thread.run_sync(self.store.jobs.get, job_id)
@@ -158,14 +166,14 @@ class JobRunner:
             if job.attempts >= MOST_ATTEMPTS:
                 await self._end(job_id, "fail", f"gave up after {job.attempts} attempts")
                 return True
-            await self._attempt(job, folder)
+            await self._attempt(job, folder, worker)
         except BrokenProcessPool:
             _log.error("job_worker_died", job=job_id)
-            self._replace_worker()
+            worker.replace()
             return False
         except WorkerStalledError as error:
             _log.error("job_worker_stalled", job=job_id, reason=str(error))
-            self._replace_worker()
+            worker.replace()
             if job is not None and job.attempts + 1 < MOST_STALLED_ATTEMPTS:
                 return False
             await self._end(job_id, "fail", str(error))
@@ -179,7 +187,7 @@ class JobRunner:
             await self._end(job_id, "fail", f"{type(error).__name__}: {error}")
         return True
 
-    async def _attempt(self, job: Job, folder: JobFolder) -> None:
+    async def _attempt(self, job: Job, folder: JobFolder, worker: Worker) -> None:
         # The folder comes first: from now on a cancellation leaves its mark there.
         await anyio.to_thread.run_sync(folder.make)
         started = await self.change(
@@ -195,7 +203,7 @@ class JobRunner:
         self.publish(started)
         began = asyncio.get_running_loop().time()
         try:
-            await self._finish(started, await self._work(started, folder))
+            await self._finish(started, await self._work(started, folder, worker))
         except StoreUnavailableError:
             self._interrupted.add(job.id)  # the attempt did not fail: it is made again
             raise
@@ -206,7 +214,7 @@ class JobRunner:
         versions = await anyio.to_thread.run_sync(self.store.models.versions, job.asset)
         return next((one for one in versions if one.document["job"] == job.id), None)
 
-    async def _work(self, job: Job, folder: JobFolder) -> JobResult | None:
+    async def _work(self, job: Job, folder: JobFolder, worker: Worker) -> JobResult | None:
         asset, history = self.assets[job.asset], self.histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
@@ -221,9 +229,7 @@ class JobRunner:
             seed=job.request["seed"],
             budget=job.request["budget"],
         )
-        if self._executor is None:
-            raise RuntimeError("the job manager has not started")
-        future = asyncio.wrap_future(self._executor.submit(run_identification, order))
+        future = asyncio.wrap_future(worker.executor.submit(run_identification, order))
         return await watched(
             future,
             folder.life,
@@ -338,14 +344,6 @@ class JobRunner:
     def publish(self, job: Job) -> None:
         """Tell those who follow how a job is."""
         self._bus.publish("job", job.asset, shown(job, self.progress.get(job.id)))
-
-    def _replace_worker(self) -> None:
-        self._shut_down_executor()
-        self._executor = self._make_executor()
-
-    def _shut_down_executor(self) -> None:
-        if self._executor is not None:
-            end_executor(self._executor)
 
 
 def audit_line(action: str, target: str, detail: str = "") -> AuditEntry:

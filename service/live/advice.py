@@ -6,7 +6,7 @@ from service.clock import rfc3339
 from service.documents.advice import AdviceDocument, advice_document
 from service.domain.errors import NotIdentifiedError
 from service.live.estimate import EstimatedState
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from twin_core.forecasting.advice import NothingIdentifiedError, advise
 from twin_core.forecasting.design import Level
 

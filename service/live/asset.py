@@ -30,8 +30,8 @@ from service.live.judgement import Judgement
 from service.live.kept import KeptState, KeptWatch
 from service.live.readings import Readings, allowed_age_s
 from service.live.watch import AlarmWatch
+from service.site.asset_section import AssetSection
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
-from service.site.settings import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import AuditEntry
 
@@ -42,7 +42,6 @@ ESTIMATE_EVERY_S = 60.0
 SAVE_EVERY_WALL_S = 5.0
 LAST_SAVE_WALL_S = 1.0
 FORECAST_LEAST_WALL_S = 1.0
-MEASUREMENTS_LEAST_WALL_S = 0.25
 SNAPSHOT_WALL_S = 0.1
 STATE_LEAST_WALL_S = 0.5
 VERDICT_EVERY_WALL_S = 5.0
@@ -138,6 +137,9 @@ class AssetRuntime:
         self._verdict_holds_us = -math.inf
         self._told_verdict: object = None
         self._told_wall_s = -math.inf
+        self._told_state_wall_s = -math.inf
+        self._stored_us = 0
+        self._had_started = False
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
         self._watching = Guard("watch", settings.id)
@@ -153,7 +155,6 @@ class AssetRuntime:
             clock,
             trusted=lambda: self._trusted,
         )
-        self._step_s = max(STEP_S, 0.1 * clock.rate)
 
     # ------------------------------------------------------------------ what others ask
     @property
@@ -184,8 +185,8 @@ class AssetRuntime:
     def take(self, samples: Sequence[Sample], plans: Sequence[PlannedProfile]) -> None:
         """Take in a batch from the drivers or from a gateway."""
         news = self.readings.add(samples)
-        for sample in news:
-            self._unsent[sample.channel] = sample
+        if self._bus.is_followed(self.id):
+            self._unsent |= {sample.channel: sample for sample in news}
         self._verdict_due |= self._judgement.is_news(news)
         self.documents.changed()
         for plan in plans:
@@ -239,7 +240,7 @@ class AssetRuntime:
 
     # ------------------------------------------------------------------ the running twin
     async def run(self, kept_state: KeptState | None) -> None:
-        """Follow the machine until cancelled."""
+        """Make forecasts and keep the state until cancelled; `service.live.twins` steps it."""
         if AMBIENT not in self.facts:
             _log.warning(
                 "ambient_assumed",
@@ -252,9 +253,7 @@ class AssetRuntime:
         self.documents.running = True
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._follow())
                 tasks.create_task(self._forecast_live())
-                tasks.create_task(self._tell())
                 tasks.create_task(self._keep())
         finally:
             self.documents.running = False
@@ -272,34 +271,41 @@ class AssetRuntime:
         except ValueError as error:
             _log.warning("estimate_not_restored", asset=self.id, reason=str(error))
 
-    async def _follow(self) -> None:
-        wall_s = asyncio.get_running_loop().time
-        told_wall_s = wall_s()
-        stored_us = 0
-        while True:
-            await self._clock.sleep(self._step_s)
-            now_us = self._clock.now_us()
-            means = self.readings.take_means()
-            self._step(now_us, means)
-            with self._watching():
-                self._watch.step(now_us, means, self.estimate.innovations, self._trusted)
-            quality = Quality.LAST_USABLE if self._blind else Quality.GOOD
-            if self.estimate.started and wall_s() - told_wall_s >= STATE_LEAST_WALL_S:
-                # With the sensors' estimates, so that a chart needs no polling.
-                samples = presentation.samples_document(
-                    self.estimate.samples(self.id, now_us, quality)
-                )
-                message = StateMessage(**dict(self.documents.state()), samples=samples)
-                self._bus.publish("state", self.id, message)
-                told_wall_s = wall_s()
-            if self.estimate.started and now_us - stored_us >= ESTIMATE_EVERY_S * 1e6:
-                self._store_samples(self.estimate.samples(self.id, now_us, quality))
-                stored_us = now_us
+    def stepped(self, now_us: int, means: Mapping[str, float], failure: Exception | None) -> None:
+        """Judge the alarms after a step of the estimate, and send and store what is due.
 
-    def _step(self, now_us: int, means: Mapping[str, float]) -> None:
-        had_started = self.estimate.started
+        Parameters
+        ----------
+        now_us : int
+            Process time to which the estimate was advanced.
+        means : mapping of str to float
+            Mean readings that it was given.
+        failure : Exception or None
+            What it failed of.
+        """
+        self._note_step(failure)
+        with self._watching():
+            self._watch.step(now_us, means, self.estimate.innovations, self._trusted)
+        if not self.estimate.started:
+            return
+        quality = Quality.LAST_USABLE if self._blind else Quality.GOOD
+        wall_s = asyncio.get_running_loop().time()
+        followed = self._bus.is_followed(self.id)
+        if followed and wall_s - self._told_state_wall_s >= STATE_LEAST_WALL_S:
+            # With the sensors' estimates, so that a chart needs no polling.
+            samples = presentation.samples_document(self.estimate.samples(self.id, now_us, quality))
+            message = StateMessage(**dict(self.documents.state()), samples=samples)
+            self._bus.publish("state", self.id, message)
+            self._told_state_wall_s = wall_s
+        if now_us - self._stored_us >= ESTIMATE_EVERY_S * 1e6:
+            self._store_samples(self.estimate.samples(self.id, now_us, quality))
+            self._stored_us = now_us
+
+    def _note_step(self, failure: Exception | None) -> None:
+        had_started = self._had_started
         with self._estimating():
-            self.estimate.step(now_us, means)
+            if failure is not None:
+                raise failure
         if self._estimating.failing:
             self.estimate.stop()
         blind = self._judgement.blind
@@ -311,6 +317,7 @@ class AssetRuntime:
             self._forecast_due &= not begins
             self._forecast_wanted.set()
         self._blind = blind
+        self._had_started = self.estimate.started
         self.documents.changed()
 
     async def _keep(self) -> None:
@@ -333,43 +340,41 @@ class AssetRuntime:
 
     async def _forecast_once(self) -> None:
         made = await self._forecasting.make(self._judgement.blind)
-        if made is not None:
+        if made:
             self._verdict_due = True
             self.documents.changed()
-            self._bus.publish("forecast", self.id, made)
+            latest = self._forecasting.latest if self._bus.is_followed(self.id) else None
+            if latest is not None:
+                self._bus.publish("forecast", self.id, latest)
             summary = self._forecasting.summary
             self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
 
-    async def _tell(self) -> None:
-        while True:
-            self._tell_verdict()
-            await asyncio.sleep(MEASUREMENTS_LEAST_WALL_S)
-            self._tell_measurements()
+    def tell(self, now_us: int) -> None:
+        """Send what is new to those who follow: the latest samples, and the verdict.
 
-    def _tell_measurements(self) -> None:
+        The verdict is sent when it changes, and now and then so that its age can be seen. It is
+        made again only when something that it depends on has changed: on a site with hundreds of
+        machines hardly anything has.
+        """
         if self._unsent:
             samples = presentation.samples_document(self._unsent.values())
             self._unsent = {}
             self._bus.publish("measurement", self.id, NewSamples(samples=samples))
-
-    def _tell_verdict(self) -> None:
-        """Send the verdict when it changes, and now and then so that its age can be seen.
-
-        It is made again only when something that it depends on has changed: in a hall of hundreds
-        of machines hardly anything has.
-        """
-        now_us, wall_s = self._clock.now_us(), asyncio.get_running_loop().time()
-        old = wall_s - self._told_wall_s >= VERDICT_EVERY_WALL_S
+        wall_s = asyncio.get_running_loop().time()
+        old = wall_s - self._told_wall_s >= VERDICT_EVERY_WALL_S and self._bus.is_followed(self.id)
         if not (self._verdict_due or old or now_us >= self._verdict_holds_us):
             return
         self._verdict_due = False
+        # Also where nobody follows: the tags show since when its words hold.
         verdict = self.documents.verdict()
         self._verdict_holds_us = self._judgement.holds_until_us(now_us)
         words = [(one.word, one.limit) for one in (verdict.now, verdict.next_step)]
         news = words, verdict.missing
         if old or news != self._told_verdict:
-            self._bus.publish("verdict", self.id, verdict)
-            self._told_verdict, self._told_wall_s = news, wall_s
+            self._told_verdict = news
+            if self._bus.is_followed(self.id):
+                self._bus.publish("verdict", self.id, verdict)
+                self._told_wall_s = wall_s
 
     async def _save(self) -> None:
         if self.estimate.started:

@@ -28,7 +28,7 @@ from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.judgement import Judgement
 from service.live.readings import Readings
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 
 SNAPSHOT_WALL_S = 0.1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.live.estimate import EstimatedState
 from service.live.presentation import LEVELS, LimitCrossings
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from twin_core.forecasting import Forecast
 from twin_core.forecasting.means import mean_forecasts, start_of
 from twin_core.simulation import OperatingProfile, OperatingProfiles

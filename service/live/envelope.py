@@ -18,7 +18,7 @@ from service.documents.envelope import (
 from service.documents.limits import Level, LowRisk
 from service.domain.channels import label
 from service.live.estimate import EstimatedState
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import NOT_IDENTIFIED
 from twin_core.profiles import OperatingPoint

@@ -1,7 +1,7 @@
 """The running estimate of one asset: the observer, fed with what the readings gave."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from twin_core.filtering import begin
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
-from twin_core.observer import Innovation, Observer, not_colder_than
+from twin_core.observer import Innovation, Observer, Step, advance, not_colder_than
 from twin_core.operating_points import usual_levels
 from twin_core.profiles import OperatingPoint
 from twin_core.windows import stands_at_ambient
@@ -95,7 +95,7 @@ class LiveEstimate:
     def __init__(
         self, active: ActiveModel, bounds: Mapping[str, tuple[float, float]] | None = None
     ) -> None:
-        self.active = active
+        self._run_on(active)
         self._bounds = bounds or {}
         self.time_us: int | None = None
         self.point: OperatingPoint | None = None
@@ -159,7 +159,11 @@ class LiveEstimate:
         self._known_c = None
         if self._observer is not None:
             self._observer = self._observer.with_parameters(active.model, active.values)
+        self._run_on(active)
+
+    def _run_on(self, active: ActiveModel) -> None:
         self.active = active
+        self._sensor_rows = active.model.sensor_matrix(active.model.sensor_names)
 
     def step(self, now_us: int, means: Mapping[str, float]) -> None:
         """Advance to ``now_us`` with the mean readings since the last step.
@@ -177,6 +181,12 @@ class LiveEstimate:
         ValueError
             If the machine cannot have such a speed, load or ambient; nothing is taken in then.
         """
+        error = step_together([self], now_us, [means])[0]
+        if error is not None:
+            raise error
+
+    def _due(self, now_us: int, means: Mapping[str, float]) -> tuple[Step, OperatingPoint] | None:
+        """What a step has to bring into the observer; None where it goes no further."""
         self._known_c = None
         for name, (low, high) in self._bounds.items():
             if name in means and not low <= means[name] <= high:
@@ -188,24 +198,28 @@ class LiveEstimate:
         self._ambient_measured |= AMBIENT in means
         point = self._operating_point(means, temperatures)
         if point is None:
-            return
+            return None
         duration_s = (now_us - (self.time_us or now_us)) / 1e6
         if not -_CLOCK_JITTER_S < duration_s < _LONGEST_GAP_S:
             self.stop()
         if self._observer is None:
             if temperatures:
                 self._start(now_us, point, temperatures)
-            return
+            return None
         if duration_s <= 0:
-            return
-        self._observer.predict(
-            duration_s, point.speed_rpm, point.load_n, point.ambient_c, point.inputs
-        )
-        if temperatures:
-            self.innovations = self._observer.update(temperatures)
-            self.followed_s += min(duration_s, _LONGEST_SEEN_S)
+            return None
+        speed_rpm, load_n, ambient_c = point.speed_rpm, point.load_n, point.ambient_c
+        return Step(duration_s, speed_rpm, load_n, ambient_c, point.inputs, temperatures), point
+
+    def _done(
+        self, now_us: int, step: Step, point: OperatingPoint, innovations: Mapping[str, Innovation]
+    ) -> None:
+        """Note what the observer has taken in."""
+        if step.measured:
+            self.innovations = innovations
+            self.followed_s += min(step.dt_s, _LONGEST_SEEN_S)
         self.time_us, self.point = now_us, point
-        self._note_surroundings(duration_s, point, temperatures)
+        self._note_surroundings(step.dt_s, point, step.measured)
 
     def stop(self) -> None:
         """Give the estimate up; the next good temperatures start it again."""
@@ -257,17 +271,11 @@ class LiveEstimate:
 
     def samples(self, asset: str, now_us: int, quality: int = Quality.GOOD) -> list[Sample]:
         """The estimate of every standard sensor as samples for the store, of a given quality."""
-        model, temperatures = self.active.model, self.temperatures_c
+        names, time_us = self.active.model.sensor_names, self.time_us or now_us
+        values = (self._sensor_rows @ self.temperatures_c).tolist()
         return [
-            Sample(
-                asset,
-                f"{sensor}.twin",
-                self.time_us or now_us,
-                float(model.sensor_row(sensor) @ temperatures),
-                int(quality),
-                now_us,
-            )
-            for sensor in model.sensor_names
+            Sample(asset, f"{sensor}.twin", time_us, value, int(quality), now_us)
+            for sensor, value in zip(names, values, strict=True)
         ]
 
     def to_dict(self) -> KeptEstimate | None:
@@ -314,3 +322,52 @@ class LiveEstimate:
         self._observer, self.point, self.time_us = observer, point, time_us
         self._known_c = None
         self._ambient_measured, self.followed_s = ambient_measured, followed_s
+
+
+def step_together(
+    estimates: Sequence[LiveEstimate], now_us: int, means: Sequence[Mapping[str, float]]
+) -> list[Exception | None]:
+    """Advance many estimates, each as by its own `LiveEstimate.step`; a failure harms no other.
+
+    Machines of one network form cost one call of the observer.
+
+    Parameters
+    ----------
+    estimates : sequence of LiveEstimate
+        The estimates, each of them once.
+    now_us : int
+        Process time to advance to.
+    means : sequence of mapping of str to float
+        (estimates,) mean readings of each since its last step.
+
+    Returns
+    -------
+    list of Exception or None
+        (estimates,) what `LiveEstimate.step` raises, None where all went well.
+    """
+    errors: list[Exception | None] = [None] * len(estimates)
+    due: list[tuple[int, Step, OperatingPoint]] = []
+    for k, (estimate, given) in enumerate(zip(estimates, means, strict=True)):
+        try:
+            found = estimate._due(now_us, given)
+        except Exception as error:
+            # Whatever it was that one stumbled over: the other machines run on.
+            errors[k] = error
+        else:
+            if found is not None:
+                due.append((k, *found))
+    observers, steps = [estimates[k].observer for k, _, _ in due], [step for _, step, _ in due]
+    results: Sequence[dict[str, Innovation] | Exception]
+    try:
+        results = advance(observers, steps)
+    except Exception as error:
+        # Nobody knows how far each has come: all of them begin again.
+        for k, _, _ in due:
+            estimates[k].stop()
+        results = [error] * len(due)
+    for (k, step, point), result in zip(due, results, strict=True):
+        if isinstance(result, Exception):
+            errors[k] = result
+        else:
+            estimates[k]._done(now_us, step, point, result)
+    return errors

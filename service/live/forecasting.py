@@ -4,14 +4,16 @@ import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from typing import NamedTuple
 
-from pydantic_core import to_json
+import numpy as np
 
 from adapters.protocol import Clock
 from adapters.samples import PlannedProfile
 from service.clock import rfc3339
 from service.documents.forecasts import (
+    QUANTILE_DECIMALS,
     ForecastDocument,
     LiveForecast,
     WhatIf,
@@ -22,11 +24,11 @@ from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
-from service.live.outlook import Outlook, step_outlooks
+from service.live.outlook import Outlook, StepOutlook, step_outlooks
 from service.live.presentation import ForecastSummary
 from service.live.profiles import Step, held, operating_profile, planned
 from service.live.readings import Readings, allowed_age_s
-from service.site.settings import AssetSection, Limits
+from service.site.asset_section import AssetSection, Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile
@@ -40,20 +42,26 @@ LOOKED_AT_FOR_S, LOOKED_AT_FOR_WALL_S = 300.0, 10.0
 _PLAN_MAX_AGE_S = 30.0
 
 
-class _Made(NamedTuple):
-    """A forecast, what tags show of it, and its document."""
+class _Live(NamedTuple):
+    """A live forecast, what tags and verdicts need of it, and the ensemble of its intervals."""
 
     result: Forecast
     summary: ForecastSummary
-    document: ForecastDocument
-
-
-class _Live(NamedTuple):
-    """A live forecast, and the ensemble that its intervals are of."""
-
-    made: _Made
+    steps: tuple[StepOutlook, ...]
     ensemble: Ensemble | None
     intervals_us: int
+
+
+class _Latest(NamedTuple):
+    """The latest live forecast as far as it is shown."""
+
+    result: Forecast
+    summary: ForecastSummary
+    steps: Sequence[Step]
+    model_version: int
+    missing: Sequence[str]
+    intervals_us: int
+    planned: bool
 
 
 class Forecasting:
@@ -99,8 +107,7 @@ class Forecasting:
         self._clock = clock
         self._executor = executor
         self.plan: PlannedProfile | None = None
-        # As text: half a megabyte of numbers otherwise, for each asset, and rarely asked for.
-        self._latest: bytes | None = None
+        self._latest: _Latest | None = None
         self._carried_on = False
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
@@ -114,8 +121,22 @@ class Forecasting:
 
     @property
     def latest(self) -> LiveForecast | None:
-        """The latest live forecast; None before the first."""
-        return None if self._latest is None else LiveForecast.model_validate_json(self._latest)
+        """The latest live forecast; None before the first.
+
+        Made for who asks, which few do: it has tens of thousands of figures.
+        """
+        made = self._latest
+        if made is None:
+            return None
+        return LiveForecast(
+            **dict(_document(made.result, made.summary, self._limits)),
+            model_version=made.model_version,
+            profile=presentation.steps_document(made.steps),
+            missing=list(made.missing),
+            made_at=rfc3339(made.summary.made_us),
+            intervals_made_at=rfc3339(made.intervals_us),
+            planned=made.planned,
+        )
 
     def age_s(self, now_us: int) -> float:
         """Process seconds since the state that the live forecast starts from; NaN before it."""
@@ -126,8 +147,8 @@ class Forecasting:
         known, self.plan = self.plan, plan
         return known is None or _beyond_times(known) != _beyond_times(plan)
 
-    async def make(self, missing: Sequence[str] = ()) -> LiveForecast | None:
-        """Make a new live forecast; None when the plan is over and nothing lies ahead.
+    async def make(self, missing: Sequence[str] = ()) -> bool:
+        """Make a new live forecast; False when the plan is over and nothing lies ahead.
 
         Parameters
         ----------
@@ -140,32 +161,24 @@ class Forecasting:
         made_us, version = state.time_us, state.active.version
         steps = self.steps_ahead(made_us)
         if not steps:
-            return None
+            return False
         profile = operating_profile(steps, FORECAST_ROW_S, state.point.inputs)
         has_plan = self._has_plan(made_us)
         alone = not (missing or has_plan)
         kept = self._ensemble if alone and not self._is_looked_at(made_us) else None
         loop = asyncio.get_running_loop()
         live = await loop.run_in_executor(
-            self._executor, _make_live, state, profile, self._limits, kept, alone
+            self._executor, _make_live, state, steps, profile, self._limits, kept, alone
         )
-        result, summary, document = live.made
         self._ensemble, self._carried_on = live.ensemble, live.intervals_us != made_us
-        latest = LiveForecast(
-            **dict(document),
-            model_version=version,
-            profile=presentation.steps_document(steps),
-            missing=list(missing),
-            made_at=rfc3339(made_us),
-            intervals_made_at=rfc3339(live.intervals_us),
-            planned=has_plan,
+        summary = live.summary
+        self._latest = _Latest(
+            live.result, summary, steps, version, missing, live.intervals_us, has_plan
         )
-        self._latest = to_json(latest, inf_nan_mode="null")
         self.summary, self.outlook = summary, None
         if not missing:
-            outlooks = step_outlooks(result, steps, self._limits)
-            self.outlook = Outlook(made_us, version, outlooks, summary.crossings)
-        return latest
+            self.outlook = Outlook(made_us, version, live.steps, summary.crossings)
+        return True
 
     def steps_ahead(self, now_us: int) -> list[Step]:
         """What the machine is going to do, as far as that is known."""
@@ -198,51 +211,49 @@ class Forecasting:
 
 def _make_live(
     state: EstimatedState,
+    steps: Sequence[Step],
     profile: OperatingProfile,
     limits: Mapping[str, Limits],
     kept: Ensemble | None,
     keeps: bool,
 ) -> _Live:
     """Carry the kept ensemble on where that is right, else make one, and keep it if wanted."""
+    result, ensemble = None, kept
     if kept is not None and is_like(kept, state, profile):
         result = carried(kept, state, profile, limits)
-        if result is not None:
-            return _Live(_shown(result, state, limits), kept, kept.state.time_us)
-    made = _make(state, profile, limits)
-    ensemble = None
-    if keeps:
-        crossings = made.summary.crossings
-        ensemble = keep_ensemble(made.result, state, profile, limits, crossings)
-    return _Live(made, ensemble, state.time_us)
-
-
-def _make(
-    state: EstimatedState,
-    profile: OperatingProfile,
-    limits: Mapping[str, Limits],
-    nodes: Sequence[str] | None = None,
-) -> _Made:
-    active = state.active
-    result = forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
-    return _shown(result, state, limits, nodes)
-
-
-def _shown(
-    result: Forecast,
-    state: EstimatedState,
-    limits: Mapping[str, Limits],
-    nodes: Sequence[str] | None = None,
-) -> _Made:
-    # The document too: two days in all nodes are a hundred thousand figures, no work for the event
-    # loop.
+    if result is None:
+        result, ensemble = _make(state, profile), None
     summary = presentation.summarize(result, limits, state.time_us)
-    document = forecast_document(
+    outlooks = step_outlooks(result, steps, limits)
+    intervals_us = state.time_us if ensemble is None else ensemble.state.time_us
+    if ensemble is None and keeps:
+        ensemble = keep_ensemble(result, state, profile, limits, summary.crossings)
+    shown = replace(
+        result,
+        # To the figures that are shown, in half the memory.
+        quantiles=np.round(result.quantiles, QUANTILE_DECIMALS).astype(np.float32),
+        members_c=np.empty((0, 0, 0)),
+    )
+    return _Live(shown, summary, outlooks, ensemble, intervals_us)
+
+
+def _make(state: EstimatedState, profile: OperatingProfile) -> Forecast:
+    active = state.active
+    return forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
+
+
+def _document(
+    result: Forecast,
+    summary: ForecastSummary,
+    limits: Mapping[str, Limits],
+    nodes: Sequence[str] | None = None,
+) -> ForecastDocument:
+    return forecast_document(
         result,
         presentation.limits_document(limits),
         presentation.crossings_document(summary.crossings),
         nodes,
     )
-    return _Made(result, summary, document)
 
 
 def what_if_document(
@@ -280,8 +291,10 @@ def what_if_document(
         for step in profile
     ]
     ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
+    result = _make(state, ahead)
+    summary = presentation.summarize(result, limits, state.time_us)
     return WhatIf(
-        **dict(_make(state, ahead, limits, nodes).document),
+        **dict(_document(result, summary, limits, nodes)),
         model_version=state.active.version,
         profile=presentation.steps_document(steps),
         missing=list(missing),

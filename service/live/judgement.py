@@ -9,7 +9,6 @@ from service.alarms import AlarmBook
 from service.clock import rfc3339
 from service.documents.tags import Tag, tag
 from service.documents.verdicts import VerdictDocument
-from service.domain.alarm_kind import LEVELS
 from service.domain.channels import AMBIENT
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
@@ -22,7 +21,7 @@ from service.live.verdict import (
     missing_operation,
     required_channels,
 )
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 
 #: A verdict looks ahead with no older forecast; process s, and at least this many wall s.
 FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0
@@ -81,7 +80,12 @@ class Judgement:
         now_us = self._clock.now_us()
         judged = judge(self._evidence(now_us, running))
         self._missing = frozenset(judged.missing)
-        return VerdictDocument(**dict(judged), time=rfc3339(now_us))
+        document = VerdictDocument(**dict(judged), time=rfc3339(now_us))
+        for name, verdict in (("now", document.now), ("next_step", document.next_step)):
+            code = CODES[verdict.word]
+            if self._told.get(name, (None,))[0] != code:
+                self._told[name] = code, document.time
+        return document
 
     def is_news(self, samples: Iterable[Sample]) -> bool:
         """Whether new samples may give another verdict.
@@ -124,17 +128,14 @@ class Judgement:
         return min((moment for moment in moments if moment > now_us), default=math.inf)
 
     def tags(self, document: VerdictDocument) -> dict[str, Tag]:
-        """Tags of a verdict; their time is when the word last changed.
+        """Tags of the latest verdict; their time is when the word last changed.
 
         Unknown is a good value, too: who takes good values only must not keep an old *safe*.
         """
-        tags = {}
-        for name, verdict in (("now", document.now), ("next_step", document.next_step)):
-            code = CODES[verdict.word]
-            if self._told.get(name, (None,))[0] != code:
-                self._told[name] = code, document.time
-            tags[f"verdict.{name}"] = tag(code, "", Quality.GOOD, self._told[name][1])
-        return tags
+        return {
+            f"verdict.{name}": tag(CODES[verdict.word], "", Quality.GOOD, self._told[name][1])
+            for name, verdict in (("now", document.now), ("next_step", document.next_step))
+        }
 
     @property
     def blind(self) -> list[str]:
@@ -158,9 +159,8 @@ class Judgement:
             outlook=self._outlook(now_us),
             returning=frozenset(
                 channel
-                for channel in self._settings.limits
-                for level in LEVELS
-                if self._book.is_present((self._settings.id, "measured limit", channel, level))
+                for kind, channel, _ in self._book.present(self._settings.id)
+                if kind == "measured limit" and channel in self._settings.limits
             ),
             assumed_ambient_c=self.assumed_ambient_c,
         )

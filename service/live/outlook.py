@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.live.presentation import LimitCrossing, LimitCrossings
 from service.live.profiles import Step
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from twin_core.forecasting import Forecast
 
 # Steps of one and the same operating point count as one.

@@ -16,7 +16,7 @@ from service.documents.profiles import ForecastStep
 from service.documents.tags import Tag, tag
 from service.live.estimate import LiveEstimate
 from service.live.profiles import Step
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from service.store import Alarm
 from twin_core.forecasting import Forecast
 

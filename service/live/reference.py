@@ -12,7 +12,7 @@ from service.live.kept import KeptReference
 from twin_core.models import ThermalModel
 from twin_core.observer import Observer
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import OperatingProfile, SimulationError, simulate
+from twin_core.simulation import SimulationError, advance
 
 
 class Reference:
@@ -21,6 +21,11 @@ class Reference:
     def __init__(self) -> None:
         self._temperatures_c: NDArray[np.float64] | None = None
         self._revolutions = 0.0
+        # What a step needs of a model does not change; it is asked for once.
+        self._active: ActiveModel | None = None
+        self._values: NDArray[np.float64] = np.empty(0)
+        self._model: ThermalModel | None = None
+        self._rows: dict[str, NDArray[np.float64]] = {}
 
     @property
     def started(self) -> bool:
@@ -40,28 +45,30 @@ class Reference:
         """Advance at a constant operating point; a model that runs away ends it."""
         if self._temperatures_c is None or duration_s <= 0.0:
             return
-        profile = OperatingProfile(
-            np.array([0.0, duration_s]),
-            np.full(2, point.speed_rpm),
-            np.full(2, point.load_n),
-            np.full(2, point.ambient_c),
-            np.tile(np.array(point.inputs, dtype=np.float64), (2, 1)),
-        )
+        if active is not self._active:
+            self._active, self._values = active, active.values
         try:
-            path = simulate(
-                active.model, active.values, profile, self._temperatures_c, self._revolutions
+            self._temperatures_c, self._revolutions = advance(
+                active.model,
+                self._values,
+                point,
+                duration_s,
+                self._temperatures_c,
+                self._revolutions,
             )
         except SimulationError:
             self.stop()
-            return
-        self._temperatures_c = path.temperatures_c[-1]
-        self._revolutions = float(path.revolutions[-1])
 
     def expected_c(self, model: ThermalModel, channel: str) -> float | None:
         """What the model alone expects a sensor to read; None before the start."""
         if self._temperatures_c is None:
             return None
-        return float(model.sensor_row(channel) @ self._temperatures_c)
+        if model is not self._model:
+            self._model, self._rows = model, {}
+        row = self._rows.get(channel)
+        if row is None:
+            row = self._rows[channel] = model.sensor_row(channel)
+        return float(row @ self._temperatures_c)
 
     def to_dict(self) -> KeptReference | None:
         """The state as plain JSON types; None before the start."""

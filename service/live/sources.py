@@ -59,22 +59,26 @@ class Sources:
 
     def look(self, now_us: int) -> None:
         """Judge all sources and channels as they are now."""
-        self._spoken |= set(self._readings.latest) & set(self._facts)
+        latest = self._readings.latest
+        if not latest.keys() <= self._spoken:
+            self._spoken |= set(latest) & set(self._facts)
         for source, channels in self.channels.items():
-            spoken = [channel for channel in channels if channel in self._spoken]
-            silent = {one: self._silent_since_us(one, now_us) for one in spoken}
-            heard_us = max((self._heard_us(one) for one in spoken), default=0)
+            silent = {
+                channel: self._silent_since_us(channel, now_us)
+                for channel in channels
+                if channel in self._spoken
+            }
             before = self._lost.get(source)
-            if not spoken:
-                self._lost[source] = None
-            else:
-                self._lost[source] = any(
-                    since_us is not None and heard_us <= since_us for since_us in silent.values()
-                )
+            self._lost[source] = self._is_silent(silent) if silent else None
             if before and not self._lost[source]:
                 self._back_us[source] = now_us
             for channel in channels:
                 self._alone[channel] = self._judge(source, channel, silent, now_us)
+
+    def _is_silent(self, silent: Mapping[str, int | None]) -> bool:
+        """Whether a source has sent nothing since one of its channels fell silent."""
+        since_us = [one for one in silent.values() if one is not None]
+        return bool(since_us) and max(map(self._heard_us, silent)) <= max(since_us)
 
     def _judge(
         self, source: str, channel: str, silent: Mapping[str, int | None], now_us: int

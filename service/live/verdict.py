@@ -16,7 +16,7 @@ from service.domain.channels import AMBIENT, LOAD, SPEED, label
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 
 CODES: Mapping[Word, int] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
 """Values of the tags ``verdict.now`` and ``verdict.next_step``."""

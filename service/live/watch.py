@@ -15,8 +15,9 @@ from service.live.readings import Readings
 from service.live.reference import Reference
 from service.live.residuals import Residuals, residual_threshold
 from service.live.sources import Sources
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
+from twin_core.models import ThermalModel
 from twin_core.observer import Innovation
 from twin_core.windows import MEASURED_TOLERANCE
 
@@ -57,7 +58,10 @@ class AlarmWatch:
         self._book = book
         self._sources = Sources(channels, readings)
         self._temperatures = tuple(name for name in channels if name.startswith("t_"))
+        self._inputs = settings.input_names
         alarms = settings.alarms
+        rules = ((kind, alarms.rule(kind)) for kind in KINDS.values())
+        self._rules = [(kind, rule) for kind, rule in rules if rule.enabled]
         self._rates_of_rise = RatesOfRise(alarms.rule(rate_of_rise.KIND).window_s)
         self._reference = Reference()
         self._residuals = Residuals(
@@ -66,6 +70,8 @@ class AlarmWatch:
             )
         )
         self._version = estimate.active.version
+        self._model: ThermalModel | None = None
+        self._known: tuple[str, ...] = ()
         self._standing_since_us: int | None = None
         self._stepped_us: int | None = None
         self._comparable = False
@@ -94,9 +100,8 @@ class AlarmWatch:
         """
         self._tell_trust(trusted)
         self._note_standstill(now_us)
-        self._rates_of_rise.add(
-            now_us, {name: means[name] for name in self._temperatures if name in means}
-        )
+        temperatures = {name: means[name] for name in self._temperatures if name in means}
+        self._rates_of_rise.add(now_us, temperatures)
         self._follow_the_model(now_us, innovations)
         self._sources.look(now_us)
         context = self._context(now_us)
@@ -110,12 +115,10 @@ class AlarmWatch:
 
     def _evaluate(self, context: AlarmContext, judged: str) -> list[AlarmCondition]:
         conditions: list[AlarmCondition] = []
-        for kind in KINDS.values():
-            rule = self._settings.alarms.rule(kind)
-            if rule.enabled and kind.judged == judged:
+        for kind, rule in self._rules:
+            if kind.judged == judged:
                 conditions += kind.conditions(context, rule)
-        for condition in conditions:
-            self._book.evaluate(condition)
+        self._book.evaluate_all(conditions)
         return conditions
 
     def switched(self, before: int, who: str, comment: str) -> None:
@@ -179,27 +182,26 @@ class AlarmWatch:
     ) -> AlarmContext:
         since_us = self._standing_since_us
         residuals = self._residuals
-        return AlarmContext(
+        present = self._book.present(self._settings.id)
+        context = AlarmContext(
             asset=self._settings.id,
             limits=self._settings.limits,
             channels=self._channels,
             readings=self._readings,
             sources=self._sources,
             now_us=now_us,
-            is_present=self._is_present,
+            is_present=lambda kind, channel, level: (kind, channel, level) in present,
             at_standstill=since_us is not None and now_us - since_us >= _STANDSTILL_AFTER_S * 1e6,
-            inputs=self._settings.input_names,
+            inputs=self._inputs,
             distrust=None if self._trusted else _NOT_TRUSTED,
             temperatures=self._temperatures,
-            rates_k_per_min=self._rates(now_us),
-            differences_k=self._differences_k(now_us),
             residual_tests={name: chart.cusum for name, chart in residuals.charts.items()},
             residual_threshold=residuals.threshold,
             crossings=crossings,
         )
-
-    def _is_present(self, kind: str, channel: str, level: str) -> bool:
-        return self._book.is_present((self._settings.id, kind, channel, level))
+        context.rates_k_per_min = self._rates(context)
+        context.differences_k = self._differences_k(context)
+        return context
 
     def _note_standstill(self, now_us: int) -> None:
         speed_rpm = self._readings.good_value(SPEED, now_us)
@@ -232,7 +234,7 @@ class AlarmWatch:
         self._comparable = safe
         if not self._identified:
             return
-        self._residuals.expect(name for name in self._temperatures if self._is_sensor(name))
+        self._residuals.expect(self._known_to(estimate.active.model))
         if self._standing_since_us is None:
             self._residuals.add(innovations, duration_s, safe)
 
@@ -240,29 +242,32 @@ class AlarmWatch:
     def _identified(self) -> bool:
         return self._estimate.active.identified_at_us is not None
 
-    def _is_sensor(self, channel: str) -> bool:
-        model = self._estimate.active.model
-        return channel in model.sensor_names or channel in model.node_names
+    def _known_to(self, model: ThermalModel) -> tuple[str, ...]:
+        """The measured temperatures that a model knows."""
+        if model is not self._model:
+            known = {*model.sensor_names, *model.node_names}
+            self._model = model
+            self._known = tuple(name for name in self._temperatures if name in known)
+        return self._known
 
-    def _rates(self, now_us: int) -> dict[str, float | None]:
+    def _rates(self, context: AlarmContext) -> dict[str, float | None]:
         return {
             channel: None
-            if self._readings.good_value(channel, now_us) is None
+            if context.good_value(channel) is None
             else self._rates_of_rise.rate_k_per_min(channel)
             for channel in self._temperatures
         }
 
-    def _differences_k(self, now_us: int) -> dict[str, float | None]:
+    def _differences_k(self, context: AlarmContext) -> dict[str, float | None]:
         """Measured minus the model alone, for every sensor that the model knows."""
         model = self._estimate.active.model
-        differences: dict[str, float | None] = {}
-        for channel in filter(self._is_sensor, self._temperatures):
-            value = self._readings.good_value(channel, now_us)
-            expected_c = self._reference.expected_c(model, channel)
-            if value is None or expected_c is None or not (self._identified and self._comparable):
-                differences[channel] = None
-            else:
-                differences[channel] = round(value - expected_c, 3)
+        differences: dict[str, float | None] = dict.fromkeys(self._known_to(model))
+        if self._identified and self._comparable:
+            for channel in differences:
+                value = context.good_value(channel)
+                expected_c = self._reference.expected_c(model, channel)
+                if value is not None and expected_c is not None:
+                    differences[channel] = round(value - expected_c, 3)
         return differences
 
     # ------------------------------------------------------------------ now and then
@@ -281,9 +286,6 @@ class AlarmWatch:
         """End what an earlier configuration left behind, once."""
         self._withdrawn = True
         asset = self._settings.id
-        for kind in KINDS.values():
-            if self._settings.alarms.rule(kind).enabled:
-                known |= {
-                    (asset, kind.name, channel, level) for channel, level in kind.kept(context)
-                }
+        for kind, _ in self._rules:
+            known |= {(asset, kind.name, channel, level) for channel, level in kind.kept(context)}
         self._book.withdraw(asset, known)

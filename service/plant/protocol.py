@@ -8,10 +8,13 @@ stranger sends to it can change anything.
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict
 
-from service.security import AuditTrail, Authenticator
 from service.site.settings import Settings
+
+if TYPE_CHECKING:  # the supervisor asks what is enabled, and needs no store for it
+    from service.security.audit_trail import AuditTrail
+    from service.security.authenticator import Authenticator
 
 
 class TagValue(TypedDict):
@@ -37,8 +40,8 @@ class Host:
         A publisher keeps files in the folder of its own name below it.
     """
 
-    authenticator: Authenticator
-    trail: AuditTrail
+    authenticator: "Authenticator"
+    trail: "AuditTrail"
     data_dir: Path
 
 

@@ -4,8 +4,10 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Collection, Mapping
+from functools import partial
 
 import structlog
+from prometheus_client import CollectorRegistry, Gauge
 
 from adapters.backoff import Backoff
 from adapters.samples import Quality
@@ -14,6 +16,8 @@ from service.bus.stream import Bus, Message, Subscription, SubscriptionClosedErr
 from service.domain.errors import CellUnavailableError
 from service.live.guard import Guard
 from service.plant.protocol import Host, Publisher, TagValue
+from service.plant.publishers import enabled
+from service.site.settings import Settings
 
 #: Wall seconds between two rounds.
 REOPEN_FIRST_S = 1.0
@@ -188,3 +192,44 @@ def _reason(error: BaseException) -> str:
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     return str(error) or type(error).__name__
+
+
+def make_publishers(
+    settings: Settings,
+    assets: Mapping[str, AssetReplica],
+    bus: Bus,
+    host: Host,
+    registry: CollectorRegistry,
+) -> list[PublisherRounds]:
+    """Make what is enabled, each to be run next to the service.
+
+    Parameters
+    ----------
+    settings
+        The checked configuration.
+    assets
+        Whose tags are published; they may come and go.
+    bus
+        Where alarms come from.
+    host
+        What a publisher may use.
+    registry
+        Where each publisher's state is measured.
+    """
+    publishers = [
+        PublisherRounds(entry.name, entry.make(settings), entry.period_s, assets, bus, host)
+        for entry in enabled(settings)
+    ]
+    up = Gauge(
+        "bearing_twin_publisher_up",
+        "Whether a publisher has its connection, or listens, and hands everything on.",
+        ["publisher"],
+        registry=registry,
+    )
+    for one in publishers:
+        up.labels(one.name).set_function(partial(_is_up, one))
+    return publishers
+
+
+def _is_up(publisher: PublisherRounds) -> float:
+    return float(publisher.problem is None)

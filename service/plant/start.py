@@ -17,8 +17,10 @@ from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
 from service.plant.protocol import Host
-from service.plant.publishers import check_extras, check_ports, make_publishers
-from service.security import AuditTrail, Authenticator
+from service.plant.publishers import check_extras, check_ports
+from service.plant.rounds import make_publishers
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.tasks import background

@@ -4,8 +4,9 @@ import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable
-from service.site.settings import AssetSection, Settings
+from service.site.settings import Settings
 from service.site.wiring import PUSH, Wiring, wire_assets
 
 

@@ -11,10 +11,11 @@ from adapters.configuration import ConfigurationError, MeasuredChannel, SourceCo
 from adapters.protocol import ChannelBinding, Clock, Driver, DriverSpec, PlanBinding
 from adapters.registry import DRIVERS
 from service.domain.channels import CONTROLLER_CHANNELS
+from service.site.asset_section import AssetSection
 from service.site.check_limits import CheckLimits, limits_of, within_machine
 from service.site.configuration import SettingsError, TomlTable, describe_all
 from service.site.machines.operating_ranges import operating_ranges
-from service.site.settings import AssetSection, Settings
+from service.site.settings import Settings
 
 PUSH = "push"
 _PUSHED = SourceConfig(name=PUSH, driver=PUSH)

@@ -144,6 +144,7 @@ class _Start:
                     health=CellHealth(shared),
                     refresh_summaries=partial(replicas.refresh_known, "summary"),
                     changed=changed,
+                    follow=following.follow,
                     apply_assets=partial(_apply_assets, reader, replicas),
                 )
             )

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from service.jobs.history import AssetHistory
     from service.live.envelope import EnvelopeKeeper
     from service.live.estimate import ActiveModel, EstimatedState
-    from service.site.settings import AssetSection, Settings
+    from service.site.asset_section import AssetSection
+    from service.site.settings import Settings
     from service.store import Store
 
 
@@ -108,7 +109,7 @@ def _asset(name: str) -> "AssetSection":
 
     stored = _store().assets.get(name)
     if stored is None or stored.table is None:
-        raise KeyError(f"asset {name!r} was removed")
+        raise NotReadyError(f"asset {name!r} was removed")
     known = _sections.get(name)
     if known is None or known[0] != stored.revision:
         section = check_asset(settings, name, stored.table).section

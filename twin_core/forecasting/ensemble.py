@@ -144,6 +144,8 @@ class Forecast:
         if rows.size == 0:
             raise ValueError(f"no row of the forecast lies between {start_s} and {end_s} s")
         paths = self.members_c[:, rows, self._index(self.sensors, name)]
+        if np.max(paths) < limit_c:
+            return Exceedance(0.0, None, None)  # as of most machines: without a look at each member
         times = np.sort(first_crossings(self.time_s[rows], paths, limit_c))
         crossed = int(np.count_nonzero(np.isfinite(times)))
         return Exceedance(

@@ -10,6 +10,7 @@ from twin_core.simulation.profile import (
 )
 from twin_core.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from twin_core.simulation.simulate import (
+    advance,
     heat_balance_w,
     simulate,
     simulate_batch,
@@ -22,6 +23,7 @@ __all__ = [
     "Sensitivities",
     "SimulationError",
     "Trajectory",
+    "advance",
     "heat_balance_w",
     "hold_operating_point",
     "simulate",

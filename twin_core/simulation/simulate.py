@@ -1,5 +1,6 @@
 """Simulate one parameter vector or many, and find the state a constant point leads to."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin_core.network import CompiledNetwork, FrictionKind
 from twin_core.network_model import NetworkModel
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import kernels
 from twin_core.simulation.compiling import kernel_array
 from twin_core.simulation.profile import (
@@ -76,6 +78,61 @@ def simulate(
             f"{profile.load_n[failed - 1]:g} N"
         )
     return Trajectory(profile.time_s, temperatures, total_revolutions(profile, revolutions))
+
+
+def advance(
+    model: NetworkModel,
+    values: NDArray[np.float64],
+    point: OperatingPoint,
+    duration_s: float,
+    temperatures_c: NDArray[np.float64],
+    revolutions: float,
+) -> tuple[NDArray[np.float64], float]:
+    """Hold an operating point for a time: what `simulate` gives for its two rows, in less time.
+
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Shape (p,), physical units.
+    point
+        Where the machine runs.
+    duration_s
+        For how long, positive.
+    temperatures_c
+        Shape (nodes,), at the beginning.
+    revolutions
+        Revolutions since greasing at the beginning.
+
+    Returns
+    -------
+    tuple of ndarray and float
+        The temperatures (nodes,) and the revolutions at the end.
+
+    Raises
+    ------
+    SimulationError
+        If the temperatures do not stay finite and below 2000 degC.
+    ValueError
+        If a shape is wrong, or the operating point is not finite.
+    """
+    parameters, initial = _values(model, values, 1), kernel_array(temperatures_c)
+    if initial.shape != model.compiled.capacity.shape:
+        raise ValueError(f"temperatures_c has shape {initial.shape}: one per state node expected")
+    speed_rpm, load_n, ambient_c = point.speed_rpm, point.load_n, point.ambient_c
+    if not all(map(math.isfinite, (speed_rpm, load_n, ambient_c, *point.inputs))):
+        raise ValueError(f"{point}: expected finite numbers")
+    inputs = np.array([[point.inputs, point.inputs]], np.float64)
+    _check_inputs(model, inputs)
+    rows = np.array(
+        [[(0.0, duration_s)], [(speed_rpm,) * 2], [(load_n,) * 2], [(ambient_c,) * 2]], np.float64
+    )
+    ahead = OperatingProfiles(rows[0], rows[1], rows[2], rows[3], inputs, np.full(1, 2))
+    failed, temperatures = _run_one(model.compiled, parameters, ahead, initial, revolutions)
+    if failed >= 0:
+        raise SimulationError(f"simulation of model {model.name!r} ran away at {point}")
+    return temperatures[-1], revolutions + abs(point.speed_rpm) * duration_s / 60.0
 
 
 def simulate_batch(

@@ -20,7 +20,7 @@ from adapters.virtual_bench.fleet_server import COUNTER_ADDRESS, UNITS
 from service.lab.benchmarks.common import BenchmarkError, Measurement, Progress
 from service.lab.demo.processes import running
 from service.lab.fleet_configuration import CHANNELS, fleet_assets, write_fleet_configuration
-from service.security import create_key
+from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
 

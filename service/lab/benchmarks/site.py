@@ -18,7 +18,7 @@ from service.lab.benchmarks.common import BenchmarkError
 from service.lab.benchmarks.identification import bench_run
 from service.lab.demo.configuration import ASSET, write_configuration
 from service.lab.demo.processes import running
-from service.security import create_key
+from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
 

@@ -25,7 +25,7 @@ from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.presentation import limit_crossings
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import JournalFilter, Outbox, Store
 from twin_core.bearings import bearing

@@ -9,7 +9,9 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
 
 from service.domain.roles import VIEWER
-from service.security import AuditTrail, Authenticator, failed_logins
+from service.security import failed_logins
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.security.keys import key_prefix
 from service.store import StoreUnavailableError
 

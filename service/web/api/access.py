@@ -17,8 +17,10 @@ from starlette.requests import HTTPConnection, Request
 from starlette.types import Scope
 
 from service.domain.roles import Roles
-from service.security import Actor, AuditTrail, Authenticator, Principal, failed_logins
-from service.security.keys import key_prefix
+from service.security import failed_logins
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator, Principal
+from service.security.keys import Actor, key_prefix
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
 from service.web.api.problems import MEDIA_TYPE, RETRY_AFTER_S, Problem, parameter_problem

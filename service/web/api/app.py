@@ -12,7 +12,8 @@ from starlette.middleware import Middleware
 
 import service.web.pages
 from service.documents.messages import asyncapi_document
-from service.security import AuditTrail, Authenticator
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.web.api.access import make_access_check
 from service.web.api.context import ServiceContext
 from service.web.api.docs import STREAM_PATH, install_docs

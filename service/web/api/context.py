@@ -1,6 +1,6 @@
 """What the web side leans on."""
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 from prometheus_client import CollectorRegistry
@@ -15,6 +15,11 @@ from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs
 
 async def _nothing() -> None:
     """Bring nothing up to date."""
+
+
+async def _all_are(assets: Collection[str] | None) -> int:
+    """Say that there are all live messages."""
+    return 0
 
 
 async def _no_assets() -> Mapping[str, str]:
@@ -42,6 +47,9 @@ class ServiceContext:
     changed
         Makes the copies of what the cell knows of an asset, or of all, old ones; to be called after
         a change.
+    follow
+        Has the cell make the live messages of some assets, or of all; gives the number after which
+        there are all of them.
     apply_assets
         Has the cell take up the assets that the store holds now; gives which cannot, and why.
     registry
@@ -60,5 +68,6 @@ class ServiceContext:
     health: CellHealth
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
     changed: Callable[[str | None], None] = lambda asset: None
+    follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are
     apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

@@ -11,7 +11,8 @@ from adapters.configuration import listed
 from service.bus.replica import AssetReplica
 from service.documents.base import Document
 from service.documents.interfaces import DocumentKind
-from service.security import AuditTrail, Authenticator
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.web.api.context import ServiceContext
 from service.web.api.problems import parameter_problem
 

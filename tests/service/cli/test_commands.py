@@ -15,7 +15,7 @@ from processes import Command, wait_until
 
 from adapters.samples import Sample
 from service.clock import rfc3339
-from service.security import create_key
+from service.security.keys import create_key
 from service.store import Retention, Store
 
 Cli = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -12,7 +12,7 @@ from service.domain.channels import (
     label,
     unit_of,
 )
-from service.site.settings import ControllerSection
+from service.site.asset_section import ControllerSection
 from service.web.pages import channels as pages
 
 

@@ -18,7 +18,7 @@ from service.jobs.history import AssetHistory
 from service.jobs.models import active_model, first_model
 from service.kernels import compile_kernels
 from service.live.asset import AssetRuntime
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.store import Outbox, Store
 from twin_core.bearings import bearing
 from twin_core.identification.posterior import prior_posterior

@@ -6,7 +6,6 @@ from multiprocessing.process import BaseProcess
 
 from job_shop import ASSET, QUICK, Shop, until
 
-from adapters.samples import Sample
 from service.domain.requests import IdentificationRequest
 from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
 from service.jobs.manager import IdentificationJobs
@@ -22,7 +21,7 @@ async def suspend(jobs: IdentificationJobs, job_id: str, shop: Shop) -> BaseProc
     folder = JobFolder(shop.folder / job_id)
     await until(lambda: folder.life() and folder.read_progress(), PATIENCE_S)
     await until(folder.read_checkpoint, PATIENCE_S)
-    [process] = jobs.runner._executor._processes.values()  # type: ignore[union-attr]
+    [process] = jobs.runner.workers.all[0].executor._processes.values()  # type: ignore[union-attr]
     assert process.pid is not None
     os.kill(process.pid, signal.SIGSTOP)
     return process
@@ -47,13 +46,7 @@ async def test_a_worker_that_hangs_once_goes_on_from_its_checkpoint(shop: Shop) 
 
 
 async def test_a_worker_that_hangs_twice_fails_its_job_and_the_next_job_runs(shop: Shop) -> None:
-    run = shop.store.samples.read(ASSET, None, 0, 2**62, 100_000)
-    shop.store.samples.write(
-        [
-            Sample("bench-2", one.channel, one.time_us, one.value or 0.0, one.quality, 0)
-            for one in run
-        ]
-    )
+    shop.copy_run("bench-2")
     jobs = await shop.open(make_executor=make_executor)
     hung, _ = await jobs.create(ASSET, LONG, None, "x")
     waiting, _ = await jobs.create("bench-2", LONG, None, "x")

@@ -18,7 +18,7 @@ async def test_progress_that_cannot_be_stored_costs_no_attempt(shop: Shop, tmp_p
     job, _ = await jobs.create(ASSET, LONG, None, "x")
     folder = JobFolder(shop.folder / job.id)
     await until(lambda: shop.row(job.id).evaluations, PATIENCE_S)
-    [worker] = jobs.runner._executor._processes.values()  # type: ignore[union-attr]
+    [worker] = jobs.runner.workers.all[0].executor._processes.values()  # type: ignore[union-attr]
     with capture_logs() as logs, away(tmp_path, "jobs"):
         await until(lambda: any("store" in line["event"] for line in logs), PATIENCE_S)
     progress = folder.read_progress()
@@ -26,7 +26,7 @@ async def test_progress_that_cannot_be_stored_costs_no_attempt(shop: Shop, tmp_p
     await until(lambda: shop.row(job.id).evaluations > progress.evaluations, PATIENCE_S)
     row = shop.row(job.id)
     assert (row.status, row.attempts) == ("running", 1)
-    [same] = jobs.runner._executor._processes.values()  # type: ignore[union-attr]
+    [same] = jobs.runner.workers.all[0].executor._processes.values()  # type: ignore[union-attr]
     assert same.pid == worker.pid, "the worker went on"
 
 

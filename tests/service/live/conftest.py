@@ -26,7 +26,8 @@ from service.live.asset_documents import AssetDocuments
 from service.live.envelope import EnvelopeKeeper
 from service.live.estimate import ActiveModel, EstimatedState
 from service.live.forecasting import what_if_document
-from service.site.settings import AssetSection
+from service.live.twins import Twins
+from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import AuditEntry, Outbox, Store
 from twin_core.bearings import bearing
@@ -86,7 +87,14 @@ class Live:
         self.envelopes = EnvelopeKeeper(self.runtime.settings)
 
     def start(self, kept: Mapping[str, Any] | None = None) -> None:
-        self.task = asyncio.create_task(self.runtime.run(kept))
+        self.task = asyncio.create_task(self._run(kept))
+
+    async def _run(self, kept: Mapping[str, Any] | None) -> None:
+        twins = Twins(self.clock)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(twins.run())
+            with twins.stepping(self.runtime):
+                await self.runtime.run(kept)
 
     async def stop(self) -> None:
         assert self.task is not None

@@ -15,7 +15,7 @@ from service.domain.alarm_kind import AlarmContext
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings, allowed_age_s
 from service.live.sources import Sources
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from service.site.wiring import ChannelFacts
 from service.store import Alarm, Outbox, Store
 from twin_core.cusum import Cusum

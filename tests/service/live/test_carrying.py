@@ -12,7 +12,7 @@ from service.live.carrying import CARRIED_FOR_S, Ensemble, carried, is_like, kee
 from service.live.estimate import EstimatedState, LiveEstimate
 from service.live.presentation import limit_crossings
 from service.live.profiles import Step, held, operating_profile
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from twin_core.forecasting import forecast
 from twin_core.simulation import OperatingProfile
 

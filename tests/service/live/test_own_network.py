@@ -10,8 +10,8 @@ import pytest
 
 from service.domain.requests import ProfileStep
 from service.jobs.models import active_model, first_model, why_not_of_this_asset
+from service.site.asset_section import AssetSection
 from service.site.machines.networks import read_network
-from service.site.settings import AssetSection
 from service.store.records import ModelVersion
 
 GEARBOX = Path(__file__).parents[3] / "deploy" / "networks" / "gearbox.toml"

@@ -16,7 +16,7 @@ from service.live import presentation
 from service.live.estimate import LiveEstimate
 from service.live.presentation import ForecastSummary, LimitCrossing, LimitCrossings
 from service.live.profiles import Step, operating_profile
-from service.site.settings import Limits
+from service.site.asset_section import Limits
 from twin_core.forecasting import Forecast, forecast
 from twin_core.machine_state import MachineState
 

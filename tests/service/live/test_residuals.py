@@ -94,6 +94,20 @@ def test_the_rate_is_the_slope_over_the_window() -> None:
     assert courses.rate_k_per_min(RING) == pytest.approx(3.0, abs=0.05)
 
 
+def test_nothing_stays_of_what_has_left_the_window() -> None:
+    """Its sums are exact: after days and a nonsense value the slope is that of the points."""
+    courses = RatesOfRise(300.0)
+    rng = np.random.default_rng(6)
+    times_us = np.cumsum(rng.integers(900_000, 1_100_000, 20_000))
+    values = 40.0 + np.cumsum(rng.normal(0.0, 0.01, times_us.size))
+    values[9_000] = 1e300
+    for time_us, value in zip(times_us.tolist(), values.tolist(), strict=True):
+        courses.add(time_us, {RING: value})
+    inside = times_us >= times_us[-1] - 300_000_000
+    minutes = (times_us[inside] - times_us[-1]) / 60e6
+    assert courses.rate_k_per_min(RING) == round(np.polyfit(minutes, values[inside], 1)[0], 3)
+
+
 def test_a_gap_or_a_clock_set_back_gives_no_rate() -> None:
     courses = RatesOfRise(300.0)
     for second in range(0, 600, 5):

@@ -26,9 +26,10 @@ from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_ove
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.verdict import Evidence, judge, required_channels
-from service.security import create_key
+from service.security.keys import create_key
+from service.site.asset_section import AssetSection, Limits
 from service.site.machines.networks import read_network
-from service.site.settings import AssetSection, Limits, Settings
+from service.site.settings import Settings
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared

@@ -19,9 +19,9 @@ from service.live.envelope import EnvelopeKeeper
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.readings import Readings
+from service.site.asset_section import AssetSection
 from service.site.machines.machine import Machine
 from service.site.machines.networks import read_network
-from service.site.settings import AssetSection
 from twin_core.identification import identify
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.machine_state import FOLLOWED_S, course_known
@@ -166,7 +166,8 @@ async def test_what_comes_lies_in_the_band_of_a_forecast_seconds_after_the_start
         estimate.step(START_US + now * 1_000_000, means(speed, load, truth, now))
         now += STEP_S
     now -= STEP_S
-    forecast = await forecasting.make()
+    assert await forecasting.make()
+    forecast = forecasting.latest
     assert forecast is not None
     hour = [row for row, time_s in enumerate(forecast.time_s) if time_s <= HOUR_S]
     came_s = now + np.array(forecast.time_s)[hour].astype(int)

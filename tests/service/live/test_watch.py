@@ -14,7 +14,7 @@ from service.alarms import AlarmBook, AlarmCondition
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
-from service.site.settings import AssetSection
+from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
 

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from service.plant.protocol import Host
-from service.security import AuditTrail, Authenticator
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator
 from service.store import Outbox, Store
 
 

@@ -19,6 +19,7 @@ from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
 from service.plant import publishers, rounds
 from service.plant.protocol import Host
+from service.plant.rounds import make_publishers
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 
@@ -127,7 +128,7 @@ async def publishing(
     publishers.check_ports(settings)
     registry = CollectorRegistry()
     shown = assets or {"bench-1": asset}
-    (one,) = publishers.make_publishers(settings, shown, bus, host, registry)  # type: ignore[arg-type]
+    (one,) = make_publishers(settings, shown, bus, host, registry)  # type: ignore[arg-type]
     running = asyncio.create_task(one.run())
     try:
         yield Journal(folder), registry

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from service.security import Actor, AuditTrail, audit_trail
+from service.security import audit_trail
+from service.security.audit_trail import AuditTrail
+from service.security.keys import Actor
 from service.store import AuditEntry, Outbox, Store
 
 REFUSED = "key.refuse"

@@ -9,9 +9,14 @@ from typing import Any
 import pytest
 
 from service.clock import wall_us
-from service.security import Authenticator, Principal, create_key, revoke_key
-from service.security.authenticator import MEMORY_S, MOST_SESSIONS, SESSION_S
-from service.security.keys import fingerprint
+from service.security.authenticator import (
+    MEMORY_S,
+    MOST_SESSIONS,
+    SESSION_S,
+    Authenticator,
+    Principal,
+)
+from service.security.keys import create_key, fingerprint, revoke_key
 from service.store import Store, StoreUnavailableError
 
 

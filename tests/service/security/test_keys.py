@@ -6,15 +6,15 @@ import pytest
 
 from service.clock import DAY_US, wall_us
 from service.domain.roles import ROLES
-from service.security import (
+from service.security.keys import (
     UnknownKeyError,
     UnknownRoleError,
     create_key,
+    fingerprint,
     list_keys,
     revoke_key,
     verify_key,
 )
-from service.security.keys import fingerprint
 from service.store import Store
 
 

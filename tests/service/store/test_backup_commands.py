@@ -19,7 +19,7 @@ from sqlalchemy.engine import make_url
 from adapters.samples import Sample
 from service.clock import ProcessClock
 from service.ingest import Spool
-from service.security import create_key, list_keys, revoke_all_keys, revoke_key
+from service.security.keys import create_key, list_keys, revoke_all_keys, revoke_key
 from service.store import (
     DatabaseInUseError,
     Outbox,

@@ -8,9 +8,11 @@ from scipy.linalg import expm
 
 from twin_core.bearings import bearing
 from twin_core.models import ThermalModel, build_model
+from twin_core.profiles import OperatingPoint
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,
+    advance,
     heat_balance_w,
     kernels,
     simulate,
@@ -293,6 +295,27 @@ def test_a_broken_candidate_costs_only_itself(default: ThermalModel) -> None:
     assert np.isfinite(batch[0]).all()
     with pytest.raises(SimulationError, match="ran away before time_s = 60 at 1500 rpm"):
         simulate(default, values[1], _staircase(), COLD)
+
+
+def test_advancing_gives_what_simulating_two_rows_gives(default: ThermalModel) -> None:
+    values = default.parameters.centre
+    temperatures, turned = np.full(len(default.node_names), 30.0), 5e4
+    for speed_rpm, load_n, duration_s in ((2400.0, 2650.0, 1.0), (-900.0, -5.0, 150.0)):
+        rows = (np.array([0.0, duration_s]), *(np.full(2, x) for x in (speed_rpm, load_n, 22.0)))
+        path = simulate(default, values, OperatingProfile(*rows), temperatures, turned)
+        point = OperatingPoint(speed_rpm, load_n, 22.0)
+        temperatures, turned = advance(default, values, point, duration_s, temperatures, turned)
+        np.testing.assert_array_equal(temperatures, path.temperatures_c[-1])
+        assert turned == path.revolutions[-1]
+    hot = np.full(temperatures.shape, 1e6)
+    with pytest.raises(SimulationError, match="ran away"):
+        advance(default, values, point, 1.0, hot, 0.0)
+    with pytest.raises(ValueError, match="one per state node"):
+        advance(default, values, point, 1.0, hot[1:], 0.0)
+    with pytest.raises(ValueError, match="finite"):
+        advance(default, values, OperatingPoint(np.nan, 1.0, 1.0), 1.0, temperatures, 0.0)
+    with pytest.raises(ValueError, match="inputs has 1 columns"):
+        advance(default, values, OperatingPoint(1.0, 1.0, 1.0, (1.0,)), 1.0, temperatures, 0.0)
 
 
 def test_a_run_away_candidate_is_named(default: ThermalModel) -> None:

@@ -11,8 +11,14 @@ from starlette.responses import Response
 from service.documents.access import KeyDocument, KeyList, NewKeyDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import ADMIN, Role
-from service.security import UnknownKeyError, create_key, list_keys, revoke_key
-from service.security.keys import LABEL_LENGTH, LABEL_PATTERN
+from service.security.keys import (
+    LABEL_LENGTH,
+    LABEL_PATTERN,
+    UnknownKeyError,
+    create_key,
+    list_keys,
+    revoke_key,
+)
 from service.web.api.access import LOCATION, Caller, actor, secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Context, Keys, json_response

@@ -31,9 +31,9 @@ from service.site.asset_lists import (
     read_csv,
     read_json,
 )
+from service.site.asset_section import ASSET_ID
 from service.site.configuration import SettingsError, TomlTable
 from service.site.provisioning import AssetInFileError, check_asset
-from service.site.settings import ASSET_ID
 from service.site.templates import templates_by_name
 from service.store import AuditEntry, ProvisionedAsset, StoreUnavailableError
 from service.web.api.access import LOCATION, secured

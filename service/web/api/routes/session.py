@@ -8,8 +8,7 @@ from starlette.responses import Response
 from service.documents.access import SessionDocument
 from service.domain.requests import RequestBody
 from service.domain.roles import VIEWER
-from service.security import Authenticator
-from service.security.authenticator import LONGEST_SESSION_S
+from service.security.authenticator import LONGEST_SESSION_S, Authenticator
 from service.security.sites import site_of
 from service.store import StoreUnavailableError
 from service.web.api.access import (

@@ -16,7 +16,8 @@ from service.bus.stream import Subscription, SubscriptionClosedError
 from service.documents.tags import Snapshot
 from service.domain.errors import CellUnavailableError
 from service.domain.roles import VIEWER
-from service.security import AuditTrail, Authenticator, Principal
+from service.security.audit_trail import AuditTrail
+from service.security.authenticator import Authenticator, Principal
 from service.web.api.access import (
     authenticate,
     refuse_other_sites,
@@ -66,7 +67,9 @@ async def stream_by_http(
     `gap` tells whether messages after `resume` are gone), then what was missed, then `measurement`,
     `state`, `verdict` (as `GET …/verdict`, at each change and at least every 5 s), `forecast`,
     `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that reads
-    slowly loses old measurements, never alarms or jobs.
+    slowly loses old measurements, never alarms or jobs. Of an asset that nobody follows, and nobody
+    has followed for ten minutes, only `alarm` and `job` are made: a `resume` from before that has
+    a `gap`.
     """
     raise Problem(
         426,
@@ -122,7 +125,7 @@ async def _stay(
     subprotocol: str | None,
     turn: contextlib.AsyncExitStack,
 ) -> None:
-    subscription, wanted = _subscribe(websocket, context)
+    subscription, wanted = await _subscribe(websocket, context)
     try:
         await websocket.accept(subprotocol)
         _log.info("stream_opened", who=principal.who, assets=wanted)
@@ -152,7 +155,9 @@ async def _admit(
     return principal, offered and offered[1]
 
 
-def _subscribe(websocket: WebSocket, context: ServiceContext) -> tuple[Subscription, list[str]]:
+async def _subscribe(
+    websocket: WebSocket, context: ServiceContext
+) -> tuple[Subscription, list[str]]:
     named = [name for name in websocket.query_params.get("assets", "").split(",") if name]
     for name in named:
         if name not in context.assets:
@@ -163,10 +168,15 @@ def _subscribe(websocket: WebSocket, context: ServiceContext) -> tuple[Subscript
         if not resume_text.isdecimal() or len(resume_text) > 18:
             raise parameter_problem("resume", f"expected a message number (got {resume_text!r})")
         resume = int(resume_text)
+    try:
+        complete_after = await context.follow(named or None)
+    except CellUnavailableError:
+        complete_after = None  # nobody knows whether there are all messages
     epoch = websocket.query_params.get("epoch")
-    if resume is not None and epoch and epoch != context.bus.epoch:
-        resume = -1  # a number of an earlier start of the service: what came after it is gone
-    subscription = context.bus.subscribe(named or None, resume)
+    is_another = bool(epoch) and epoch != context.bus.epoch  # what came in the earlier one is gone
+    if resume is not None and (is_another or complete_after is None):
+        resume = -1
+    subscription = context.bus.subscribe(named or None, resume, complete_after=complete_after or 0)
     return subscription, list(dict.fromkeys(named)) or list(context.assets)
 
 

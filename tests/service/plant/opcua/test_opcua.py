@@ -15,8 +15,8 @@ from service.clock import from_rfc3339
 from service.domain.errors import TemporaryError
 from service.plant import publishers as outlets
 from service.plant.opcua.codes import status_code, unit_id
-from service.security import create_key, revoke_key
 from service.security.authenticator import FAILED_LOGINS_PER_MINUTE
+from service.security.keys import create_key, revoke_key
 from service.site.configuration import SettingsError
 from service.site.settings import OpcUaSection, Settings
 from service.store import Outbox, Store

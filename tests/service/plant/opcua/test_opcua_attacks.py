@@ -10,7 +10,7 @@ from asyncua import Client, ua
 from asyncua.server.internal_session import InternalSession
 from opcua_site import RING, Asset, Changes, apart, inside, make_client, node_id, read
 
-from service.security import create_key
+from service.security.keys import create_key
 from service.store import Outbox, Store
 
 PATIENCE_S = 60.0

@@ -15,7 +15,7 @@ from service.plant.opcua.wire import (
     MOST_MESSAGES_BEFORE_ACTIVATION,
     MOST_STRANGERS,
 )
-from service.security import create_key
+from service.security.keys import create_key
 from service.store import Outbox, Store
 
 PATIENCE_S = 60.0

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, describe_all
 from service.site.machines.machine import Machine
 from service.site.machines.networks import NetworkSection
-from service.site.settings import AssetSection
 
 DEPLOY = Path(__file__).parents[4] / "deploy" / "networks"
 MOTOR = """

@@ -8,8 +8,9 @@ from prometheus_client import CollectorRegistry
 
 from adapters.samples import Quality, Sample
 from service.ingest import QualityChecks
+from service.site.asset_section import AssetSection
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
-from service.site.settings import AssetSection, load_settings
+from service.site.settings import load_settings
 from service.site.wiring import wire
 
 NOW_US = 1_763_700_000_000_000

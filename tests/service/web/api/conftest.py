@@ -54,7 +54,7 @@ from service.domain.errors import (
 )
 from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
-from service.security import create_key
+from service.security.keys import create_key
 from service.site.settings import Settings
 from service.store import ActiveJobError, AuditEntry, Outbox, Store
 from service.web.api import create_app

@@ -7,7 +7,7 @@ import httpx2
 import pytest
 from fastapi.routing import APIRoute, APIWebSocketRoute, iter_route_contexts
 
-from service.security import create_key, revoke_key
+from service.security.keys import create_key, revoke_key
 
 UNLISTED = {
     ("HEAD", "/livez"),

@@ -8,7 +8,7 @@ import pytest
 from fastapi.routing import APIRoute, iter_route_contexts
 from processes import wait_until
 
-from service.security import create_key, revoke_key
+from service.security.keys import create_key, revoke_key
 from service.store import StoreUnavailableError
 from service.web.api.access import AUDIT
 

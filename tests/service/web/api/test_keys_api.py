@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from service.documents.access import KeyDocument, NewKeyDocument
-from service.security import create_key
+from service.security.keys import create_key
 
 KEYS = "/api/v1/keys"
 

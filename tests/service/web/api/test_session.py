@@ -4,7 +4,7 @@ import httpx2
 import pytest
 
 from service.documents.access import SessionDocument
-from service.security import revoke_key
+from service.security.keys import revoke_key
 
 SESSION = "/api/v1/session"
 ACKNOWLEDGE = "/api/v1/alarms/none/acknowledge"

@@ -6,7 +6,8 @@ import contextlib
 import json
 import socket
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,7 +16,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from service.bus.stream import heartbeats
-from service.security import revoke_key
+from service.domain.errors import CellUnavailableError
+from service.security.keys import revoke_key
 from service.security.limits import RateLimit
 from service.web.api.routes import stream
 from service.web.shares import Shares
@@ -124,6 +126,39 @@ async def test_resume_point_that_is_gone_is_told(world: Any, server: Any, query:
     async with server.open(f"?assets=bench-1&{query}", world.keys["viewer"]) as websocket:
         (hello,) = await receive(websocket)
         assert (hello["gap"], hello["seq"]) == (True, 2)
+
+
+async def test_resume_before_anybody_followed_the_asset_is_told(world: Any, server: Any) -> None:
+    asked = []
+
+    async def follow(assets: Collection[str] | None) -> int:
+        asked.append(assets)
+        return 2
+
+    world.app.state.context = replace(world.context, follow=follow)
+    for _ in range(3):
+        world.bus.publish("state", "bench-1", {})
+    for number, gap in ((1, True), (2, False)):
+        query = f"?assets=bench-1&resume={number}"
+        async with server.open(query, world.keys["viewer"]) as websocket:
+            (hello,) = await receive(websocket)
+            assert hello["gap"] == gap
+    assert asked == [["bench-1"], ["bench-1"]]
+
+
+async def test_resume_has_a_gap_while_the_cell_cannot_tell_what_was_made(
+    world: Any, server: Any
+) -> None:
+    async def follow(assets: Collection[str] | None) -> int:
+        raise CellUnavailableError("no sign of the cell for 3 s")
+
+    world.app.state.context = replace(world.context, follow=follow)
+    for _ in range(3):
+        world.bus.publish("state", "bench-1", {})
+    for query, gap in (("&resume=2", True), ("", False)):
+        async with server.open(f"?assets=bench-1{query}", world.keys["viewer"]) as websocket:
+            (hello,) = await receive(websocket)
+            assert hello["gap"] == gap
 
 
 async def test_key_may_come_as_subprotocol(world: Any, server: Any) -> None:
