@@ -4,7 +4,7 @@ import json
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import compress
@@ -54,11 +54,14 @@ class Dialect:
     upsert_samples
         Store rows, a connection and time never twice: the first good value wins, a good one
         replaces one that is not. Returns how many rows were added or replaced.
+    mark_stale
+        Note that the rollups of these channels and hours are not those of their samples.
     with_patience
         Limit, within a context, the wall seconds that a connection waits for others.
     """
 
     upsert_samples: Callable[[Connection, SampleColumns], int]
+    mark_stale: Callable[[Connection, Collection[tuple[int, int]]], None]
     with_patience: Callable[[Connection, float], AbstractContextManager[None]]
 
 
@@ -110,12 +113,17 @@ class Database:
         What to call it in messages: the path of the file, or the address without a password.
     dialect : Dialect
         What only this kind of database does.
+    writer : sqlalchemy.Engine, optional
+        Connections that write; by default those that read do.
     """
 
-    def __init__(self, engine: Engine, name: str, dialect: Dialect) -> None:
+    def __init__(
+        self, engine: Engine, name: str, dialect: Dialect, writer: Engine | None = None
+    ) -> None:
         self.engine = engine
         self.name = name
         self.dialect = dialect
+        self._writer = writer or engine
         self._turn = Turn()
 
     @contextmanager
@@ -150,7 +158,7 @@ class Database:
         if not self._turn.acquire(patience_s):
             raise StoreUnavailableError(f"{self.name}: busy with another write")
         try:
-            with self._translated(), self.engine.connect() as connection:
+            with self._translated(), self._writer.connect() as connection:
                 connection = connection.execution_options(**{WRITES: True})
                 with self.dialect.with_patience(connection, patience_s), connection.begin():
                     yield connection
@@ -179,6 +187,7 @@ class Database:
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+        self._writer.dispose()
 
 
 def is_damage(error: BaseException | None) -> bool:

@@ -1,6 +1,6 @@
 """PostgreSQL: the same tables, with the samples in partitions of about a month."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -71,6 +71,10 @@ SELECT channel_id, time_us, value, quality FROM incoming_samples
 ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
+_MARK_STALE = """
+INSERT INTO stale_rollups (channel_id, hour_us) SELECT * FROM unnest(%s::integer[], %s::bigint[])
+ON CONFLICT DO NOTHING
+"""
 
 
 def open_postgresql(url: URL, *, migrate: bool) -> Database:
@@ -107,9 +111,13 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
         engine.dispose()
         raise type(error)(f"{name}: {error}") from error
     partitions: set[int] = set()
-    return Database(
-        engine, shown(url), Dialect(partial(_upsert_samples, partitions), _with_patience)
-    )
+    upsert_samples = partial(_upsert_samples, partitions)
+    return Database(engine, shown(url), Dialect(upsert_samples, _mark_stale, _with_patience))
+
+
+def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
+    channel_ids, hours_us = zip(*hours, strict=True)
+    connection.exec_driver_sql(_MARK_STALE, (list(channel_ids), list(hours_us)))
 
 
 def _upsert_samples(partitions: set[int], connection: Connection, columns: SampleColumns) -> int:

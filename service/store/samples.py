@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Sequence
 from operator import itemgetter
 from typing import NoReturn
 
-from sqlalchemy import Connection, func, insert, select, tuple_
+from sqlalchemy import Connection, func, insert, select
 
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.clock import HOUR_US
@@ -14,9 +14,9 @@ from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
 from service.store.packing import make_room
-from service.store.part import StorePart, rows_of
+from service.store.part import StorePart
 from service.store.records import StoredSample, WriteCounts
-from service.store.tables import ChannelRow, RawHorizonRow, SampleRow, StaleRollupRow
+from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
 _LONG = 2**63
 _BYTES = frozenset(range(256))
@@ -77,7 +77,7 @@ class Samples(StorePart):
             if columns.times_us:
                 stored = self._database.dialect.upsert_samples(connection, columns)
             if columns.times_us:
-                _mark_stale(connection, _hours(columns))
+                self._database.dialect.mark_stale(connection, _hours(columns))
         # Only now: had the transaction failed, the channels would not be there.
         self._ids = ids
         return WriteCounts(stored, len(columns.times_us) - stored + known)
@@ -314,20 +314,6 @@ def _make_channel(connection: Connection, asset: str, name: str) -> int:
     return connection.execute(
         insert(ChannelRow).values(asset=asset, name=name).returning(ChannelRow.id)
     ).scalar_one()
-
-
-def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
-    """Remember that rollups of these channels and hours are not those of their samples."""
-    key = tuple_(StaleRollupRow.channel_id, StaleRollupRow.hour_us)
-    marked = rows_of(
-        connection, key, select(StaleRollupRow.channel_id, StaleRollupRow.hour_us), hours
-    )
-    missing = set(hours) - {(channel_id, hour_us) for channel_id, hour_us in marked}
-    if missing:
-        connection.execute(
-            insert(StaleRollupRow),
-            [{"channel_id": channel_id, "hour_us": hour_us} for channel_id, hour_us in missing],
-        )
 
 
 def _cleaned(

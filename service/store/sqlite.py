@@ -2,7 +2,7 @@
 
 import contextlib
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,12 @@ _ROWS = 1024
 #: Copies that upgrades of the tables have left.
 _KEPT_COPIES = 3
 _UPSERT_ONE = _UPSERT.format(_ROW)
+_MARK_STALE = "INSERT OR IGNORE INTO stale_rollups (channel_id, hour_us) VALUES (?, ?)"
+#: Of thousands of channels each has a page that it is being written to: the one connection that
+#: writes keeps them in memory (KiB), and copies them (pages of 4 KiB) into the file more rarely
+#: than at every thousandth.
+_WRITER_CACHE_KIB = 64 * 1024
+_WRITER_CHECKPOINT_PAGES = 4000
 _UPSERT_MANY = _UPSERT.format(", ".join([_ROW] * _ROWS))
 
 
@@ -63,7 +69,7 @@ def open_sqlite(url: URL) -> Database:
             f"data directory {error.filename}: cannot be made ({error.strerror})", error
         ) from error
     make_private_file(path)
-    engine = _engine(url)
+    engine = _engine(url, pool_size=8, max_overflow=32)
     try:
         with engine.connect() as connection:
             # Readers never wait for the writer; the file remembers it.
@@ -86,7 +92,8 @@ def open_sqlite(url: URL) -> Database:
     except StoreError as error:
         engine.dispose()
         raise type(error)(f"store {path}: {error}") from error
-    return Database(engine, str(path), Dialect(_upsert_samples, _with_patience))
+    dialect = Dialect(_upsert_samples, _mark_stale, _with_patience)
+    return Database(engine, str(path), dialect, _writer(url))
 
 
 def _prepare_upgrade(path: Path) -> None:
@@ -124,6 +131,10 @@ def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
     return changed
 
 
+def _mark_stale(connection: Connection, hours: Collection[tuple[int, int]]) -> None:
+    connection.exec_driver_sql(_MARK_STALE, list(hours))
+
+
 @contextmanager
 def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
     raw: Any = connection.connection.driver_connection
@@ -134,12 +145,27 @@ def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
         raw.execute(f"PRAGMA busy_timeout = {round(PATIENCE_S * 1000)}")
 
 
-def _engine(url: URL) -> Engine:
+def _writer(url: URL) -> Engine:
+    """Make the one connection of a process that writes, when it is needed first.
+
+    Another one would find none of the pages in its memory, and that of this one gone stale.
+    """
+    engine = _engine(url, pool_size=1, max_overflow=0)
+
+    def prepare(connection: sqlite3.Connection, _entry: ConnectionPoolEntry) -> None:
+        connection.execute(f"PRAGMA cache_size = -{_WRITER_CACHE_KIB}")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {_WRITER_CHECKPOINT_PAGES}")
+
+    event.listen(engine, "connect", prepare)
+    return engine
+
+
+def _engine(url: URL, pool_size: int, max_overflow: int) -> Engine:
     engine = create_engine(
         url,
         connect_args={"timeout": PATIENCE_S},
-        pool_size=8,
-        max_overflow=32,
+        pool_size=pool_size,
+        max_overflow=max_overflow,
         pool_timeout=PATIENCE_S,
     )
 

@@ -145,7 +145,7 @@ def test_a_full_disk_is_a_state_of_the_store_and_passes(sqlite_store: Store) -> 
     samples = [Sample("a", "x", t, 1.0, 192, 0) for t in range(50_000)]
 
     def limit_pages(pages: int) -> None:
-        with sqlite_store._database.reading() as connection:
+        with sqlite_store._database.writing() as connection:
             connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
 
     limit_pages(40)

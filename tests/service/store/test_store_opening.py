@@ -46,10 +46,12 @@ def test_a_url_names_another_file(tmp_path: Path) -> None:
 
 
 def test_the_file_keeps_a_write_ahead_log_and_commits_reach_the_disk(sqlite_store: Store) -> None:
-    with sqlite_store._database.reading() as connection:
-        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
-        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
-        assert connection.exec_driver_sql("PRAGMA foreign_keys").scalar() == 1
+    database = sqlite_store._database
+    for connect in (database.reading, database.writing):
+        with connect() as connection:
+            assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
+            assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
+            assert connection.exec_driver_sql("PRAGMA foreign_keys").scalar() == 1
 
 
 def test_the_migrations_make_the_tables_that_the_program_expects(store: Store) -> None:
