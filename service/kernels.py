@@ -9,29 +9,51 @@ from twin_core.identification.data import IdentificationData, IdentificationWind
 from twin_core.identification.identify import identify
 from twin_core.identification.posterior import prior_posterior
 from twin_core.initial_state import initial_state
-from twin_core.models import build_model
+from twin_core.machine_state import MachineState
+from twin_core.models import ThermalModel, build_model
 from twin_core.observer import Observer
 from twin_core.simulation import OperatingProfile, simulate
 from twin_core.windows import MinuteData
 
 
 def compile_kernels() -> None:
-    """Run every kernel once; takes about a minute on the first run, half a second afterwards.
+    """Run every kernel once; takes about a minute on the first run, half a second afterwards."""
+    model, profile, state = compile_live_kernels()
+    posterior = prior_posterior(model)
+    limits = dict.fromkeys(model.sensor_names, (90.0,))
+    envelope(model, posterior, state, [1500.0], [2650.0], limits, members=2)
+    values = model.parameters.values_from_z(posterior.z)
+    nodes_c = simulate(model, values, profile, np.full(13, 22.0)).temperatures_c
+    minutes = MinuteData(
+        profile.time_s,
+        profile.speed_rpm,
+        profile.load_n,
+        profile.ambient_c,
+        {name: nodes_c @ model.sensor_row(name) for name in model.sensor_names},
+        np.ones(profile.size, dtype=np.bool_),
+    )
+    data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
+    identify(model, data, budget=50)
 
-    Compiling must not happen later, in the middle of polling.
+
+def compile_live_kernels() -> tuple[ThermalModel, OperatingProfile, MachineState]:
+    """Run the kernels of the live twin once: observer and forecast.
+
+    Compiling must not happen later, in the middle of polling. What maps and identification need
+    more is compiled in processes of their own.
+
+    Returns
+    -------
+    model, profile, state
+        What they ran on.
     """
     model = build_model("default", bearing=bearing("6311"))
     posterior = prior_posterior(model)
     values = model.parameters.values_from_z(posterior.z)
     time_s = np.arange(0.0, 2400.0, 60.0)
     speed_rpm, load_n = np.where(time_s < 300.0, 0.0, 1500.0), np.full(time_s.size, 2650.0)
-    ambient_c = np.full(time_s.size, 22.0)
-    profile = OperatingProfile(time_s, speed_rpm, load_n, ambient_c)
-    measured = {
-        name: simulate(model, values, profile, np.full(13, 22.0)).temperatures_c
-        @ model.sensor_row(name)
-        for name in model.sensor_names
-    }
+    profile = OperatingProfile(time_s, speed_rpm, load_n, np.full(time_s.size, 22.0))
+    simulate(model, values, profile, np.full(13, 22.0))
     observer = Observer(
         model, values, *initial_state(model, values, {"t_inner_ring_c": 22.0}, 22.0, 0.0, 0.0, True)
     )
@@ -39,10 +61,4 @@ def compile_kernels() -> None:
     observer.update({"t_inner_ring_c": 22.1})
     state = observer.state()
     forecast(model, posterior, state, profile, members=4)
-    limits = dict.fromkeys(model.sensor_names, (90.0,))
-    envelope(model, posterior, state, [1500.0], [2650.0], limits, members=2)
-    minutes = MinuteData(
-        time_s, speed_rpm, load_n, ambient_c, measured, np.ones(time_s.size, dtype=np.bool_)
-    )
-    data = IdentificationData((IdentificationWindow(minutes, at_rest=True),))
-    identify(model, data, budget=50)
+    return model, profile, state

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numba
 from anyio import to_thread
 
 from service.bus.local import LocalCellBus
@@ -17,7 +18,7 @@ from service.cell.cell import Cell
 from service.cell.known_assets import read_copy
 from service.clock import ProcessClock
 from service.ingest import Spool
-from service.kernels import compile_kernels
+from service.kernels import compile_live_kernels
 from service.site.provisioning import check_assets
 from service.site.settings import Settings
 from service.site.wiring import Wiring, wire
@@ -193,7 +194,7 @@ class _Start:
         """Store what has been acquired so far, and run the rest of the cell."""
         settings, until = self._settings, self._waiting.until
         acquisition.ingest.attach(store, await until("the store", store.samples.open_ends))
-        await until("its compiled kernels", compile_kernels)
+        await until("its compiled kernels", compile_live_kernels)
         outbox = await until("room on the disk", partial(Outbox.open, settings.data_dir, store))
         try:
             make = partial(Cell, settings, self._wiring, store, outbox, clock, acquisition, bus)
@@ -210,11 +211,13 @@ def be_prompt() -> None:
 
     A collection of garbage that looks at all that the libraries brought along takes a tenth of a
     second; what is there now stays, and need not be looked at. A thread that reads or judges
-    lets go of the interpreter after a millisecond instead of five.
+    lets go of the interpreter after a millisecond instead of five. Forecasts follow each other in
+    a thread: to share the members of each among threads of its own takes longer than it saves.
     """
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(0.001)
+    numba.config.NUMBA_NUM_THREADS = 1
 
 
 async def _cancel(task: "asyncio.Task[Any]") -> None:

@@ -56,10 +56,10 @@ def prepare(settings: "Settings") -> None:
 
 
 def warm_up() -> None:
-    """Load the compiled twin."""
-    from service.kernels import compile_kernels
+    """Load the compiled twin, as far as what-ifs need it."""
+    from service.kernels import compile_live_kernels
 
-    compile_kernels()
+    compile_live_kernels()
 
 
 def what_if(
