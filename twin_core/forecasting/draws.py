@@ -1,11 +1,17 @@
 """Random draws that an ensemble is made of, in antithetic pairs."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.identification.posterior import Posterior
 
 FloatArray = NDArray[np.float64]
+
+_DRAWN_AT_ONCE = 1 << 16
+#: Large draws that are kept: those of an ensemble of 200 members over four hours take 4 MB.
+_KEPT = 9
 
 
 def parameter_draws(rng: np.random.Generator, members: int, posterior: Posterior) -> FloatArray:
@@ -29,3 +35,48 @@ def normal_draws(rng: np.random.Generator, members: int, covariance: FloatArray)
     variance, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
     factor = directions * np.sqrt(np.maximum(variance, 0.0))
     return np.asarray(paired_draws(rng, members, (len(covariance),)) @ factor.T)
+
+
+def standard_normals(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Draw as `rng.standard_normal` does, and to the same figures; not to be written to.
+
+    Ensembles of one seed draw the same numbers again and again, of which the latest are kept.
+
+    Parameters
+    ----------
+    rng
+        With PCG64, as of `numpy.random.default_rng`.
+    shape
+        Of the result.
+    """
+    before = rng.bit_generator.state
+    inner = before["state"]
+    drawn, after = _drawn(
+        inner["state"], inner["inc"], before["has_uint32"], before["uinteger"], shape
+    )
+    rng.bit_generator.state = {**before, "state": {**inner, "state": after}}
+    return drawn
+
+
+@lru_cache(_KEPT)
+def _drawn(
+    state: int, increment: int, has_uint32: int, uinteger: int, shape: tuple[int, ...]
+) -> tuple[FloatArray, int]:
+    """Standard normal numbers from a state of PCG64, and its state afterwards.
+
+    numpy holds the interpreter while it draws: millions at once would stop every other thread
+    for a tenth of a second.
+    """
+    bits = np.random.PCG64()
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": state, "inc": increment},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
+    }
+    rng = np.random.Generator(bits)
+    drawn = np.empty(shape)
+    flat = drawn.reshape(-1)
+    for begin in range(0, flat.size, _DRAWN_AT_ONCE):
+        rng.standard_normal(out=flat[begin : begin + _DRAWN_AT_ONCE])
+    return drawn, bits.state["state"]["state"]

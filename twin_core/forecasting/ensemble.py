@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.forecasting.draws import paired_draws
+from twin_core.forecasting.draws import paired_draws, standard_normals
 from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
 from twin_core.forecasting.limits import first_crossings
@@ -57,7 +57,6 @@ SENSOR_WHITE_K = 0.05
 SENSOR_RESOLUTION_K = 0.1
 # What a failed simulation counts as: over every limit, and finite, so that it can be drawn.
 _CEILING_C = 500.0
-_DRAWN_AT_ONCE = 1 << 16
 _EARLIEST = 0.025
 
 
@@ -226,14 +225,14 @@ def forecast(
     shock = DEVIATION_K * model.errors.scale * np.sqrt(1.0 - keep**2)
     add_deviations(
         readings,
-        _normal(rng, (members // 2, keep.size, len(sensors))),
+        standard_normals(rng, (members // 2, keep.size, len(sensors))),
         keep,
         shock,
         np.hypot(1.0, change_k / DEVIATION_K),
         SENSOR_OFFSET_K * paired_draws(rng, members, (len(sensors),)),
         np.ones(profile.size),
     )
-    normal = _normal(rng, (members // 2, keep.size, temperatures.shape[2]))
+    normal = standard_normals(rng, (members // 2, keep.size, temperatures.shape[2]))
     # What a sensor of the same name will read stands for the node as well.
     others = [k for k, name in enumerate(model.node_names) if name not in sensors]
     hidden = (
@@ -243,7 +242,7 @@ def forecast(
     nodes, even = temperatures, np.ones(temperatures.shape[1:])
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
-    noisy = readings + noise_k * _normal(rng, readings.shape)
+    noisy = readings + noise_k * standard_normals(rng, readings.shape)
     bodies, neighbours = between_joints(model)
     joints = JOINT_ERROR * paired_draws(rng, members, bodies.shape)
     shift_between(nodes, bodies, neighbours, joints)
@@ -309,19 +308,6 @@ def _following(values: FloatArray, time_s: FloatArray, within_s: float) -> Float
     for row in range(values.size - 1):
         followed[row + 1] = keep[row] * followed[row] + (1.0 - keep[row]) * values[row]
     return followed
-
-
-def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """Draw as `rng.standard_normal` does, and to the same figures, in short pieces.
-
-    numpy holds the interpreter while it draws: millions at once would stop every other thread
-    for a tenth of a second.
-    """
-    drawn = np.empty(shape)
-    flat = drawn.reshape(-1)
-    for begin in range(0, flat.size, _DRAWN_AT_ONCE):
-        rng.standard_normal(out=flat[begin : begin + _DRAWN_AT_ONCE])
-    return drawn
 
 
 def _hidden_growth(time_s: FloatArray, rise_c: FloatArray) -> FloatArray:
