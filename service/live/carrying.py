@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.live.estimate import EstimatedState
-from service.live.presentation import LEVELS, LimitCrossings
+from service.live.presentation import LEVELS
 from service.site.asset_section import Limits
 from twin_core.forecasting import Forecast
 from twin_core.forecasting.means import mean_forecasts, start_of
@@ -22,12 +22,16 @@ from twin_core.simulation import OperatingProfile, OperatingProfiles
 CARRIED_FOR_S = 900.0
 #: How near a limit the upper bound (97.5 %) may come.
 CLEAR_OF_LIMIT_K = 5.0
-#: By how much the present path may differ from that of the ensemble.
-MOVED_K = 3.0
+#: By how much the present path may differ from that of the ensemble; of what has no limit also by
+#: a part of its interval, for what no sensor tells is learnt slowly.
+MOVED_K, _MOVED_PART = 3.0, 0.3
+#: Share of the members that may come so near a limit that the move could bring them to it.
+_NEAR_SHARE = 0.05
 #: By how much the operating point may differ: a part of it, and at least so much.
 _SAME_PART, _SAME_RPM, _SAME_N, _SAME_AMBIENT_K = 0.02, 20.0, 50.0, 2.0
-#: By how much less may be known of the nodes: a part of their spread, and at least so much.
-_WIDER_PART, _WIDER_K = 0.2, 0.05
+#: By how much less may be known of now: a part of its spread, and at least so much. What has no
+#: limit may be known less by another part; its intervals are widened by as much.
+_WIDER_PART, _FOLLOWED_PART, _WIDER_K = 0.2, 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +41,9 @@ class Ensemble:
     Attributes
     ----------
     result : Forecast
-        The ensemble without its members' paths.
+        The ensemble; of its members only the paths that come near a limit, in front of the others.
+    members : int
+        How many there are.
     path_c : ndarray, shape (n, names)
         Path of the best parameters from the same state.
     profile : OperatingProfile
@@ -47,6 +53,7 @@ class Ensemble:
     """
 
     result: Forecast
+    members: int
     path_c: NDArray[np.float64]
     profile: OperatingProfile
     state: EstimatedState
@@ -57,7 +64,6 @@ def keep_ensemble(
     state: EstimatedState,
     profile: OperatingProfile,
     limits: Mapping[str, Limits],
-    crossings: LimitCrossings,
 ) -> Ensemble | None:
     """Take from an ensemble what is needed to carry it on; None where it must not be.
 
@@ -71,32 +77,31 @@ def keep_ensemble(
         What it follows.
     limits : mapping of str to Limits
         By sensor or node.
-    crossings
-        How likely its members exceed a limit: a single one that comes near is enough to speak
-        against it.
     """
-    likely = any(one.probability > 0.0 for levels in crossings.values() for one in levels.values())
-    if likely or result.runaway_probability > 0.0 or not _is_clear(result, limits):
+    members = len(result.members_c)
+    if result.runaway_probability > _NEAR_SHARE or not _is_clear(result, limits):
         return None
-    # Moved as far as it may be, none of its members reaches a limit.
+    # Moved as far as it may be, none of the others reaches a limit.
+    near = np.zeros(members, np.bool_)
     for number, name in enumerate(result.sensors):
         if name in limits:
-            highest_c = np.max(result.members_c[:, :, number], initial=-np.inf)
-            if not highest_c + MOVED_K < _lowest_limit_c(limits[name]):
-                return None
+            highest_c = result.members_c[:, :, number].max(axis=1)
+            near |= ~(highest_c + MOVED_K < _lowest_limit_c(limits[name]))
+    if np.count_nonzero(near) > _NEAR_SHARE * members:
+        return None
     path_c = _path_c(result, state, profile)
     if not np.isfinite(path_c).all():
         return None
-    without_members = replace(
+    result = replace(
         result,
         quantiles=result.quantiles.astype(np.float32),
-        members_c=np.empty((0, 0, 0)),
+        members_c=result.members_c[near].astype(np.float32),
     )
-    return Ensemble(without_members, path_c.astype(np.float32), profile, state)
+    return Ensemble(result, members, path_c.astype(np.float32), profile, state)
 
 
 def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) -> bool:
-    """Whether a machine goes on as it did when its ensemble was made, and is known as well."""
+    """Whether a machine goes on as it did when its ensemble was made, with as many sensors."""
     before, then, now = kept.profile, kept.state.machine, state.machine
     if (
         kept.state.active.version != state.active.version
@@ -104,7 +109,6 @@ def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) ->
         # Fresh grease, an estimate that has begun again, a sensor that is lost.
         or now.revolutions < then.revolutions
         or now.course_known < then.course_known
-        or _is_wider(then.covariance, now.covariance)
         or before.size != profile.size
         or not np.array_equal(before.time_s, profile.time_s)
     ):
@@ -121,9 +125,14 @@ def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) ->
     )
 
 
-def _is_wider(then_k2: NDArray[np.float64], now_k2: NDArray[np.float64]) -> bool:
-    then_k, now_k = np.sqrt(np.diagonal(then_k2)), np.sqrt(np.diagonal(now_k2))
-    return bool(np.any(now_k > then_k + np.maximum(_WIDER_PART * then_k, _WIDER_K)))
+def _widened(kept: Ensemble, state: EstimatedState) -> NDArray[np.float64]:
+    """How much less is known of now than was when the ensemble was made: factors (names,)."""
+    rows = state.active.model.sensor_matrix(list(kept.result.names))
+    then_k, now_k = (
+        np.sqrt(np.einsum("ij,jk,ik->i", rows, one.machine.covariance, rows))
+        for one in (kept.state, state)
+    )
+    return np.where(now_k > then_k + _WIDER_K, now_k / np.maximum(then_k, _WIDER_K), 1.0)
 
 
 def carried(
@@ -131,20 +140,28 @@ def carried(
 ) -> Forecast | None:
     """Give the forecast of now with the intervals of an earlier ensemble.
 
-    None where it comes near a limit, moves far from the ensemble, or is not finite.
+    None where it comes near a limit, moves far from the ensemble, is known much less, or is not
+    finite.
     """
-    path_c = _path_c(kept.result, state, profile)
-    moved_k = path_c - kept.path_c
-    if not (np.abs(moved_k) <= MOVED_K).all():
+    result = kept.result
+    moved_k = _path_c(result, state, profile) - kept.path_c
+    widened = _widened(kept, state)
+    limited = np.array([name in limits for name in result.names])
+    may_move_k = np.maximum(MOVED_K, _MOVED_PART * (result.quantiles[-1] - result.quantiles[0]))
+    may_move_k[:, limited] = MOVED_K
+    may_widen = 1.0 + np.where(limited, _WIDER_PART, _FOLLOWED_PART)
+    if not ((np.abs(moved_k) <= may_move_k).all() and (widened <= may_widen).all()):
         return None
-    quantiles = kept.result.quantiles + moved_k
-    sensors = [kept.result.names.index(name) for name in kept.result.sensors]
-    result = replace(
-        kept.result,
-        quantiles=quantiles,
-        # Far from every limit, which no member reached: these paths stand for the members'.
-        members_c=quantiles[:, :, sensors],
-    )
+    median_c = result.quantiles[2]
+    quantiles = median_c + moved_k + widened * (result.quantiles - median_c)
+    sensors = [result.names.index(name) for name in result.sensors]
+    # These paths, far from every limit, stand for the members that reach none.
+    members_c = quantiles[:, :, sensors]
+    near_c = result.members_c
+    if len(near_c):
+        others_c = np.broadcast_to(members_c[2], (kept.members - len(near_c), *members_c.shape[1:]))
+        members_c = np.concatenate((near_c + moved_k[:, sensors], others_c))
+    result = replace(result, quantiles=quantiles, members_c=members_c)
     return result if _is_clear(result, limits) else None
 
 

@@ -227,7 +227,7 @@ def _make_live(
     outlooks = step_outlooks(result, steps, limits)
     intervals_us = state.time_us if ensemble is None else ensemble.state.time_us
     if ensemble is None and keeps:
-        ensemble = keep_ensemble(result, state, profile, limits, summary.crossings)
+        ensemble = keep_ensemble(result, state, profile, limits)
     shown = replace(
         result,
         # To the figures that are shown, in half the memory.

@@ -55,7 +55,7 @@ def ensemble(
     profile = profile_of(state, **change)
     active = state.active
     result = forecast(active.model, active.posterior, state.machine, profile, members=200)
-    return keep_ensemble(result, state, profile, limits, limit_crossings(result, limits))
+    return keep_ensemble(result, state, profile, limits)
 
 
 @pytest.fixture
@@ -102,6 +102,37 @@ def test_an_ensemble_near_a_limit_is_not_kept(
     assert carried(kept, now, profile_of(now), near) is None
 
 
+def test_the_few_members_near_a_limit_are_carried_with_the_rest(
+    states: tuple[EstimatedState, EstimatedState],
+) -> None:
+    before, now = states
+    active = before.active
+    profile = profile_of(before)
+    result = forecast(active.model, active.posterior, before.machine, profile, members=200)
+    highest_c = np.sort(result.members_c[:, :, 0].max(axis=1))
+    # Four members exceed the alarm, and the upper bound of all stays clear of the warning.
+    members_c = result.members_c.copy()
+    hottest = np.argsort(members_c[:, :, 0].max(axis=1))[-4:]
+    members_c[hottest] += 40.0
+    result = replace(result, members_c=members_c)
+    limit_c = float(highest_c[-1]) + 15.0
+    limits = {result.sensors[0]: Limits(warning=limit_c, alarm=limit_c + 1.0)}
+    kept = keep_ensemble(result, before, profile, limits)
+    assert kept is not None
+    assert kept.result.members_c.shape[0] == 4
+    ahead = profile_of(now)
+    carried_on = carried(kept, now, ahead, limits)
+    assert carried_on is not None
+    then, later = (limit_crossings(one, limits)[result.sensors[0]] for one in (result, carried_on))
+    assert then["alarm"].probability == later["alarm"].probability == 4 / 200
+    # They move with the path of now.
+    moved_k = carried_on.quantiles[2] - kept.result.quantiles[2]
+    expected_c = members_c[np.sort(hottest), :, 0] + moved_k[:, 0]
+    assert np.abs(carried_on.members_c[:4, :, 0] - expected_c).max() < 1e-3
+    members_c[np.argsort(highest_c)[:11]] += 40.0
+    assert keep_ensemble(replace(result, members_c=members_c), before, profile, limits) is None
+
+
 def test_another_point_model_or_age_needs_an_ensemble(
     states: tuple[EstimatedState, EstimatedState],
 ) -> None:
@@ -134,10 +165,33 @@ def test_fresh_grease_a_new_start_or_a_lost_sensor_need_an_ensemble(
     for change in (
         {"revolutions": 0.0},
         {"course_known": 0.0},
-        {"covariance": 2.0 * now.machine.covariance},
     ):
         changed = replace(now, machine=replace(now.machine, **change))
         assert not is_like(kept, changed, profile_of(now)), change
+
+
+def test_intervals_follow_what_is_known_less_for_a_while_but_not_at_a_limit(
+    states: tuple[EstimatedState, EstimatedState],
+) -> None:
+    before, now = states
+    kept = ensemble(before)
+    assert kept is not None
+    known = carried(kept, now, profile_of(now), LIMITS)
+    assert known is not None
+
+    def less_known(variance: float, limits: dict[str, Limits]) -> Any:
+        machine = replace(now.machine, covariance=variance * before.machine.covariance)
+        return carried(kept, replace(now, machine=machine), profile_of(now), limits)
+
+    assert less_known(2.0, LIMITS) is None, "the node with limits is known much less"
+    wider = less_known(2.0, {"t_inner_ring_c": LIMITS["t_inner_ring_c"]})
+    assert wider is not None
+    place = wider.names.index("t_node_3_c")
+    widths_k = (one.quantiles[-1] - one.quantiles[0] for one in (wider, kept.result))
+    ratio = np.divide(*widths_k)[:, place]
+    assert np.allclose(ratio, np.sqrt(2.0), rtol=0.01)
+    assert np.array_equal(wider.quantiles[2], known.quantiles[2]), "the middle stays"
+    assert less_known(3.0, {"t_inner_ring_c": LIMITS["t_inner_ring_c"]}) is None
 
 
 def test_a_state_that_has_moved_far_needs_an_ensemble(
