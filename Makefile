@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_ARGS ?=
+# Hundreds of processes load the same modules: each must find them compiled.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test lint docs descriptions clean
 

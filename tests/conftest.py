@@ -48,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--damages",
         type=int,
-        default=200,
+        default=100,
         help="how many random damages are done to the spool, the outbox, the clock and the store",
     )
 

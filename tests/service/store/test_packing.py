@@ -81,7 +81,7 @@ def plain_store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
         yield store
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(
     steps=st.lists(st.one_of(BATCHES, st.integers(1, 4)), min_size=2, max_size=8),
     start_us=TIMES,
