@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twin_core.simulation import OperatingProfiles
 from twin_core.simulation.assembly import driving_value, modal_basis
 from twin_core.simulation.compiling import compiled
-from twin_core.simulation.kernels import simulate_range
+from twin_core.simulation.kernels import Basis, simulate_range
 from twin_core.simulation.laws import (
     COPPER,
     edge_conductance,
@@ -348,6 +348,7 @@ def advance_range(net, machines, known, estimates, steps, given):  # type: ignor
     two, path = np.full(size, 2), np.empty((size, 2, count))
     ahead = OperatingProfiles(rows[0], rows[1], rows[2], rows[3], drives, two)
     failed, start = np.full(size, -1), 0
+    basis = Basis(known.rate, known.modes, known.inverse)
     while start < size:
         stop = start
         while stop < size and step_s[stop] > 0.0:
@@ -355,7 +356,19 @@ def advance_range(net, machines, known, estimates, steps, given):  # type: ignor
         if stop > start:
             mean, turned = estimates.temperatures_c, estimates.revolutions
             simulate_range(
-                net, machines.values, ahead, mean, turned, heat, 0.0, two, start, stop, failed, path
+                net,
+                machines.values,
+                ahead,
+                mean,
+                turned,
+                heat,
+                0.0,
+                two,
+                start,
+                stop,
+                failed,
+                path,
+                basis,
             )
         start = stop + 1
     predict_range(machines, known, estimates, step_s, speed, failed, scale, path)

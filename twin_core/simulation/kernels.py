@@ -12,8 +12,10 @@ b1 = b0; the corrector evaluates the heat at the predicted temperatures.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_core.simulation.assembly import (
     bind_network,
@@ -44,6 +46,8 @@ from twin_core.simulation.laws import (
 )
 
 __all__ = [
+    "UNKNOWN_BASIS",
+    "Basis",
     "bind_network",
     "conductance_matrix",
     "decompose",
@@ -68,6 +72,25 @@ fastest there. It depends on the profile alone, so results stay smooth in the pa
 FRESH_SPEED_FRACTION = 0.02
 FRESH_LOAD_FRACTION = 0.05
 """Smaller changes are measurement noise and need no shorter steps."""
+
+
+class Basis(NamedTuple):
+    """Modes of the members' first operating points, see `modal_basis`.
+
+    Attributes
+    ----------
+    rate
+        (B, nodes).
+    modes, inverse
+        (B, nodes, nodes).
+    """
+
+    rate: NDArray[np.float64]
+    modes: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+
+
+UNKNOWN_BASIS = Basis(np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0)))
 
 
 @compiled
@@ -192,7 +215,19 @@ def set_outside(boundary_input, ambient, given, row, heat, begin, end):  # type:
 
 @compiled
 def simulate_range(  # type: ignore[no-untyped-def]
-    net, values, ahead, initial, revolutions, disturbance, fading, ends, start, stop, failed, out
+    net,
+    values,
+    ahead,
+    initial,
+    revolutions,
+    disturbance,
+    fading,
+    ends,
+    start,
+    stop,
+    failed,
+    out,
+    basis,
 ):
     """Simulate members start..stop-1 of a batch, each independent of all others.
 
@@ -200,7 +235,8 @@ def simulate_range(  # type: ignore[no-untyped-def]
     all. `disturbance` (B, nodes) is an extra heat in W at the first row that fades at the rate
     `fading` in 1/s and ends at the row `ends` (B,). Fills out (B, n, nodes) with temperatures at
     the rows' instants, NaN behind the rows of a member; and failed (B,) with -1, or with the row
-    that could not be reached: all of such a member is NaN.
+    that could not be reached: all of such a member is NaN. `basis` is what `modal_basis` gave at
+    the members' first operating points, or `UNKNOWN_BASIS`.
 
     Within a step only the temperatures matter that the heat depends on, the *active* ones: of the
     lubricant and of the nodes with films. The step of the coordinates y is then a diagonal decay
@@ -223,9 +259,9 @@ def simulate_range(  # type: ignore[no-untyped-def]
     limit = math.inf if kind == LINEAR and not copper else TEMPERATURE_LIMIT_C
 
     rate = np.empty(count)
-    modes = np.empty((count, width))
+    modes = np.zeros((count, width))
     emitted = np.zeros((width, count))
-    inverse = np.empty((count, width))
+    inverse = np.zeros((count, width))
     source = np.zeros((inputs, width))
     functions = np.zeros((3, width))
     decay, first, second = functions[0], functions[1], functions[2]
@@ -276,9 +312,17 @@ def simulate_range(  # type: ignore[no-untyped-def]
                 if bad >= 0:
                     break
                 begun = row
-                outside = modal_basis(
-                    net, capacity, coefficient, n, f, given[row], rate, modes, inverse
-                )
+                if row == 0 and basis.rate.size > 0:
+                    _, outside = conductance_matrix(net, coefficient, n, f, given[row])
+                    for k in range(count):
+                        rate[k] = basis.rate[member, k]
+                        for i in range(count):
+                            modes[k, i] = basis.modes[member, k, i]
+                            inverse[k, i] = basis.inverse[member, k, i]
+                else:
+                    outside = modal_basis(
+                        net, capacity, coefficient, n, f, given[row], rate, modes, inverse
+                    )
                 point = friction_at_point(kind, friction, n, f)
                 point_speed, point_load, point_step = n, f, math.nan
                 fresh = running_in(kind, friction, turned)

@@ -42,12 +42,18 @@ def solve_in_place(matrix, columns):  # type: ignore[no-untyped-def]
 @compiled
 def product(first, second):  # type: ignore[no-untyped-def]
     """Return first (n, k) @ second (k, m), by rows: for matrices of a dozen rows."""
-    result = np.zeros((first.shape[0], second.shape[1]))
+    inner, width = second.shape
+    result = np.empty((first.shape[0], width))
+    odd = inner % 2
     for i in range(first.shape[0]):
-        for k in range(first.shape[1]):
-            factor = first[i, k]
-            for j in range(second.shape[1]):
-                result[i, j] += factor * second[k, j]
+        factor = first[i, 0] if odd else 0.0
+        for j in range(width):
+            result[i, j] = factor * second[0, j]
+        # Two rows at a time: the result is fetched and put back half as often.
+        for k in range(odd, inner, 2):
+            one, other = first[i, k], first[i, k + 1]
+            for j in range(width):
+                result[i, j] += one * second[k, j] + other * second[k + 1, j]
     return result
 
 

@@ -230,6 +230,7 @@ def simulate_batch(
             stop,
             failed,
             result,
+            kernels.UNKNOWN_BASIS,
         )
 
     threads = min(int(numba_config.NUMBA_NUM_THREADS), count)
@@ -385,6 +386,7 @@ def _run_one(
         1,
         failed,
         temperatures,
+        kernels.UNKNOWN_BASIS,
     )
     return int(failed[0]), temperatures[0]
 
