@@ -13,8 +13,9 @@ import httpx2
 import pytest
 from asyncua import Client
 from processes import wait_until
-from security.attackers import ASSET, PUSHED, PUSHED_ASSET
 from security.stand import Stand
+
+from service.lab.benchmarks.attackers import ASSET, PUSHED, PUSHED_ASSET
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 

@@ -3,9 +3,7 @@
 import contextlib
 import http.client
 import json
-import os
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,10 +15,16 @@ import httpx2
 from faults.hall import Peer
 from faults.peers import State
 from processes import Command, Station, free_port, wait_until
-from security.attackers import ASSET, OPCUA_PORT, PUSHED, PUSHED_ASSET
 
 from adapters.samples import Sample
 from service.domain.roles import Role
+from service.lab.benchmarks.attackers import (
+    ASSET,
+    OPCUA_PORT,
+    PUSHED,
+    PUSHED_ASSET,
+    begin_attack,
+)
 from service.security.keys import create_key
 
 POLLS_PER_S = 10.0
@@ -204,14 +208,8 @@ class Stand(Station):
 
     @contextmanager
     def attack(self, name: str, role: Role, seconds: float) -> Iterator["subprocess.Popen[str]"]:
-        script = str(Path(__file__).with_name("attackers.py"))
-        where = ("127.0.0.1", str(self.port), self.keys[role], str(seconds))
-        attacker = subprocess.Popen(
-            [sys.executable, script, name, *where],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {OPCUA_PORT: str(self.opcua_port)},
-        )
+        there = {OPCUA_PORT: str(self.opcua_port)}
+        attacker = begin_attack(name, self.port, self.keys[role], seconds, there)
         try:
             yield attacker
         finally:

@@ -11,10 +11,10 @@ from datetime import datetime
 
 import httpx2
 import pytest
-from security.attackers import ASSET
 from security.stand import Course, Stand, metric_in
 
 from service.domain.roles import Role
+from service.lab.benchmarks.attackers import ASSET, attack_names
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
@@ -52,22 +52,7 @@ def measured(stand: Stand, name: str, role: Role) -> tuple[float, str]:
     return min(rounds)
 
 
-#: Attackers and the role of the key that each has.
-ATTACKS: dict[str, Role] = {
-    "gzip_tail_without_key": "viewer",
-    "gzip_tail_with_key": "gateway",
-    "drip": "gateway",
-    "idle_connections": "viewer",
-    "pushes": "gateway",
-    "rejected_pushes": "gateway",
-    "large_reads": "viewer",
-    "downloads": "viewer",
-    "what_ifs": "operator",
-    "assets": "viewer",
-    "cookies": "viewer",
-    "opcua_frame": "viewer",
-    "streams": "viewer",
-}
+ATTACKS = attack_names()
 
 
 @pytest.mark.parametrize(("name", "role"), ATTACKS.items())

@@ -142,20 +142,20 @@ async def _cost(assets: int, duration_s: float, settle_s: float) -> _Cost:
                     timeout=_PATIENCE_S,
                 )
                 async with client:
-                    await _until_forecasts(client, assets)
+                    await until_forecasts(client, assets)
                     await asyncio.sleep(settle_s)
                     before, cell_before = _processor_s(service.pid)
-                    polls = await _answers(facts["modbus"])
+                    polls = await answers_of(facts["modbus"])
                     began = time.monotonic()
                     oldest_s = 0.0
                     while (left_s := began + duration_s - time.monotonic()) > 0:
                         await asyncio.sleep(min(left_s, _LOOK_EVERY_S))
-                        oldest_s = max(oldest_s, *await _forecast_ages(client))
+                        oldest_s = max(oldest_s, *await forecast_ages(client))
                     passed_s = time.monotonic() - began
                     after, cell_after = _processor_s(service.pid)
-                    polled = sum(await _answers(facts["modbus"])) - sum(polls)
-                    memory_bytes = _memory_bytes(service.pid)
-            answers = await _answers(facts["modbus"])
+                    polled = sum(await answers_of(facts["modbus"])) - sum(polls)
+                    memory_bytes = memory_bytes_of(service.pid)
+            answers = await answers_of(facts["modbus"])
         with Store.open(settings.service.database_url, settings.data_dir) as store:
             stored = store.samples.counts(_MOST_SAMPLES)
     lost, doubled = _compared(answers, stored)
@@ -183,18 +183,20 @@ def _compared(answers: Sequence[int], stored: Mapping[tuple[str, str], int]) -> 
     return lost, doubled
 
 
-async def _until_forecasts(client: httpx2.AsyncClient, assets: int) -> None:
+async def until_forecasts(client: httpx2.AsyncClient, assets: int) -> None:
+    """Wait until so many twins have a forecast."""
     deadline = time.monotonic() + _PATIENCE_S
     known = 0
     while time.monotonic() < deadline:
-        known = len(await _forecast_ages(client))
+        known = len(await forecast_ages(client))
         if known == assets:
             return
         await asyncio.sleep(1.0)
     raise BenchmarkError(f"{known} of {assets} twins have a forecast after {_PATIENCE_S:g} s")
 
 
-async def _forecast_ages(client: httpx2.AsyncClient) -> list[float]:
+async def forecast_ages(client: httpx2.AsyncClient) -> list[float]:
+    """How old the forecasts are, in process seconds."""
     answer = await client.get("/metrics")
     ages = [
         float(line.rpartition(" ")[2])
@@ -204,7 +206,7 @@ async def _forecast_ages(client: httpx2.AsyncClient) -> list[float]:
     return [age for age in ages if not math.isnan(age)]
 
 
-async def _answers(gateways: Sequence[GatewayAddress]) -> list[int]:
+async def answers_of(gateways: Sequence[GatewayAddress]) -> list[int]:
     """How many polls each bench has answered, as it says itself."""
     counts = []
     for gateway in gateways:
@@ -251,7 +253,7 @@ def _processor_s(pid: int) -> tuple[float, float]:
     return sum(spent.values()), sum(s for (_, name), s in spent.items() if name == "twin-cell")
 
 
-def _memory_bytes(pid: int) -> int:
+def memory_bytes_of(pid: int) -> int:
     """Memory of all processes of a service; what several share is counted once."""
     total = 0
     for one in _processes(pid):

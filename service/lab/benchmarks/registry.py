@@ -20,6 +20,7 @@ BENCHMARKS = {
     "snapshot": "service.lab.benchmarks.web:snapshot",
     "what_if_http": "service.lab.benchmarks.web:what_if_http",
     "websocket_500": "service.lab.benchmarks.web:websocket_500",
+    "attacks": "service.lab.benchmarks.attacks:attacks",
     "twins_10000": "service.lab.benchmarks.twins:twins_10000",
     "assets_cpu": "service.lab.benchmarks.fleet:assets_cpu",
 }

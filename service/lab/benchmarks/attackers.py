@@ -1,6 +1,6 @@
 """Callers that take all they can get, each run as a process of its own beside the service.
 
-    python attackers.py NAME HOST PORT KEY SECONDS
+    python -m service.lab.benchmarks.attackers NAME HOST PORT KEY SECONDS
 
 Each goes on for so many seconds, says on its standard output how many answers of each status it
 got, and knows nothing of the service but its address and, where it is a user of it, a key.
@@ -15,14 +15,19 @@ import secrets
 import select
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 
-ASSET, PUSHED_ASSET = "bench-1", "gateway-1"
+from service.domain.roles import Role
+
+#: The environment variable with the asset that is asked for.
+ASSET_NAME = "ATTACKED_ASSET"
+ASSET, PUSHED_ASSET = os.environ.get(ASSET_NAME, "bench-1"), "gateway-1"
 PUSHED = tuple(f"t_node_{number}_c" for number in range(1, 14))
 SAMPLES = 20_000
 #: The environment variable with the port of OPC UA.
@@ -51,13 +56,16 @@ class Attack:
 
     @property
     def over(self) -> bool:
+        """Whether its time has come."""
         return time.monotonic() >= self.until_s
 
     def note(self, what: object) -> None:
+        """Count an answer."""
         with self._lock:
             self.answers[str(what)] += 1
 
     def connect(self, source: str = SOURCE) -> socket.socket:
+        """Open a connection that lasts to the end of the attack at most."""
         left_s = max(self.until_s - time.monotonic(), 0.1)
         return socket.create_connection((self.host, self.port), left_s, (source, 0))
 
@@ -87,6 +95,8 @@ class Attack:
         return status
 
     def side_by_side(self, count: int, work: Callable[[int], None]) -> None:
+        """Do a work again and again in so many threads, with the number of each, to the end."""
+
         def go_on(number: int) -> None:
             while not self.over:
                 try:
@@ -141,10 +151,12 @@ def _gzip_tail(attack: Attack, path: str, key: bool) -> None:
 
 
 def gzip_tail_without_key(attack: Attack) -> None:
+    """Zeros without end behind a gzip member, for a route that asks for no key."""
     _gzip_tail(attack, "/session", key=False)
 
 
 def gzip_tail_with_key(attack: Attack) -> None:
+    """The same for a push."""
     _gzip_tail(attack, f"/assets/{PUSHED_ASSET}/measurements", key=True)
 
 
@@ -184,8 +196,7 @@ def idle_connections(attack: Attack) -> None:
                 attack.note("refused")
                 break
             held.append(one)
-        readable, _, _ = select.select([], [], [], 0.25) if not held else _poll(held)
-        for one in readable:
+        for one in _readable(held):
             try:
                 gone = not one.recv(4096)
             except OSError:
@@ -198,12 +209,13 @@ def idle_connections(attack: Attack) -> None:
         one.close()
 
 
-def _poll(held: list[socket.socket]) -> tuple[list[socket.socket], list[int], list[int]]:
+def _readable(held: list[socket.socket]) -> list[socket.socket]:
+    """Give those on which something has come, within a quarter of a second."""
     poller = select.poll()  # `select` knows no descriptor above 1023
     by_number = {one.fileno(): one for one in held}
     for number in by_number:
         poller.register(number, select.POLLIN)
-    return [by_number[number] for number, _ in poller.poll(250)], [], []
+    return [by_number[number] for number, _ in poller.poll(250)]
 
 
 def _push(attack: Attack, channel: str) -> Callable[[int], None]:
@@ -352,30 +364,62 @@ def opcua_frame(attack: Attack) -> None:
     attack.side_by_side(4, once)
 
 
-ATTACKS: dict[str, Callable[[Attack], None]] = {
-    one.__name__: one
-    for one in (
-        gzip_tail_without_key,
-        gzip_tail_with_key,
-        drip,
-        idle_connections,
-        pushes,
-        rejected_pushes,
-        large_reads,
-        downloads,
-        cookies,
-        opcua_frame,
-        what_ifs,
-        assets,
-        streams,
-    )
+ATTACKS: dict[Callable[[Attack], None], Role] = {
+    gzip_tail_without_key: "viewer",
+    gzip_tail_with_key: "gateway",
+    drip: "gateway",
+    idle_connections: "viewer",
+    pushes: "gateway",
+    rejected_pushes: "gateway",
+    large_reads: "viewer",
+    downloads: "viewer",
+    what_ifs: "operator",
+    assets: "viewer",
+    cookies: "viewer",
+    opcua_frame: "viewer",
+    streams: "viewer",
 }
+"""Every attacker, and the role of its key."""
 
 
-if __name__ == "__main__":
+def attack_names() -> dict[str, Role]:
+    """Give the attackers by name, each with the role of its key."""
+    return {one.__name__: role for one, role in ATTACKS.items()}
+
+
+def begin_attack(
+    name: str, port: int, key: str, seconds: float, environment: Mapping[str, str]
+) -> "subprocess.Popen[str]":
+    """Start an attacker; it says "attacking" when it has prepared all, and its answers at its end.
+
+    Parameters
+    ----------
+    name
+        One of `attack_names`.
+    port, key
+        Where the service listens on 127.0.0.1, and a key of the attacker's role.
+    seconds
+        For how long.
+    environment
+        `OPCUA_PORT`, and `ASSET_NAME` where it is not "bench-1".
+    """
+    where = ("127.0.0.1", str(port), key, str(seconds))
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__, name, *where],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+def _main() -> None:
     name, host, port, key, seconds = sys.argv[1:]
     # A caller stands on another machine: here it may not take the processor from the service.
     os.nice(15)
     attack = Attack(host, int(port), key, float(seconds))
-    ATTACKS[name](attack)
+    next(one for one in ATTACKS if one.__name__ == name)(attack)
     sys.stdout.write(json.dumps(attack.answers))
+
+
+if __name__ == "__main__":
+    _main()
