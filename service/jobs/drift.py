@@ -163,7 +163,12 @@ def tell(asset_id: str, version: ModelVersion, record: Callable[[str], object]) 
     drift = version.document.get("drift") or {}
     if drift.get("changed"):
         _log.warning("drift_reported", asset=asset_id, version=version.version, text=drift["text"])
-        record(f"Model version {version.version}: {drift['text']}")
+        record(report_of(version.version, drift["text"]))
+
+
+def report_of(version: object, text: str) -> str:
+    """Line of the journal about a version that reports a change."""
+    return f"Model version {version}: {text}"
 
 
 def _nothing(text: str) -> DriftDocument:

@@ -57,34 +57,19 @@ class ModelVersions(StorePart):
         ValueError
             If the status is "active" or "retired".
         """
-        if status not in ("candidate", "rejected"):
-            raise ValueError(f"status {status!r}: a new model is 'candidate' or 'rejected'")
         with self._database.writing() as connection:
-            last = connection.scalar(
-                select(func.max(ModelVersionRow.version)).where(ModelVersionRow.asset == asset)
-            )
-            version = (last or 0) + 1
-            connection.execute(
-                insert(ModelVersionRow).values(
-                    asset=asset,
-                    version=version,
-                    status=status,
-                    reason=reason,
-                    created_at_us=created_at_us,
-                    document=document,
-                )
-            )
-        return version
+            return add_version(connection, asset, status, reason, document, created_at_us)
 
-    def versions(self, asset: str) -> list[ModelVersion]:
-        """All models of an asset, oldest first."""
+    def versions(self, asset: str, newest: int | None = None) -> list[ModelVersion]:
+        """All models of an asset, or so many of the newest, oldest first."""
         query = (
             select(*_VERSION_COLUMNS)
             .where(ModelVersionRow.asset == asset)
-            .order_by(ModelVersionRow.version)
+            .order_by(ModelVersionRow.version.desc())
+            .limit(newest)
         )
         with self._database.reading() as connection:
-            return [ModelVersion(**row._mapping) for row in connection.execute(query)]
+            return [ModelVersion(**row._mapping) for row in connection.execute(query)][::-1]
 
     def version(self, asset: str, version: int) -> ModelVersion | None:
         """One model, or None when there is none of this version."""
@@ -106,6 +91,14 @@ class ModelVersions(StorePart):
         with self._database.reading() as connection:
             rows = rows_of(connection, ModelVersionRow.asset, query, assets)
         return {row.asset: ModelVersion(**row._mapping) for row in rows}
+
+    def active_numbers(self) -> dict[str, int]:
+        """Give the number of the active version of every asset."""
+        query = select(ModelVersionRow.asset, ModelVersionRow.version).where(
+            ModelVersionRow.status == "active"
+        )
+        with self._database.reading() as connection:
+            return {row.asset: row.version for row in connection.execute(query)}
 
     def begin(
         self, models: Mapping[str, FirstModel], who: str, at_us: int
@@ -193,30 +186,8 @@ class ModelVersions(StorePart):
             If there is no such version.
         """
         with self._database.writing() as connection:
-            wanted = _one(connection, asset, version)
-            if wanted is None:
-                raise KeyError(f"asset {asset!r} has no model version {version}")
             add_line(connection, line)
-            if wanted.status == "active":
-                return wanted
-            connection.execute(
-                update(ModelVersionRow)
-                .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
-                .values(status="retired", reason=f"replaced by version {version}")
-            )
-            connection.execute(
-                update(ModelVersionRow)
-                .where(ModelVersionRow.asset == asset, ModelVersionRow.version == version)
-                .values(status="active", reason=comment)
-            )
-            connection.execute(
-                insert(ActivationRow).values(
-                    asset=asset, version=version, at_us=at_us, who=who, comment=comment
-                )
-            )
-            active = _one(connection, asset, version)
-        assert active is not None  # noqa: S101 - written two lines above
-        return active
+            return activate_version(connection, asset, version, who, comment, at_us)
 
     def activations(self, asset: str) -> list[Activation]:
         """Read the journal of activations of an asset, oldest first."""
@@ -233,6 +204,63 @@ class ModelVersions(StorePart):
         )
         with self._database.reading() as connection:
             return [Activation(**row._mapping) for row in connection.execute(query)]
+
+
+def add_version(
+    connection: Connection,
+    asset: str,
+    status: ModelStatus,
+    reason: str,
+    document: JsonDocument,
+    created_at_us: int,
+) -> int:
+    """Store a new model within a transaction; see `ModelVersions.add`."""
+    if status not in ("candidate", "rejected"):
+        raise ValueError(f"status {status!r}: a new model is 'candidate' or 'rejected'")
+    last = connection.scalar(
+        select(func.max(ModelVersionRow.version)).where(ModelVersionRow.asset == asset)
+    )
+    version = (last or 0) + 1
+    connection.execute(
+        insert(ModelVersionRow).values(
+            asset=asset,
+            version=version,
+            status=status,
+            reason=reason,
+            created_at_us=created_at_us,
+            document=document,
+        )
+    )
+    return version
+
+
+def activate_version(
+    connection: Connection, asset: str, version: int, who: str, comment: str, at_us: int
+) -> ModelVersion:
+    """Make a version the active one within a transaction; see `ModelVersions.activate`."""
+    wanted = _one(connection, asset, version)
+    if wanted is None:
+        raise KeyError(f"asset {asset!r} has no model version {version}")
+    if wanted.status == "active":
+        return wanted
+    connection.execute(
+        update(ModelVersionRow)
+        .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
+        .values(status="retired", reason=f"replaced by version {version}")
+    )
+    connection.execute(
+        update(ModelVersionRow)
+        .where(ModelVersionRow.asset == asset, ModelVersionRow.version == version)
+        .values(status="active", reason=comment)
+    )
+    connection.execute(
+        insert(ActivationRow).values(
+            asset=asset, version=version, at_us=at_us, who=who, comment=comment
+        )
+    )
+    active = _one(connection, asset, version)
+    assert active is not None  # noqa: S101 - written two lines above
+    return active
 
 
 def _one(connection: Connection, asset: str, version: int) -> ModelVersion | None:
