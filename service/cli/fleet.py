@@ -4,7 +4,7 @@ import asyncio
 import sys
 from contextlib import AsyncExitStack
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -15,6 +15,7 @@ from service.cli.keys import command_line_actor
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock, wall_us
+from service.documents.fleet_identification import ExecutorName
 from service.site.settings import Settings, load_settings
 
 # The compiled twin takes a second to load, which --help should not pay.
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 fleet = typer.Typer(help="Many machines at once.", no_args_is_help=True)
 
-ExecutorName = Literal["process", "dask"]
 #: Without a terminal: wall seconds between lines on standard error.
 _LINE_EVERY_S = 60.0
 
@@ -44,7 +44,7 @@ def identify(
     executor: Annotated[
         ExecutorName | None,
         typer.Option(
-            help="Who computes: processes of this machine, as many as [jobs] workers, or the "
+            help="Who computes: processes of this machine, as many as jobs.workers, or the "
             "workers of a Dask scheduler (extra fleet). By default Dask where a scheduler is "
             "given or configured."
         ),
@@ -53,7 +53,7 @@ def identify(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Of the Dask scheduler, such as tls://HOST:8786; instead of [fleet] scheduler.",
+            help="Of the Dask scheduler, such as tls://HOST:8786; instead of fleet.scheduler.",
         ),
     ] = None,
     config: ConfigFile = None,

@@ -6,6 +6,8 @@ from pydantic import Field
 
 from service.documents.base import Document
 
+ExecutorName = Literal["process", "dask"]
+
 
 class IdentifiedAsset(Document):
     """What came of one asset."""
@@ -15,7 +17,7 @@ class IdentifiedAsset(Document):
         description="`done before`: in the same night, by an earlier run or another one."
     )
     model_version: int | None = Field(None, description="That came of it.")
-    active: bool = Field(False, description="Whether that version became the active one.")
+    active: bool = Field(False, description="Whether that version is the active one.")
     reason: str = Field("", description="Of the gates, or why there is no version.")
     warm_start: bool | None = Field(
         None, description="Whether it comes from the active version, without a search."
@@ -27,7 +29,7 @@ class FleetIdentification(Document):
     """A run over a fleet; the figures are those of this run."""
 
     night: str = Field(description="Date of the evening before.", examples=["2026-11-22"])
-    executor: Literal["process", "dask"]
+    executor: ExecutorName
     workers: int = Field(description="At the start.")
     workers_lost: int
     machines: int = Field(description="Identified by this run.")

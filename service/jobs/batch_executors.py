@@ -4,6 +4,7 @@ import asyncio
 from concurrent.futures.process import BrokenProcessPool
 from typing import Protocol
 
+from service.documents.fleet_identification import ExecutorName
 from service.jobs.batches import run_batch
 from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
 from service.jobs.workers import Workers
@@ -26,7 +27,7 @@ class BatchExecutor(Protocol):
         How many workers have died so far.
     """
 
-    name: str
+    name: ExecutorName
     worker_count: int
     workers_lost: int
 
@@ -52,7 +53,7 @@ class ProcessBatches:
         How many.
     """
 
-    name = "process"
+    name: ExecutorName = "process"
 
     def __init__(self, worker_count: int) -> None:
         self.worker_count = worker_count

@@ -18,6 +18,7 @@ from distributed.scheduler import KilledWorker
 from distributed.security import Security
 from threadpoolctl import threadpool_limits
 
+from service.documents.fleet_identification import ExecutorName
 from service.domain.errors import ServiceError, TemporaryError
 from service.jobs.batch_executors import WorkerLostError
 from service.jobs.batches import run_batch
@@ -104,7 +105,7 @@ class DaskBatches:
         How many workers there are at the start.
     """
 
-    name = "dask"
+    name: ExecutorName = "dask"
 
     def __init__(self, client: Client, address: str, worker_count: int) -> None:
         self.worker_count = worker_count

@@ -8,6 +8,7 @@ reported and then made active no longer count: the machine is what it is now.
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Final
 
 import structlog
 
@@ -29,6 +30,8 @@ from twin_core.quantities import ReferencePoint
 from twin_core.similarity import nearest
 from twin_core.windows import Window
 
+#: Newest versions that a new one is compared with. With one each night most share data with it.
+EARLIER_VERSIONS: Final = 50
 # Every version in the series costs a quarter of a second.
 _LONGEST_SERIES = 12
 # Data that overlap by less than this are not the same data.

@@ -6,7 +6,7 @@ where it ended, and a second run of the same night finds nothing to do.
 
 import asyncio
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -27,12 +27,12 @@ from service.jobs.batches import (
     packed_orders,
     unpacked_results,
 )
-from service.jobs.drift import earlier_versions, report_of, with_drift
+from service.jobs.drift import EARLIER_VERSIONS, earlier_versions, report_of, with_drift
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of, prior, why_not_of_this_asset
 from service.site.asset_section import AssetSection
 from service.store import AuditEntry, Store
-from service.store.nights import NightModel, StoredNight
+from service.store.nights import NightModel
 from service.store.records import Job, ModelVersion
 from twin_core.identification.posterior import Posterior
 
@@ -42,8 +42,6 @@ MOST_ATTEMPTS: Final = 3
 #: worker is busy for longer than it takes to hand it the next one.
 FEWEST, MOST = 4, 16
 _BATCHES_PER_WORKER = 8
-#: Newest versions that a result is compared with.
-EARLIER: Final = 50
 
 _log = structlog.get_logger(__name__)
 
@@ -156,27 +154,30 @@ class _Run:
                     group.create_task(self._work())
         except BaseExceptionGroup as failures:
             raise _first(failures) from None
+        numbers = await in_thread(self._night.store.models.active_numbers)
+        items = [
+            self._items[name].model_copy(
+                update={"active": self._items[name].model_version == numbers.get(name, 0)}
+            )
+            for name in (*(asset.id for asset in assets), *wrong)
+        ]
+        counts = Counter(one.status for one in items)
+        machines = counts["identified"]
         seconds = time.monotonic() - began_s
-        items = [self._items[name] for name in (*(asset.id for asset in assets), *wrong)]
-        machines = sum(one.status == "identified" for one in items)
-        return FleetIdentification.model_validate(
-            {
-                "night": self._night.name,
-                "executor": self._executor.name,
-                "workers": workers,
-                "workers_lost": self._executor.workers_lost,
-                "machines": machines,
-                "warm_starts": sum(
-                    one.status == "identified" and bool(one.warm_start) for one in items
-                ),
-                "done_before": sum(one.status == "done before" for one in items),
-                "skipped": sum(one.status == "skipped" for one in items),
-                "failed": sum(one.status == "failed" for one in items),
-                "seconds": seconds,
-                "processor_seconds": self._worker_s + time.process_time() - processor_s,
-                "seconds_per_machine": seconds / machines if machines else None,
-                "items": items,
-            }
+        return FleetIdentification(
+            night=self._night.name,
+            executor=self._executor.name,
+            workers=workers,
+            workers_lost=self._executor.workers_lost,
+            machines=machines,
+            warm_starts=sum(bool(one.warm_start) for one in items),
+            done_before=counts["done before"],
+            skipped=counts["skipped"],
+            failed=counts["failed"],
+            seconds=seconds,
+            processor_seconds=self._worker_s + time.process_time() - processor_s,
+            seconds_per_machine=seconds / machines if machines else None,
+            items=items,
         )
 
     async def _work(self) -> None:
@@ -227,7 +228,7 @@ class _Run:
         except ValueError as error:
             self._note(_skipped(asset.id, str(error)))
             return None
-        versions = await in_thread(store.models.versions, asset.id, EARLIER)
+        versions = await in_thread(store.models.versions, asset.id, EARLIER_VERSIONS)
         active = await in_thread(store.models.active, asset.id)
         posterior = prior(asset)
         if active is not None and why_not_of_this_asset(asset, active) is None:
@@ -267,15 +268,14 @@ class _Run:
             IdentifiedAsset(
                 asset=result.asset,
                 status="failed" if result.found is None else "identified",
-                model_version=stored.job.model_version,
-                active=stored.active,
+                model_version=stored.model_version,
                 reason=result.error if result.found is None else result.found.gates.reason,
                 warm_start=None if result.found is None else result.method == "refine",
                 seconds=result.seconds,
             )
         )
 
-    def _store(self, prepared: _Prepared, result: MachineResult) -> StoredNight | None:
+    def _store(self, prepared: _Prepared, result: MachineResult) -> Job | None:
         found, night = result.found, self._night
         now_us = night.clock.now_us()
         job = Job(

@@ -47,22 +47,6 @@ class NightModel:
     event: AlarmTransition | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class StoredNight:
-    """What is kept of an asset and a night.
-
-    Attributes
-    ----------
-    job : Job
-        As it is in the store.
-    active : bool
-        Whether its version became active with it.
-    """
-
-    job: Job
-    active: bool
-
-
 class Nights(StorePart):
     """Results of a night: each asset has one at most, whoever computes it and how often."""
 
@@ -80,7 +64,7 @@ class Nights(StorePart):
             rows = rows_of(connection, JobRow.asset, query, assets)
         return {row.asset: Job(**row._mapping) for row in rows}
 
-    def keep(self, night: str, job: Job, model: NightModel | None) -> StoredNight | None:
+    def keep(self, night: str, job: Job, model: NightModel | None) -> Job | None:
         """Store a result with its model version, unless the asset has one of this night.
 
         All in one transaction: whoever is killed leaves all of it or nothing.
@@ -96,8 +80,8 @@ class Nights(StorePart):
 
         Returns
         -------
-        StoredNight or None
-            None when there is a result already; then nothing is written.
+        Job or None
+            As it is in the store; None when there is a result already; then nothing is written.
         """
         key = key_of(night)
         with self._database.writing() as connection:
@@ -107,18 +91,16 @@ class Nights(StorePart):
             )
             if known is not None:
                 return None
-            active = False
             if model is not None:
-                number, active = _add_model(connection, job, model)
-                job = replace(job, model_version=number)
+                job = replace(job, model_version=_add_model(connection, job, model))
             job = replace(job, idempotency_key=key)
             values = {field.name: getattr(job, field.name) for field in fields(Job)}
             connection.execute(insert(JobRow).values(values))
-        return StoredNight(job, active)
+        return job
 
 
-def _add_model(connection: Connection, job: Job, model: NightModel) -> tuple[int, bool]:
-    """Store the version of a job; returns its number, and whether it became active."""
+def _add_model(connection: Connection, job: Job, model: NightModel) -> int:
+    """Store the version of a job; returns its number."""
     asset, at_us = job.asset, job.ended_at_us or job.created_at_us
     number = add_version(connection, asset, model.status, model.reason, model.document, at_us)
     present = connection.scalar(
@@ -127,8 +109,7 @@ def _add_model(connection: Connection, job: Job, model: NightModel) -> tuple[int
         )
     )
     # What became active meanwhile is not what the gates have compared with.
-    active = model.activate and model.instead_of == present
-    if active:
+    if model.activate and model.instead_of == present:
         who = str(job.request["who"])
         activate_version(connection, asset, number, who, model.comment, at_us)
         if model.line is not None:
@@ -138,7 +119,7 @@ def _add_model(connection: Connection, job: Job, model: NightModel) -> tuple[int
         message = model.event.message.replace("{version}", str(number))
         event = asdict(replace(model.event, message=message))
         connection.execute(insert(AlarmTransitionRow).values(event))
-    return number, active
+    return number
 
 
 def key_of(night: str) -> str:
