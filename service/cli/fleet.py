@@ -72,6 +72,9 @@ def identify(
     """
     if all_assets == (family is not None):
         raise BadInputError("expected either --all or --family FAMILY")
+    from service.logs import configure_logging
+
+    configure_logging("warning")
     settings = load_settings(config)
     if executor == "process" and scheduler is not None:
         raise BadInputError(f"--scheduler {scheduler!r}: expected none with --executor process")
@@ -177,7 +180,7 @@ def _print(found: "FleetIdentification") -> None:
             "" if one.model_version is None else str(one.model_version),
             "yes" if one.active else "",
             "" if one.seconds is None else f"{one.seconds:.2f}",
-            one.reason,
+            one.reason if one.model_version is None else "",
         )
     console.print(table)
     each = found.seconds_per_machine

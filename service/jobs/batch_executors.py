@@ -63,8 +63,9 @@ class ProcessBatches:
     async def compute(self, content: bytes) -> bytes:
         """Have a process compute a batch."""
         async with self._workers.turn(urgent=False) as worker:
-            computed = asyncio.wrap_future(worker.executor.submit(run_batch, content))
             try:
+                # One that died while it had nothing to do says so only now.
+                computed = asyncio.wrap_future(worker.executor.submit(run_batch, content))
                 async with asyncio.timeout(STALLED_AFTER_WALL_S):
                     return await computed
             except (BrokenProcessPool, TimeoutError) as error:
