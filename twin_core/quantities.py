@@ -5,6 +5,7 @@ less. Which group a parameter belongs to follows from where the network uses it,
 network has groups and quantities without naming its parameters here.
 """
 
+import functools
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -127,6 +128,8 @@ def reference_point(
     return ReferencePoint(speed_rpm, load_n, float(np.round(warm, -1)))
 
 
+# Comparing two versions asks for them hundreds of times.
+@functools.lru_cache(maxsize=32)
 def quantities(model: NetworkModel, point: ReferencePoint) -> tuple[Quantity, ...]:
     """The quantities of a model: friction, conductances by group, capacity, steady rises.
 

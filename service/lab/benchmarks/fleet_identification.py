@@ -134,7 +134,7 @@ def _run(asset: str, number: int, start_us: int) -> list[Sample]:
     machine = simulate(
         model,
         model.parameters.values_from_z(z),
-        OperatingProfile(time_s, speeds, LOAD_N * full, AMBIENT_C * full),
+        OperatingProfile(time_s.astype(np.float64), speeds, LOAD_N * full, AMBIENT_C * full),
         np.full(len(model.node_names), AMBIENT_C),
     )
     columns = {"speed_rpm": speeds, "load_n": LOAD_N * full, "ambient_c": AMBIENT_C * full}
