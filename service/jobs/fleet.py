@@ -229,7 +229,9 @@ class _Run:
             self._note(_skipped(asset.id, str(error)))
             return None
         versions = await in_thread(store.models.versions, asset.id, EARLIER_VERSIONS)
-        active = await in_thread(store.models.active, asset.id)
+        active = next((one for one in versions if one.status == "active"), None)
+        if active is None:  # it may be older
+            active = await in_thread(store.models.active, asset.id)
         posterior = prior(asset)
         if active is not None and why_not_of_this_asset(asset, active) is None:
             posterior = Posterior.from_dict(active.document["posterior"])

@@ -187,7 +187,10 @@ class ModelVersions(StorePart):
         """
         with self._database.writing() as connection:
             add_line(connection, line)
-            return activate_version(connection, asset, version, who, comment, at_us)
+            activate_version(connection, asset, version, who, comment, at_us)
+            active = _one(connection, asset, version)
+        assert active is not None  # noqa: S101 - it was there two lines above
+        return active
 
     def activations(self, asset: str) -> list[Activation]:
         """Read the journal of activations of an asset, oldest first."""
@@ -236,13 +239,17 @@ def add_version(
 
 def activate_version(
     connection: Connection, asset: str, version: int, who: str, comment: str, at_us: int
-) -> ModelVersion:
+) -> None:
     """Make a version the active one within a transaction; see `ModelVersions.activate`."""
-    wanted = _one(connection, asset, version)
-    if wanted is None:
+    status = connection.scalar(
+        select(ModelVersionRow.status).where(
+            ModelVersionRow.asset == asset, ModelVersionRow.version == version
+        )
+    )
+    if status is None:
         raise KeyError(f"asset {asset!r} has no model version {version}")
-    if wanted.status == "active":
-        return wanted
+    if status == "active":
+        return
     connection.execute(
         update(ModelVersionRow)
         .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
@@ -258,9 +265,6 @@ def activate_version(
             asset=asset, version=version, at_us=at_us, who=who, comment=comment
         )
     )
-    active = _one(connection, asset, version)
-    assert active is not None  # noqa: S101 - written two lines above
-    return active
 
 
 def _one(connection: Connection, asset: str, version: int) -> ModelVersion | None:
