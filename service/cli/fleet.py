@@ -125,8 +125,8 @@ async def _identify(
             return None
         found = work.result()
         if found.machines:
-            chosen = "all" if family is None else f"family {family}"
-            store.audit.add(audit("fleet.identify", chosen, f"machines: {found.machines}"))
+            chosen = "all assets" if family is None else f"family {family}"
+            store.audit.add(audit("fleet.identify", chosen, summary(found)))
         return found
 
 
@@ -163,10 +163,15 @@ async def _executor(
         processes = ProcessBatches(settings.jobs.workers)
         stack.callback(processes.end)
         return processes
-    from service.jobs.dask_executor import dask_batches
     from service.site.fleet_section import checked_scheduler
 
     address = checked_scheduler(settings.fleet, settings.base_dir, scheduler)
+    try:
+        from service.jobs.dask_executor import dask_batches
+    except ModuleNotFoundError as error:
+        raise BadInputError(
+            f"--executor dask: {error.name} is not installed: pip install 'bearing-twin[fleet]'"
+        ) from error
     return await stack.enter_async_context(dask_batches(address))
 
 
@@ -183,13 +188,17 @@ def _print(found: "FleetIdentification") -> None:
             one.reason if one.model_version is None else "",
         )
     console.print(table)
+    console.print(summary(found), soft_wrap=True)
+
+
+def summary(found: "FleetIdentification") -> str:
+    """What a run did and cost, in one line: for the terminal and for the audit trail."""
     each = found.seconds_per_machine
-    console.print(
+    return (
         f"Night {found.night}: {found.machines} machines identified ({found.warm_starts} by a warm "
         f"start), {found.done_before} done before, {found.skipped} skipped, {found.failed} failed "
         f"in {found.seconds:.1f} s on {found.workers} workers ({found.executor}"
         + (f", {found.workers_lost} lost" if found.workers_lost else "")
         + f"), {found.processor_seconds:.1f} s of processor time"
-        + ("" if each is None else f", {each:.2f} s for each machine"),
-        soft_wrap=True,
+        + ("" if each is None else f", {each:.2f} s for each machine")
     )

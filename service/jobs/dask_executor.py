@@ -5,6 +5,8 @@ one worker: it is fetched as soon as it is there.
 """
 
 import asyncio
+import logging
+import ssl
 import threading
 from collections.abc import AsyncIterator
 from concurrent.futures import CancelledError as LostConnectionError
@@ -56,6 +58,9 @@ async def dask_batches(scheduler: SchedulerAddress) -> AsyncIterator["DaskBatche
     ServiceError
         If the certificates cannot be used.
     """
+    # What goes wrong is said once, by what is raised here.
+    for name in ("distributed", "distributed.client"):  # each has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     security = None
     if scheduler.ca_file is not None:
         security = Security(
@@ -73,9 +78,13 @@ async def dask_batches(scheduler: SchedulerAddress) -> AsyncIterator["DaskBatche
             set_as_default=False,
             name="bearing-twin-fleet-identify",
         )
-    except (OSError, TimeoutError) as error:  # also certificates that the other side refuses
+    except (OSError, TimeoutError) as error:
+        if ssl.SSLError.__name__ in str(error):  # Dask keeps no more of it than the text
+            raise ServiceError(
+                f"scheduler {scheduler.address}: one side refuses the other's certificate ({error})"
+            ) from error
         raise ClusterUnavailableError(
-            f"scheduler {scheduler.address}: does not answer, or refuses the certificate ({error})"
+            f"scheduler {scheduler.address}: does not answer ({error})"
         ) from error
     except ValueError as error:
         raise ServiceError(f"scheduler {scheduler.address}: {error}") from error
