@@ -27,7 +27,7 @@ from service.jobs.batches import (
     packed_orders,
     unpacked_results,
 )
-from service.jobs.drift import EARLIER_VERSIONS, earlier_versions, report_of, with_drift
+from service.jobs.drift import comparable_versions, earlier_versions, report_of, with_drift
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of, prior, why_not_of_this_asset
 from service.site.asset_section import AssetSection
@@ -228,17 +228,17 @@ class _Run:
         except ValueError as error:
             self._note(_skipped(asset.id, str(error)))
             return None
-        versions = await in_thread(store.models.versions, asset.id, EARLIER_VERSIONS)
+        versions = await in_thread(comparable_versions, store, asset.id)
         active = next((one for one in versions if one.status == "active"), None)
         if active is None:  # it may be older
             active = await in_thread(store.models.active, asset.id)
         posterior = prior(asset)
         if active is not None and why_not_of_this_asset(asset, active) is None:
             posterior = Posterior.from_dict(active.document["posterior"])
-        earlier = [
-            replace(one, posterior=_light(one.posterior)) for one in earlier_versions(versions)
-        ]
-        order = MachineOrder(asset.id, machine_of(asset), data, _light(posterior), earlier)
+        # Without its samples, which no gate asks for and which are most of it.
+        posterior = replace(posterior, samples=posterior.samples[:0])
+        earlier = earlier_versions(versions)
+        order = MachineOrder(asset.id, machine_of(asset), data, posterior, earlier)
         return _Prepared(order, asset, spans_us, active, clock.now_us())
 
     async def _results(self, orders: Sequence[MachineOrder]) -> list[MachineResult]:
@@ -342,11 +342,6 @@ def _done_before(job: Job) -> IdentifiedAsset:
 
 def _skipped(asset: str, reason: str) -> IdentifiedAsset:
     return IdentifiedAsset(asset=asset, status="skipped", reason=reason)
-
-
-def _light(posterior: Posterior) -> Posterior:
-    """Without the samples, which no comparison asks for and which are most of it."""
-    return replace(posterior, samples=posterior.samples[:0])
 
 
 def _first(failures: BaseExceptionGroup[BaseException]) -> BaseException:

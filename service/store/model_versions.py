@@ -1,6 +1,7 @@
 """Model versions of each asset, and the journal of which one was active when."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from sqlalchemy import Connection, func, insert, select, update
 
@@ -60,16 +61,51 @@ class ModelVersions(StorePart):
         with self._database.writing() as connection:
             return add_version(connection, asset, status, reason, document, created_at_us)
 
-    def versions(self, asset: str, newest: int | None = None) -> list[ModelVersion]:
-        """All models of an asset, or so many of the newest, oldest first."""
+    def versions(self, asset: str) -> list[ModelVersion]:
+        """All models of an asset, oldest first."""
         query = (
             select(*_VERSION_COLUMNS)
+            .where(ModelVersionRow.asset == asset)
+            .order_by(ModelVersionRow.version)
+        )
+        with self._database.reading() as connection:
+            return [ModelVersion(**row._mapping) for row in connection.execute(query)]
+
+    def parts(
+        self, asset: str, paths: Sequence[tuple[str, ...]], newest: int
+    ) -> list[ModelVersion]:
+        """Give so many of the newest models of an asset, oldest first, with parts of documents.
+
+        Parameters
+        ----------
+        asset, newest
+            Whose models, and how many at most.
+        paths
+            Keys from the outside in; what a document does not have there is left out.
+        """
+        columns = [
+            ModelVersionRow.document[path].label(f"part_{k}") for k, path in enumerate(paths)
+        ]
+        query = (
+            select(*_VERSION_COLUMNS[:-1], *columns)
             .where(ModelVersionRow.asset == asset)
             .order_by(ModelVersionRow.version.desc())
             .limit(newest)
         )
         with self._database.reading() as connection:
-            return [ModelVersion(**row._mapping) for row in connection.execute(query)][::-1]
+            rows = connection.execute(query).all()
+        known = len(_VERSION_COLUMNS) - 1
+        return [
+            ModelVersion(
+                asset=row.asset,
+                version=row.version,
+                status=row.status,
+                reason=row.reason,
+                created_at_us=row.created_at_us,
+                document=_nested(paths, row[known:]),
+            )
+            for row in rows[::-1]
+        ]
 
     def version(self, asset: str, version: int) -> ModelVersion | None:
         """One model, or None when there is none of this version."""
@@ -207,6 +243,18 @@ class ModelVersions(StorePart):
         )
         with self._database.reading() as connection:
             return [Activation(**row._mapping) for row in connection.execute(query)]
+
+
+def _nested(paths: Sequence[tuple[str, ...]], values: Sequence[Any]) -> JsonDocument:
+    """A document of values at their paths, without those that are None."""
+    document: JsonDocument = {}
+    for (*outer, last), value in zip(paths, values, strict=True):
+        if value is not None:
+            within = document
+            for key in outer:
+                within = within.setdefault(key, {})
+            within[last] = value
+    return document
 
 
 def add_version(

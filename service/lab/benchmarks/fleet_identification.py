@@ -150,7 +150,7 @@ def _run(asset: str, number: int, start_us: int) -> list[Sample]:
 
 def _fitness(store: Store, assets: Sequence[AssetSection]) -> list[float]:
     """Sum of squared residuals of the newest version of each asset."""
-    newest = (store.models.versions(asset.id, 1)[0] for asset in assets)
+    newest = (store.models.versions(asset.id)[-1] for asset in assets)
     return [one.document["convergence"][-1][1] for one in newest]
 
 

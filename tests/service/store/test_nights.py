@@ -70,7 +70,7 @@ def test_a_version_becomes_active_in_place_of_the_one_it_was_compared_with(store
         assert kept.model_version == int(night)
         assert active(store) == expected
     assert store.models.active_numbers() == {"a": 3}
-    assert [one.version for one in store.models.versions("a", 2)] == [4, 5]
+    assert [one.version for one in store.models.parts("a", [], 2)] == [4, 5]
 
 
 def test_a_job_that_failed_counts_as_done_and_a_running_one_as_busy(store: Store) -> None:
