@@ -2,12 +2,15 @@
 
 import asyncio
 from concurrent.futures.process import BrokenProcessPool
-from typing import Protocol
+from typing import Final, Protocol
 
 from service.documents.fleet_identification import ExecutorName
 from service.jobs.batches import run_batch
 from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
 from service.jobs.workers import Workers
+
+#: A worker that has a batch for longer hangs; the first one may begin with compiling all kernels.
+_STALLED_AFTER_WALL_S: Final = 2 * STALLED_AFTER_WALL_S
 
 
 class WorkerLostError(RuntimeError):
@@ -66,7 +69,7 @@ class ProcessBatches:
             try:
                 # One that died while it had nothing to do says so only now.
                 computed = asyncio.wrap_future(worker.executor.submit(run_batch, content))
-                async with asyncio.timeout(STALLED_AFTER_WALL_S):
+                async with asyncio.timeout(_STALLED_AFTER_WALL_S):
                     return await computed
             except (BrokenProcessPool, TimeoutError) as error:
                 self.workers_lost += 1
