@@ -21,7 +21,7 @@ from twin_core.bearings import bearing
 from twin_core.models import build_model
 from twin_core.simulation import OperatingProfile, simulate
 
-MACHINES = 32
+MACHINES = 48
 #: Two batches for each of two workers, which compile or load their kernels with them.
 WARM_UP = 8
 WORKERS = 2
