@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike
 
 from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
-from twin_core.observer import Observer
+from twin_core.observer import Observer, Step, advance
 from twin_core.profiles import OperatingPoint
-from twin_core.simulation import OperatingProfile
+from twin_core.simulation import OperatingProfile, SimulationError
 
 
 def begin(
@@ -82,3 +82,33 @@ def run_filter(
         observer.predict(step_s, before.speed_rpm, before.load_n, before.ambient_c, before.inputs)
         observer.update(readings[row])
     return observer
+
+
+def run_filters(
+    observers: Sequence[Observer], rows: OperatingProfile, readings: Sequence[Mapping[str, float]]
+) -> list[bool]:
+    """Advance several observers of the same measurements, each as by `run_filter`.
+
+    Parameters
+    ----------
+    observers, rows, readings
+        As for `run_filter`; the observers differ in their parameters.
+
+    Returns
+    -------
+    list of bool
+        Of which observers the model runs away; their estimates mean nothing.
+    """
+    ran_away = [False] * len(observers)
+    for row, (before, step_s) in enumerate(rows.steps(), start=1):
+        left = [number for number, gone in enumerate(ran_away) if not gone]
+        point = (before.speed_rpm, before.load_n, before.ambient_c, before.inputs)
+        step = Step(step_s, *point, readings[row])
+        for number, result in zip(
+            left, advance([observers[k] for k in left], [step] * len(left)), strict=True
+        ):
+            if isinstance(result, SimulationError):
+                ran_away[number] = True
+            elif isinstance(result, ValueError):
+                raise result
+    return ran_away

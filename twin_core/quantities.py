@@ -5,6 +5,8 @@ less. Which group a parameter belongs to follows from where the network uses it,
 network has groups and quantities without naming its parameters here.
 """
 
+import contextlib
+import functools
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -14,7 +16,13 @@ from numpy.typing import NDArray
 from twin_core.network import AMBIENT, LOSSES, Edge, EdgeKind
 from twin_core.network_model import NetworkModel
 from twin_core.process_noise import LONG_RUN_IN
-from twin_core.simulation import SimulationError, heat_balance_w, kernels, steady_state
+from twin_core.simulation import (
+    SimulationError,
+    heat_balance_slopes_w_k,
+    heat_balance_w,
+    kernels,
+    steady_state,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -127,6 +135,8 @@ def reference_point(
     return ReferencePoint(speed_rpm, load_n, float(np.round(warm, -1)))
 
 
+# Comparing two versions asks for them hundreds of times.
+@functools.lru_cache(maxsize=32)
 def quantities(model: NetworkModel, point: ReferencePoint) -> tuple[Quantity, ...]:
     """The quantities of a model: friction, conductances by group, capacity, steady rises.
 
@@ -171,6 +181,23 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
     ndarray
         (k,) in the units of the quantities; NaN for steady rises that do not exist.
     """
+    found = _without_rises(model, z, point)
+    at_rest = model.at_reference(_AMBIENT_C)
+    try:
+        steady = _steady_c(at_rest, at_rest.parameters.values_from_z(z), point)
+    except SimulationError:
+        return found
+    rises = model.sensor_matrix(model.sensor_names) @ (steady - _AMBIENT_C)
+    found[-rises.size :] = np.maximum(rises, _SMALLEST)
+    return found
+
+
+def _steady_c(model: NetworkModel, values: FloatArray, point: ReferencePoint) -> FloatArray:
+    return steady_state(model, values, point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN)
+
+
+def _without_rises(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> FloatArray:
+    """Values of `quantities`, NaN for the steady rises, which come last."""
     model = model.at_reference(_AMBIENT_C)
     values = model.parameters.values_from_z(z)
     capacity, coefficient, _, _ = kernels.bind_network(model.compiled, values)
@@ -185,11 +212,6 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
     _, heat_w = heat_balance_w(
         model, values, warm, point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN
     )
-    try:
-        steady = steady_state(model, values, point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN)
-    except SimulationError:
-        steady = np.full(warm.size, np.nan)
-    rises = model.sensor_matrix(model.sensor_names) @ (steady - _AMBIENT_C)
     found = []
     for one in quantities(model, point):
         if one.name == "friction":
@@ -197,7 +219,7 @@ def evaluate(model: NetworkModel, z: FloatArray, point: ReferencePoint) -> Float
         elif one.name == "capacity":
             found.append(float(capacity.sum()))
         elif one.group is None:
-            found.append(float(rises[model.sensor_names.index(one.name)]))
+            found.append(np.nan)
         elif one.group == "joints":
             # joints lie in series as a rule: the mean of their resistances, not the sum
             resistances = [1.0 / each for each in of_group["joints"]]
@@ -223,12 +245,43 @@ def log_gradient(
         Which coordinates, in order; all by default.
     """
     columns = []
+    rises = _RiseSlopes(model, z, point)
     for position in range(z.size) if positions is None else positions.tolist():
         step = np.zeros(z.size)
         step[position] = _DIFFERENCE_Z
         high = np.minimum(z + step, model.parameters.z_upper)
         low = np.maximum(z - step, model.parameters.z_lower)
         span = max(float(high[position] - low[position]), _DIFFERENCE_Z)
-        difference = np.log(evaluate(model, high, point)) - np.log(evaluate(model, low, point))
-        columns.append(difference / span)
+        logarithms = (np.log(_without_rises(model, end, point)) for end in (high, low))
+        column = np.subtract(*logarithms) / span
+        column[-len(model.sensor_names) :] = rises.along(high, low, span)
+        columns.append(column)
     return np.array(columns).T
+
+
+class _RiseSlopes:
+    """Derivatives of the logarithms of the steady rises, by those of the heat balance there."""
+
+    def __init__(self, model: NetworkModel, z: FloatArray, point: ReferencePoint) -> None:
+        self._model = model.at_reference(_AMBIENT_C)
+        self._at = (point.speed_rpm, point.load_n, _AMBIENT_C, LONG_RUN_IN)
+        values = model.parameters.values_from_z(z)
+        self._weights: FloatArray | None = None
+        with contextlib.suppress(SimulationError, np.linalg.LinAlgError):
+            self._steady_c = _steady_c(self._model, values, point)
+            slopes = heat_balance_slopes_w_k(self._model, values, self._steady_c, *self._at)
+            sensors = model.sensor_matrix(model.sensor_names)
+            rises = np.maximum(sensors @ (self._steady_c - _AMBIENT_C), _SMALLEST)
+            # The balance stays closed: d(temperatures) = -slopes^-1 d(net heat).
+            self._weights = -np.linalg.solve(slopes.T, sensors.T).T / rises[:, None]
+
+    def along(self, high: FloatArray, low: FloatArray, span: float) -> FloatArray:
+        """Derivatives (sensors,) from one end of a step of the coordinates to the other."""
+        if self._weights is None:
+            return np.full(len(self._model.sensor_names), np.nan)
+        values_from_z = self._model.parameters.values_from_z
+        (above, _), (below, _) = (
+            heat_balance_w(self._model, values_from_z(end), self._steady_c, *self._at)
+            for end in (high, low)
+        )
+        return np.asarray(self._weights @ (above - below) / span)

@@ -5,13 +5,21 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 from adapters.protocol import Clock
-from service.alarms.records import AlarmKey, following, journal_line, updated, urgency, with_peak
+from service.alarms.records import (
+    AlarmKey,
+    event_line,
+    following,
+    journal_line,
+    updated,
+    urgency,
+    with_peak,
+)
 from service.alarms.register import Register, Watched
 from service.alarms.states import ACTIVE_STATES, SET_ASIDE_STATES, AlarmEvent, AlarmState
 from service.alarms.timers import Timer
 from service.clock import MICROSECONDS
 from service.domain.alarm_condition import AlarmCondition, EventKind
-from service.store import Alarm, AlarmChange, AlarmTransition, AuditEntry, Outbox
+from service.store import Alarm, AlarmChange, AuditEntry, Outbox
 
 #: Who the journal names for what happens without a person.
 SERVICE = "service"
@@ -123,20 +131,7 @@ class AlarmBook:
         self, asset: str, kind: EventKind, message: str, who: str = SERVICE, comment: str = ""
     ) -> None:
         """Write an event into the journal: worth knowing, but no alarm."""
-        event = AlarmTransition(
-            alarm_id=None,
-            asset=asset,
-            kind=kind,
-            channel="",
-            level="",
-            time_us=self._clock.now_us(),
-            from_state="",
-            to_state="",
-            who=who,
-            comment=comment,
-            value=None,
-            message=message,
-        )
+        event = event_line(asset, kind, message, self._clock.now_us(), who, comment)
         self._outbox.record(AlarmChange(None, (event,)))
 
     # ------------------------------------------------------------------ what people say

@@ -4,7 +4,7 @@ from dataclasses import replace
 from uuid import uuid4
 
 from service.alarms.states import AlarmEvent, AlarmState, next_state
-from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_condition import AlarmCondition, EventKind
 from service.domain.alarm_kind import SENSOR_FAULT, STALE_DATA
 from service.store import Alarm, AlarmTransition
 
@@ -67,6 +67,26 @@ def journal_line(
         peak_value=alarm.peak_value,
         peak_at_us=alarm.peak_at_us,
         duration_s=duration_s(alarm),
+    )
+
+
+def event_line(
+    asset: str, kind: EventKind, message: str, now_us: int, who: str, comment: str = ""
+) -> AlarmTransition:
+    """Tell the journal of an event: worth knowing, but no alarm."""
+    return AlarmTransition(
+        alarm_id=None,
+        asset=asset,
+        kind=kind,
+        channel="",
+        level="",
+        time_us=now_us,
+        from_state="",
+        to_state="",
+        who=who,
+        comment=comment,
+        value=None,
+        message=message,
     )
 
 

@@ -402,6 +402,7 @@ class Cell:
                 stack.push_async_callback(self.jobs.stop)
                 for name, task in (
                     ("jobs", self._take_up_jobs()),
+                    ("models", self.jobs.runner.activations.follow()),
                     ("health", self._tell_health()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),

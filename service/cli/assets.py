@@ -50,6 +50,7 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
             "template": one.template or None,
             "name": one.name or None,
             "group": one.group or None,
+            "family": one.family or None,
             "changed_at": None,
         }
         for one in settings.assets
@@ -63,13 +64,14 @@ def list_(config: ConfigFile = None, as_json: AsJson = False) -> None:
                 "template": table.get("template") or None,
                 "name": table.get("name") or None,
                 "group": table.get("group") or None,
+                "family": table.get("family") or None,
                 "changed_at": rfc3339(one.changed_us),
             }
         )
     if as_json:
         typer.echo(json.dumps({"assets": found}))
         return
-    columns = ("id", "origin", "template", "name", "group", "changed_at")
+    columns = ("id", "origin", "template", "name", "group", "family", "changed_at")
     shown = Table(box=None, pad_edge=False)
     for name in columns:
         shown.add_column(name.replace("_", " "), overflow="fold")
@@ -92,9 +94,10 @@ def import_(
 ) -> None:
     """Make and change assets from a list, whether the service runs or not.
 
-    Columns of CSV: id, template, name, group, bearing, model, network; every other column is a
-    value for the holes of the template. A running service follows the assets within about two
-    seconds. One wrong row refuses the whole list, without --partial; the status is 2 then.
+    Columns of CSV: id, template, name, group, family, bearing, model, network; every other
+    column is a value for the holes of the template. A running service follows the assets within
+    about two seconds. One wrong row refuses the whole list, without --partial; the status is 2
+    then.
     """
     from service.site.asset_lists import judge_list
 

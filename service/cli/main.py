@@ -16,6 +16,7 @@ from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.drift import drift
+from service.cli.fleet import fleet
 from service.cli.fleet_bench import virtual_fleet
 from service.cli.forecast import forecast
 from service.cli.grease import grease_renewed
@@ -50,6 +51,7 @@ app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(assets, name="assets")
+app.add_typer(fleet, name="fleet")
 app.add_typer(keys, name="keys")
 app.add_typer(db, name="db")
 

@@ -8,6 +8,7 @@ reported and then made active no longer count: the machine is what it is now.
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Final
 
 import structlog
 
@@ -19,6 +20,7 @@ from service.documents.drift import (
     DriftQuantity,
     DriftReference,
 )
+from service.store import Store
 from service.store.records import ModelVersion
 from twin_core.drift import Drift, compare, usual_point
 from twin_core.drift_series import follow, values_of
@@ -29,6 +31,31 @@ from twin_core.quantities import ReferencePoint
 from twin_core.similarity import nearest
 from twin_core.windows import Window
 
+# Newest versions that a new one is compared with. With one each night most share data with it.
+_MOST_VERSIONS: Final = 50
+_COMPARED: Final = (
+    ("machine",),
+    ("window_records",),
+    ("drift",),
+    ("job",),
+    *(
+        ("posterior", key)
+        for key in (
+            "model",
+            "bearing",
+            "z",
+            "covariance",
+            "sensor_lag_s",
+            "train_rms_k",
+            "cost_per_residual",
+            "rank",
+            "condition",
+            "informed_combinations",
+            "trained",
+            "evaluations",
+        )
+    ),
+)
 # Every version in the series costs a quarter of a second.
 _LONGEST_SERIES = 12
 # Data that overlap by less than this are not the same data.
@@ -63,6 +90,17 @@ class EarlierVersion:
     point: ReferencePoint | None
     reported: bool
     was_active: bool
+
+
+def comparable_versions(store: Store, asset_id: str) -> list[ModelVersion]:
+    """Give the newest versions of an asset with what a comparison needs of their documents.
+
+    Most of a document are the posterior's samples, for which no comparison asks.
+    """
+    found = store.models.parts(asset_id, _COMPARED, _MOST_VERSIONS)
+    for version in found:
+        version.document.get("posterior", {})["samples"] = []
+    return found
 
 
 def earlier_versions(versions: Sequence[ModelVersion]) -> list[EarlierVersion]:
@@ -163,7 +201,12 @@ def tell(asset_id: str, version: ModelVersion, record: Callable[[str], object]) 
     drift = version.document.get("drift") or {}
     if drift.get("changed"):
         _log.warning("drift_reported", asset=asset_id, version=version.version, text=drift["text"])
-        record(f"Model version {version.version}: {drift['text']}")
+        record(report_of(version.version, drift["text"]))
+
+
+def report_of(version: object, text: str) -> str:
+    """Line of the journal about a version that reports a change."""
+    return f"Model version {version}: {text}"
 
 
 def _nothing(text: str) -> DriftDocument:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -99,6 +100,8 @@ def prepare_worker() -> None:
     """Leave a core and the priority to the live twin, and never outlive the service."""
     with contextlib.suppress(OSError):
         os.nice(10)
+    # Whoever presses Ctrl+C means the service, or the command: it ends its workers itself.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The simulation takes as many threads as numba is configured for, which may be less than the
     # machine has: a container's share, an environment variable.
     numba.config.NUMBA_NUM_THREADS = max(1, numba.config.NUMBA_NUM_THREADS - 1)

@@ -2,19 +2,20 @@
 
 import functools
 import json
-from typing import Final
 
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
 from service.site.asset_section import AssetSection
-from service.site.machines.machine import Machine
+from service.site.machines.machine import (
+    KEPT_MACHINES,
+    Machine,
+    model_of_parts,
+    shared_model,
+)
 from service.store.records import Job, JsonDocument, ModelVersion
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
-
-#: Different machines whose models are kept.
-_MACHINES: Final = 256
 
 
 def machine_of(asset: AssetSection) -> Machine:
@@ -24,7 +25,7 @@ def machine_of(asset: AssetSection) -> Machine:
 
 def thermal_model(asset: AssetSection) -> ThermalModel:
     """Give the model that an asset is configured to run; assets of one machine share it."""
-    return _built(_parts(asset))
+    return shared_model(machine_of(asset))
 
 
 def first_model(asset: AssetSection) -> JsonDocument:
@@ -32,19 +33,18 @@ def first_model(asset: AssetSection) -> JsonDocument:
     return dict(_prior(_parts(asset))[1])
 
 
+def prior(asset: AssetSection) -> Posterior:
+    """What is known of an asset's parameters before any identification."""
+    return _prior(_parts(asset))[0]
+
+
 def _parts(asset: AssetSection) -> str:
     return json.dumps(machine_of(asset).to_dict())
 
 
-# In a fleet thousands of assets are one machine.
-@functools.lru_cache(_MACHINES)
-def _built(parts: str) -> ThermalModel:
-    return Machine.from_dict(json.loads(parts)).build()
-
-
-@functools.lru_cache(_MACHINES)
+@functools.lru_cache(KEPT_MACHINES)
 def _prior(parts: str) -> tuple[Posterior, JsonDocument]:
-    model = _built(parts)
+    model = model_of_parts(parts)
     posterior = prior_posterior(model)
     return posterior, {
         "model": model.name,

@@ -19,7 +19,7 @@ from service.documents.interfaces import Publisher
 from service.domain.job_states import TRANSITIONS, UNFINISHED, JobEvent
 from service.jobs.activation import Activations
 from service.jobs.documents import ProgressCache, shown
-from service.jobs.drift import tell, with_drift
+from service.jobs.drift import comparable_versions, tell, with_drift
 from service.jobs.executor import STALLED_AFTER_WALL_S, WorkerStalledError, watched
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
@@ -218,7 +218,7 @@ class JobRunner:
         asset, history = self.assets[job.asset], self.histories[job.asset]
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
-        versions = await anyio.to_thread.run_sync(self.store.models.versions, job.asset)
+        versions = await anyio.to_thread.run_sync(comparable_versions, self.store, job.asset)
         order = JobOrder(
             folder=folder,
             machine=machine_of(asset.settings),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.documents.drift import DriftDocument
-from service.jobs.drift import drift_document, earlier_versions
+from service.jobs.drift import EarlierVersion, drift_document, earlier_versions
 from service.jobs.workspace import Convergence, JobFolder, Progress
 from service.site.machines.machine import Machine
 from service.store.records import ModelVersion
@@ -106,23 +106,56 @@ def run_identification(order: JobOrder) -> JobResult | None:
     the job was cancelled.
     """
     model = order.machine.build()
-    active_fitness = _fitness_of(model, order.data, order.active)
+    active_fitness = fitness_of(model, order.data, order.active)
     try:
         try:
             fit = _fit(order, model, active_fitness, order.folder.read_checkpoint())
         except CheckpointMismatchError:
             # More data have come, or this is another version of the software.
             fit = _fit(order, model, active_fitness, None)
-        report = judge(
+        return assessed(
             model,
             order.data,
             fit,
             active=order.active,
+            active_fitness=active_fitness,
+            earlier=earlier_versions(order.earlier),
             cancelled=lambda: _is_stopped(order.folder),
         )
     except IdentificationCancelled:
         return None
-    windows = [window_of(window.minutes) for window in order.data.windows]
+
+
+def assessed(
+    model: ThermalModel,
+    data: IdentificationData,
+    fit: IdentificationResult,
+    *,
+    active: Posterior,
+    active_fitness: float | None,
+    earlier: Sequence[EarlierVersion],
+    cancelled: Callable[[], bool] | None = None,
+) -> JobResult:
+    """Let the gates judge a fit, and compare it with earlier versions.
+
+    Parameters
+    ----------
+    model, data, fit
+        The candidate and what it was identified from.
+    active, active_fitness
+        Of the active model.
+    earlier
+        Versions that it is compared with, oldest first.
+    cancelled
+        Asked during the fits of the gates.
+
+    Raises
+    ------
+    IdentificationCancelled
+        When ``cancelled`` says so.
+    """
+    report = judge(model, data, fit, active=active, cancelled=cancelled)
+    windows = [window_of(window.minutes) for window in data.windows]
     return JobResult(
         posterior=fit.posterior,
         best_fitness=fit.best_fitness,
@@ -131,13 +164,11 @@ def run_identification(order: JobOrder) -> JobResult | None:
         convergence=Convergence([*fit.history, (fit.evaluations, fit.best_fitness)]).points,
         windows=windows,
         gates=report,
-        drift=drift_document(model, fit.posterior, windows, earlier_versions(order.earlier)),
+        drift=drift_document(model, fit.posterior, windows, earlier),
     )
 
 
-def _fitness_of(
-    model: ThermalModel, data: IdentificationData, posterior: Posterior
-) -> float | None:
+def fitness_of(model: ThermalModel, data: IdentificationData, posterior: Posterior) -> float | None:
     """Sum of squared residuals of known parameters: what an identification has to fall below."""
     [cost] = IdentificationProblem(model, data).costs(posterior.z[np.newaxis])
     return float(cost) if math.isfinite(cost) else None

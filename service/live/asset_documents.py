@@ -121,6 +121,7 @@ class AssetDocuments:
             id=self._settings.id,
             name=settings.name or self._settings.id,
             group=settings.group or None,
+            family=settings.family or None,
             bearing=settings.bearing.name if settings.bearing else None,
             network=settings.network_name,
             clock_rate=self._clock.rate,

@@ -18,7 +18,7 @@ from service.spreadsheets import cell, text_of
 
 _ID: Final = "id"
 #: Columns of CSV that are keys of an asset and always texts; every other one is a value.
-TEXT_COLUMNS: Final = ("template", "name", "group", "bearing", "model", "network")
+TEXT_COLUMNS: Final = ("template", "name", "group", "family", "bearing", "model", "network")
 # Neither a number of parts such as 007 nor a word such as nan is a number.
 _WHOLE = re.compile(r"-?(?:0|[1-9]\d{0,17})")
 _DECIMAL = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d{1,2})?")

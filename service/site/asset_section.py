@@ -135,6 +135,8 @@ class AssetSection(Section):
     name: str = Field("", max_length=64)
     #: Assets of one group can be looked at together in the fleet view.
     group: str = Field("", max_length=64)
+    #: Assets of one family, machines of one type, can be identified together.
+    family: str = Field("", max_length=64)
     network: Annotated[NetworkSection | None, BeforeValidator(network_table)] = None
     bearing: Annotated[BearingSection, BeforeValidator(bearing_table)] | None = Field(
         None, validate_default=True

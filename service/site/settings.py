@@ -28,6 +28,7 @@ from pydantic_settings import SettingsError as UnreadableVariableError
 from service.domain.section import Section
 from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable, describe_all, read_toml
+from service.site.fleet_section import FleetSection
 from service.site.machines.bearings import BearingSection, with_designation
 from service.site.machines.networks import (
     folder_of_files,
@@ -167,6 +168,7 @@ class Settings(BaseSettings):
     retention: RetentionSection = RetentionSection()
     clock: ClockSection = ClockSection()
     security: SecuritySection = SecuritySection()
+    fleet: FleetSection = FleetSection()
     opcua: OpcUaSection = OpcUaSection()
     mqtt: MqttSection = MqttSection()
     #: Sections of further publishers, by name; each is checked by the publisher itself.

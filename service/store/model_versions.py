@@ -1,6 +1,7 @@
 """Model versions of each asset, and the journal of which one was active when."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from sqlalchemy import Connection, func, insert, select, update
 
@@ -57,24 +58,8 @@ class ModelVersions(StorePart):
         ValueError
             If the status is "active" or "retired".
         """
-        if status not in ("candidate", "rejected"):
-            raise ValueError(f"status {status!r}: a new model is 'candidate' or 'rejected'")
         with self._database.writing() as connection:
-            last = connection.scalar(
-                select(func.max(ModelVersionRow.version)).where(ModelVersionRow.asset == asset)
-            )
-            version = (last or 0) + 1
-            connection.execute(
-                insert(ModelVersionRow).values(
-                    asset=asset,
-                    version=version,
-                    status=status,
-                    reason=reason,
-                    created_at_us=created_at_us,
-                    document=document,
-                )
-            )
-        return version
+            return add_version(connection, asset, status, reason, document, created_at_us)
 
     def versions(self, asset: str) -> list[ModelVersion]:
         """All models of an asset, oldest first."""
@@ -85,6 +70,42 @@ class ModelVersions(StorePart):
         )
         with self._database.reading() as connection:
             return [ModelVersion(**row._mapping) for row in connection.execute(query)]
+
+    def parts(
+        self, asset: str, paths: Sequence[tuple[str, ...]], newest: int
+    ) -> list[ModelVersion]:
+        """Give so many of the newest models of an asset, oldest first, with parts of documents.
+
+        Parameters
+        ----------
+        asset, newest
+            Whose models, and how many at most.
+        paths
+            Keys from the outside in; what a document does not have there is left out.
+        """
+        columns = [
+            ModelVersionRow.document[path].label(f"part_{k}") for k, path in enumerate(paths)
+        ]
+        query = (
+            select(*_VERSION_COLUMNS[:-1], *columns)
+            .where(ModelVersionRow.asset == asset)
+            .order_by(ModelVersionRow.version.desc())
+            .limit(newest)
+        )
+        with self._database.reading() as connection:
+            rows = connection.execute(query).all()
+        known = len(_VERSION_COLUMNS) - 1
+        return [
+            ModelVersion(
+                asset=row.asset,
+                version=row.version,
+                status=row.status,
+                reason=row.reason,
+                created_at_us=row.created_at_us,
+                document=_nested(paths, row[known:]),
+            )
+            for row in rows[::-1]
+        ]
 
     def version(self, asset: str, version: int) -> ModelVersion | None:
         """One model, or None when there is none of this version."""
@@ -106,6 +127,14 @@ class ModelVersions(StorePart):
         with self._database.reading() as connection:
             rows = rows_of(connection, ModelVersionRow.asset, query, assets)
         return {row.asset: ModelVersion(**row._mapping) for row in rows}
+
+    def active_numbers(self) -> dict[str, int]:
+        """Give the number of the active version of every asset."""
+        query = select(ModelVersionRow.asset, ModelVersionRow.version).where(
+            ModelVersionRow.status == "active"
+        )
+        with self._database.reading() as connection:
+            return {row.asset: row.version for row in connection.execute(query)}
 
     def begin(
         self, models: Mapping[str, FirstModel], who: str, at_us: int
@@ -193,29 +222,10 @@ class ModelVersions(StorePart):
             If there is no such version.
         """
         with self._database.writing() as connection:
-            wanted = _one(connection, asset, version)
-            if wanted is None:
-                raise KeyError(f"asset {asset!r} has no model version {version}")
             add_line(connection, line)
-            if wanted.status == "active":
-                return wanted
-            connection.execute(
-                update(ModelVersionRow)
-                .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
-                .values(status="retired", reason=f"replaced by version {version}")
-            )
-            connection.execute(
-                update(ModelVersionRow)
-                .where(ModelVersionRow.asset == asset, ModelVersionRow.version == version)
-                .values(status="active", reason=comment)
-            )
-            connection.execute(
-                insert(ActivationRow).values(
-                    asset=asset, version=version, at_us=at_us, who=who, comment=comment
-                )
-            )
+            activate_version(connection, asset, version, who, comment, at_us)
             active = _one(connection, asset, version)
-        assert active is not None  # noqa: S101 - written two lines above
+        assert active is not None  # noqa: S101 - it was there two lines above
         return active
 
     def activations(self, asset: str) -> list[Activation]:
@@ -233,6 +243,76 @@ class ModelVersions(StorePart):
         )
         with self._database.reading() as connection:
             return [Activation(**row._mapping) for row in connection.execute(query)]
+
+
+def _nested(paths: Sequence[tuple[str, ...]], values: Sequence[Any]) -> JsonDocument:
+    """A document of values at their paths, without those that are None."""
+    document: JsonDocument = {}
+    for (*outer, last), value in zip(paths, values, strict=True):
+        if value is not None:
+            within = document
+            for key in outer:
+                within = within.setdefault(key, {})
+            within[last] = value
+    return document
+
+
+def add_version(
+    connection: Connection,
+    asset: str,
+    status: ModelStatus,
+    reason: str,
+    document: JsonDocument,
+    created_at_us: int,
+) -> int:
+    """Store a new model within a transaction; see `ModelVersions.add`."""
+    if status not in ("candidate", "rejected"):
+        raise ValueError(f"status {status!r}: a new model is 'candidate' or 'rejected'")
+    last = connection.scalar(
+        select(func.max(ModelVersionRow.version)).where(ModelVersionRow.asset == asset)
+    )
+    version = (last or 0) + 1
+    connection.execute(
+        insert(ModelVersionRow).values(
+            asset=asset,
+            version=version,
+            status=status,
+            reason=reason,
+            created_at_us=created_at_us,
+            document=document,
+        )
+    )
+    return version
+
+
+def activate_version(
+    connection: Connection, asset: str, version: int, who: str, comment: str, at_us: int
+) -> None:
+    """Make a version the active one within a transaction; see `ModelVersions.activate`."""
+    status = connection.scalar(
+        select(ModelVersionRow.status).where(
+            ModelVersionRow.asset == asset, ModelVersionRow.version == version
+        )
+    )
+    if status is None:
+        raise KeyError(f"asset {asset!r} has no model version {version}")
+    if status == "active":
+        return
+    connection.execute(
+        update(ModelVersionRow)
+        .where(ModelVersionRow.asset == asset, ModelVersionRow.status == "active")
+        .values(status="retired", reason=f"replaced by version {version}")
+    )
+    connection.execute(
+        update(ModelVersionRow)
+        .where(ModelVersionRow.asset == asset, ModelVersionRow.version == version)
+        .values(status="active", reason=comment)
+    )
+    connection.execute(
+        insert(ActivationRow).values(
+            asset=asset, version=version, at_us=at_us, who=who, comment=comment
+        )
+    )
 
 
 def _one(connection: Connection, asset: str, version: int) -> ModelVersion | None:

@@ -12,6 +12,7 @@ from service.store.database import Database, damaged
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
+from service.store.nights import Nights
 from service.store.opening import open_database
 from service.store.packing import Packing
 from service.store.provisioned_assets import ProvisionedAssets
@@ -44,6 +45,8 @@ class Store(Closable):
         Versions of each asset's model, and which is active.
     jobs : Jobs
         Identification jobs.
+    nights : Nights
+        What came of identifying a fleet.
     states : AssetStates
         The latest state of each twin.
     alarms : AlarmJournal
@@ -64,6 +67,7 @@ class Store(Closable):
         self.history = History(database)
         self.models = ModelVersions(database)
         self.jobs = Jobs(database)
+        self.nights = Nights(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
         self.access = Access(database)

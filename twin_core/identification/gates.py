@@ -177,11 +177,9 @@ def _prediction(
     change_k: float,
 ) -> GateCheck:
     """Compare both models on one test; ``change_k`` is the rms error of persistence there."""
-    own = float("inf")
-    if nested_z is not None:
-        own = _total(predict_rows(model, nested_z, test).values())
-    theirs = _total(predict_rows(model, active.z, test).values())
-    full = _total(predict_rows(model, candidate.z, test).values())
+    known_z = [active.z, candidate.z, *([] if nested_z is None else [nested_z])]
+    totals = [_total(errors.values()) for errors in predict_rows(model, known_z, test)]
+    theirs, full, own = totals if nested_z is not None else (*totals, float("inf"))
     known = active.trained.points
     seen = any(alike_points(test.point, point) for point in known)
     varied = bool(new_points(known, candidate.trained.points, SHORTEST_TEST_S))

@@ -109,6 +109,7 @@ def identify(
     budget: int | None = None,
     seed: int = 0,
     guess_z: FloatArray | None = None,
+    warm: bool = False,
     samples: int = DEFAULT_SAMPLES,
     search: Search | None = None,
     stopping: StoppingCriteria = BUDGET_ONLY,
@@ -137,6 +138,10 @@ def identify(
         Same seed, same result.
     guess_z
         (p,) a known good guess, such as the active model's; a further start of the refinement.
+    warm
+        Refine from the guess alone: a twentieth of the work where the machine has hardly changed
+        since the guess; where it has, it may end in another optimum than the best. With a guess
+        and ``"refine"`` only.
     samples
         Even number of posterior samples; 0 for none, where only the optimum matters.
     search
@@ -166,6 +171,8 @@ def identify(
     """
     if method not in get_args(Method):
         raise ValueError(f"method is {method!r}, expected one of {', '.join(get_args(Method))}")
+    if warm and (method != "refine" or guess_z is None):
+        raise ValueError(f"warm with method {method!r}: expected 'refine' and a guess")
     if budget is None:
         budget = default_budget(method)
     problem = IdentificationProblem(model, data, guess_z, loss)
@@ -177,6 +184,7 @@ def identify(
             "model": model.name,
             "bearing": model.machine,
             "guess": None if guess_z is None else guess_z.tolist(),
+            "warm": warm,
             "search": None if search is None else getattr(search, "__name__", "other"),
             "stopping": [stopping.target, stopping.stagnation_sweeps, stopping.spread],
             "loss": loss,
@@ -193,11 +201,14 @@ def identify(
     if method != "refine":
         share = _SEARCH_SHARE if "+" in method else _REFINED_SHARE
         starts["search"] = _searched(run, budget, seed, share, search, stopping)
-    starts["prior"] = np.zeros(p)
-    if guess_z is not None:
+    if guess_z is not None and warm:
         starts["guess"] = guess_z
-    for number in range(2 if method == "refine" else 1):
-        starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
+    else:
+        starts["prior"] = np.zeros(p)
+        if guess_z is not None:
+            starts["guess"] = guess_z
+        for number in range(2 if method == "refine" else 1):
+            starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
     if method == "noa":
         best = problem.with_nuisance(starts["search"])
         # The search's own cost has lag and initial states linearised.

@@ -3,19 +3,21 @@
 The most demanding operating point tells how it extrapolates, the latest one whether it still holds.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_core.filtering import begin, run_filter
+from twin_core.filtering import begin, run_filters
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.problem import first_measurements, profile_of
 from twin_core.models import ThermalModel
+from twin_core.observer import Observer
 from twin_core.operating_points import OperatingPoint, demand
 from twin_core.scores import rms
-from twin_core.simulation import SimulationError, simulate
+from twin_core.simulation import OperatingProfile, SimulationError, simulate
 from twin_core.windows import MinuteData, window_of
 
 FloatArray = NDArray[np.float64]
@@ -144,38 +146,55 @@ def _test(
     return PredictionTest(name, IdentificationData(tuple(windows)), window, first, last, point)
 
 
-def predict_rows(model: ThermalModel, z: FloatArray, test: PredictionTest) -> dict[str, float]:
-    """Rms error in K per sensor of a prediction over a test's rows, started like a live forecast.
+def predict_rows(
+    model: ThermalModel, candidates: Sequence[FloatArray], test: PredictionTest
+) -> list[dict[str, float]]:
+    """Rms error in K per sensor of predictions over a test's rows, started like a live forecast.
 
     The observer follows the window's measurements up to the first row; from there on the model
     runs alone. Infinite where it runs away.
+
+    Parameters
+    ----------
+    model, test
+        What is to be predicted, by which model.
+    candidates
+        Standard coordinates (p,) of the parameters that each prediction is made with.
     """
-    values = model.parameters.values_from_z(z)
     window = test.window
     rows = window.minutes.take(window.minutes.good)
     profile = profile_of(window.minutes)
-    try:
-        observer = begin(
-            model,
-            values,
-            first_measurements(window.minutes),
-            profile.point(0),
-            window.at_rest,
-            revolutions=window.revolutions,
-        )
-        followed = slice(test.first + 1)
-        readings = [rows.readings(row) for row in range(test.first + 1)]
-        run_filter(observer, profile.rows(followed), readings)
-        chosen = slice(test.first, test.last + 1)
-        ahead = simulate(
-            model,
-            values,
-            profile.rows(chosen),
-            observer.temperatures_c,
-            observer.revolutions,
-        )
-    except SimulationError:
-        return dict.fromkeys(rows.sensors, float("inf"))
+    begun: dict[int, Observer] = {}
+    for number, z in enumerate(candidates):
+        with contextlib.suppress(SimulationError):
+            begun[number] = begin(
+                model,
+                model.parameters.values_from_z(z),
+                first_measurements(window.minutes),
+                profile.point(0),
+                window.at_rest,
+                revolutions=window.revolutions,
+            )
+    readings = [rows.readings(row) for row in range(test.first + 1)]
+    ran_away = run_filters(list(begun.values()), profile.rows(slice(test.first + 1)), readings)
+    failed = dict.fromkeys(rows.sensors, float("inf"))
+    errors = [failed for _ in candidates]
+    for (number, observer), gone in zip(begun.items(), ran_away, strict=True):
+        if not gone:
+            with contextlib.suppress(SimulationError):
+                errors[number] = _errors_ahead(observer, test, rows, profile)
+    return errors
+
+
+def _errors_ahead(
+    observer: Observer, test: PredictionTest, rows: MinuteData, profile: OperatingProfile
+) -> dict[str, float]:
+    """Rms error in K per sensor of the model alone, from an observer at the test's first row."""
+    chosen = slice(test.first, test.last + 1)
+    model = observer.model
+    ahead = simulate(
+        model, observer.values, profile.rows(chosen), observer.temperatures_c, observer.revolutions
+    )
     errors = {
         name: rms(ahead.temperatures_c @ model.sensor_row(name), values_c[chosen])
         for name, values_c in rows.temperatures_c.items()

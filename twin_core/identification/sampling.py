@@ -18,7 +18,11 @@ from twin_core.identification.problem import IdentificationProblem
 FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 3
+#: The second is tried where the first one makes it worse.
 _STEPS = (1.0, 0.3)
+# A sample whose cost fell by less has settled: the rest of its way is a tenth of a standard
+# deviation at most.
+_SETTLED = 0.01
 # A sample whose cost exceeds the optimum's by more than that of any plausible one has not arrived.
 _PLAUSIBLE_SD = 5.0
 
@@ -56,16 +60,25 @@ def posterior_samples(
     points[failed] = optimum
     errors[failed] = at_optimum - target[failed]
     costs = np.sum(errors**2, axis=1)
+    moving = np.arange(count)
     for _ in range(_ITERATIONS):
-        moves = -errors @ towards.T
-        from_points = points.copy()
+        before = costs[moving]
+        moves = -errors[moving] @ towards.T
+        left, from_points = np.arange(moving.size), points[moving]
         for step in _STEPS:
-            trials = np.clip(from_points + step * moves, problem.lower, problem.upper)
-            tried = problem.residuals(trials) - target
+            trials = np.clip(from_points[left] + step * moves[left], problem.lower, problem.upper)
+            tried = problem.residuals(trials) - target[moving[left]]
             new_costs = np.sum(tried**2, axis=1)
-            better = new_costs < costs  # False for a failed simulation, which is NaN
-            points[better], errors[better] = trials[better], tried[better]
-            costs[better] = new_costs[better]
+            better = new_costs < costs[moving[left]]  # False for a failed simulation: NaN
+            found = moving[left[better]]
+            points[found], errors[found] = trials[better], tried[better]
+            costs[found] = new_costs[better]
+            left = left[~better]
+            if left.size == 0:
+                break
+        moving = moving[before - costs[moving] > _SETTLED]
+        if moving.size == 0:
+            break
     excess = np.sum((errors + target) ** 2, axis=1) - float(at_optimum @ at_optimum)
     dimensions = problem.unknown_count
     arrived = excess <= dimensions + _PLAUSIBLE_SD * np.sqrt(2.0 * dimensions)

@@ -11,6 +11,7 @@ from twin_core.simulation.profile import (
 from twin_core.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from twin_core.simulation.simulate import (
     advance,
+    heat_balance_slopes_w_k,
     heat_balance_w,
     simulate,
     simulate_batch,
@@ -24,6 +25,7 @@ __all__ = [
     "SimulationError",
     "Trajectory",
     "advance",
+    "heat_balance_slopes_w_k",
     "heat_balance_w",
     "hold_operating_point",
     "simulate",

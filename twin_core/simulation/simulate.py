@@ -351,6 +351,31 @@ def heat_balance_w(
     return net, float(friction)
 
 
+def heat_balance_slopes_w_k(
+    model: NetworkModel,
+    values: ArrayLike,
+    temperatures_c: ArrayLike,
+    speed_rpm: float,
+    load_n: float,
+    ambient_c: float,
+    revolutions: float = 0.0,
+) -> NDArray[np.float64]:
+    """Derivatives (nodes, nodes) of the net heat flows by the nodes' temperatures, in W/K.
+
+    Parameters as for `heat_balance_w`; running-in stands still.
+    """
+    parameters = _values(model, values, 1)
+    _, jacobian = kernels.heat_balance_linearised(
+        _running_in_held(model, parameters, float(revolutions)),
+        parameters,
+        _finite("temperatures_c", temperatures_c),
+        abs(float(speed_rpm)),
+        max(float(load_n), 0.0),
+        float(ambient_c),
+    )
+    return np.asarray(jacobian)
+
+
 def inputs_of(model: NetworkModel, profile: OperatingProfile) -> NDArray[np.float64]:
     """Return the inputs (n, k) of a profile, which must be those that the model's network has.
 

@@ -10,6 +10,7 @@ BENCHMARKS = {
     "simulate_vs_lsoda": "service.lab.benchmarks.simulation:simulate_vs_lsoda",
     "identify_15_parameters": "service.lab.benchmarks.identification:identify_15_parameters",
     "identify_default_model": "service.lab.benchmarks.identification:identify_default_model",
+    "identify_fleet": "service.lab.benchmarks.fleet_identification:identify_fleet_warm",
     "forecast_ensemble": "service.lab.benchmarks.forecasts:forecast_ensemble",
     "ingest_sqlite": "service.lab.benchmarks.ingest:ingest_sqlite",
     "ingest_postgresql": "service.lab.benchmarks.ingest:ingest_postgresql",

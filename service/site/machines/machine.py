@@ -1,11 +1,16 @@
 """The machine of an asset or of a model file, and the model that is built of it."""
 
+import functools
+import json
 from dataclasses import dataclass
-from typing import Self, TypedDict
+from typing import Final, Self, TypedDict
 
 from service.site.machines.bearings import BearingSection
 from service.site.machines.networks import NetworkSection
 from twin_core.models import ThermalModel, build_model
+
+#: Different machines whose models are kept.
+KEPT_MACHINES: Final = 256
 
 
 class MachineParts(TypedDict):
@@ -104,3 +109,15 @@ class Machine:
             None if bearing is None else BearingSection.model_validate(bearing),
             None if network is None else NetworkSection.model_validate(network),
         )
+
+
+def shared_model(machine: Machine) -> ThermalModel:
+    """Give the model of a machine, as `Machine.build`; equal machines share one."""
+    return model_of_parts(json.dumps(machine.to_dict()))
+
+
+# In a fleet thousands of assets are one machine.
+@functools.lru_cache(KEPT_MACHINES)
+def model_of_parts(parts: str) -> ThermalModel:
+    """Give the model of what `Machine.to_dict` gave, as JSON text."""
+    return Machine.from_dict(json.loads(parts)).build()

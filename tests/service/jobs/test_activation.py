@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from job_shop import ASSET, Shop
+from structlog.testing import capture_logs
 
 from service.domain.errors import ActivationRefusedError
 from service.jobs.models import first_model
@@ -64,3 +65,27 @@ async def test_two_activations_at_a_time_leave_store_and_twin_alike(shop: Shop) 
             *(jobs.activate(ASSET, version, "x", None, force=False) for version in (1, 2, 1, 2))
         )
         assert shop.active()[0] == shop.active()[1]
+
+
+async def test_a_version_that_others_made_active_is_taken_up(shop: Shop) -> None:
+    jobs = await shop.open()
+    activations = jobs.runner.activations
+    settings = shop.assets[ASSET].settings
+    shop.store.models.add(ASSET, "candidate", "", first_model(settings), 2)
+    await activations.look()
+    assert shop.active() == (1, 1)
+    shop.store.models.activate(ASSET, 2, "night shift", "passed", 3)
+    await activations.look()
+    assert shop.active() == (2, 2)
+    # One of another machine is left alone, and said once.
+    other = first_model(settings.model_copy(update={"model": "paper"}))
+    shop.store.models.add(ASSET, "candidate", "", other, 4)
+    shop.store.models.activate(ASSET, 3, "night shift", "passed", 5)
+    with capture_logs() as logs:
+        await activations.look()
+        await activations.look()
+    assert [(one["event"], one["version"]) for one in logs] == [("model_not_taken_up", 3)]
+    assert shop.assets[ASSET].active.version == 2
+    assert shop.outbox.flush(30)
+    (line,) = shop.store.alarms.journal(JournalFilter(events=True)).items
+    assert (line.kind, line.who, line.comment) == ("model activated", "night shift", "passed")

@@ -194,11 +194,16 @@ def test_whatever_a_table_holds_an_error_says_what_is_wrong(
 def test_what_is_written_is_read_back() -> None:
     assets = {
         "axle-1": {"template": "axle", "name": "=SUM(A1)", "values": {"unit": 1, "gain": 0.25}},
-        "axle-2": {"template": "axle", "group": 'Line "7", north', "values": {"serial": "007"}},
+        "axle-2": {
+            "template": "axle",
+            "group": 'Line "7"',
+            "family": "7",
+            "values": {"serial": "007"},
+        },
         "axle-3": {"template": "axle"},
     }
     assert tables(read_csv(as_csv(assets).encode())) == assets
-    assert as_csv(assets).splitlines()[0] == "id,template,name,group,gain,serial,unit"
+    assert as_csv(assets).splitlines()[0] == "id,template,name,group,family,gain,serial,unit"
     more = assets | {"bench": {"channels": {"load_n": {"source": "push"}}, "bearing": "6311"}}
     assert tables(read_json(as_json(more).encode())) == more
     with pytest.raises(SettingsError, match=r"bench\.channels: CSV cannot hold it"):

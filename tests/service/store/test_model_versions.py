@@ -96,3 +96,14 @@ def test_an_activation_and_its_audit_line_are_written_together_or_not_at_all(sto
     (written,) = store.audit.page().items
     assert (written.who, written.action, written.target) == ("eva", line.action, line.target)
     assert store.models.active("a") is not None
+
+
+def test_parts_of_documents_are_those_of_the_whole(store: Store) -> None:
+    whole = {"a": {"x": [1, 2.5, 1e-17], "y": {"z": None}}, "b": "text", "c": 0}
+    for document in (whole, {"b": None, "a": {"y": 3}}, {}):
+        store.models.add("a", "candidate", "new", document, 10)
+    paths = [("b",), ("a", "x"), ("a", "y"), ("c",)]
+    parts = [one.document for one in store.models.parts("a", paths, 10)]
+    assert parts == [whole, {"a": {"y": 3}}, {}]
+    assert [one.version for one in store.models.parts("a", paths, 2)] == [2, 3]
+    assert store.models.parts("b", paths, 2) == []

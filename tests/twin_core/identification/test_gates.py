@@ -62,8 +62,11 @@ def test_nothing_lasting_gives_no_test(synthesise, true_z) -> None:  # type: ign
 
 def test_true_parameters_predict_the_left_out_rows(model, synthesise, true_z) -> None:  # type: ignore[no-untyped-def]
     for test in prediction_tests(at_rest(synthesise(true_z))):
-        assert max(predict_rows(model, true_z, test).values()) < 0.05
-        assert max(predict_rows(model, np.zeros(true_z.size), test).values()) > 0.3
+        true, prior = predict_rows(model, [true_z, np.zeros(true_z.size)], test)
+        assert max(true.values()) < 0.05
+        assert max(prior.values()) > 0.3
+        # One with others is one alone.
+        assert predict_rows(model, [true_z], test) == [true]
 
 
 def test_a_fresh_twin_is_beaten(model, cold_start, candidate) -> None:  # type: ignore[no-untyped-def]

@@ -201,9 +201,9 @@ async def import_assets(
 ) -> Response:
     """Take a list of assets in one transaction, JSON or CSV.
 
-    CSV: columns `id`, `template`, `name`, `group`, `bearing`, `model`, `network`; every other
-    column is a value for the holes of the template. Without `partial` one wrong row refuses all,
-    and `errors` names every wrong row.
+    CSV: columns `id`, `template`, `name`, `group`, `family`, `bearing`, `model`, `network`; every
+    other column is a value for the holes of the template. Without `partial` one wrong row refuses
+    all, and `errors` names every wrong row.
     """
     content = await request.body()
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()

@@ -122,6 +122,7 @@ class MemoryTwin:
             id=self.id,
             name=self.id,
             group=None,
+            family=None,
             bearing="6311",
             network="bearing-14",
             clock_rate=1.0,

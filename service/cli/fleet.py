@@ -1,0 +1,204 @@
+"""``bearing-twin fleet``: what is done with many machines at once."""
+
+import asyncio
+import sys
+from contextlib import AsyncExitStack
+from datetime import datetime
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from service.cli.consoles import make_console
+from service.cli.errors import BadInputError
+from service.cli.keys import command_line_actor
+from service.cli.progress import progress_bar
+from service.cli.serve import ConfigFile
+from service.clock import ProcessClock, wall_us
+from service.documents.fleet_identification import ExecutorName
+from service.site.settings import Settings, load_settings
+
+# The compiled twin takes a second to load, which --help should not pay.
+if TYPE_CHECKING:
+    from service.documents.fleet_identification import FleetIdentification
+    from service.jobs.batch_executors import BatchExecutor
+    from service.site.asset_section import AssetSection
+    from service.store import Store
+
+fleet = typer.Typer(help="Many machines at once.", no_args_is_help=True)
+
+#: Without a terminal: wall seconds between lines on standard error.
+_LINE_EVERY_S = 60.0
+
+
+@fleet.callback()
+def _fleet() -> None: ...
+
+
+@fleet.command()
+def identify(
+    all_assets: Annotated[bool, typer.Option("--all", help="All assets.")] = False,
+    family: Annotated[
+        str | None, typer.Option(metavar="FAMILY", help="The assets of this family.")
+    ] = None,
+    executor: Annotated[
+        ExecutorName | None,
+        typer.Option(
+            help="Who computes: processes of this machine, as many as jobs.workers, or the "
+            "workers of a Dask scheduler (extra fleet). By default Dask where a scheduler is "
+            "given or configured."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of the Dask scheduler, such as tls://HOST:8786; instead of fleet.scheduler.",
+        ),
+    ] = None,
+    config: ConfigFile = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON document on standard output.")
+    ] = False,
+) -> None:
+    """Identify many machines again from what the store holds, each once a night.
+
+    Each result is stored at once as a version of the asset's model: what passes the gates becomes
+    active where the asset's ladder is apply. The search begins at the active version. A run that
+    was stopped goes on with the next call; a night ends at noon, and a second run of the same
+    night changes nothing. Services may run meanwhile: they take up the new versions.
+
+    The status is 1 if a machine failed, and 75 if the run is to be started again.
+    """
+    if all_assets == (family is not None):
+        raise BadInputError("expected either --all or --family FAMILY")
+    from service.logs import configure_logging
+
+    configure_logging("warning")
+    settings = load_settings(config)
+    if executor == "process" and scheduler is not None:
+        raise BadInputError(f"--scheduler {scheduler!r}: expected none with --executor process")
+    if executor is None:
+        executor = "dask" if scheduler or settings.fleet.scheduler else "process"
+    found = asyncio.run(_identify(settings, family, executor, scheduler))
+    if found is None:
+        sys.stderr.write(
+            "bearing-twin: stopped; what was identified is stored, call again for the rest\n"
+        )
+        raise typer.Exit(75)
+    if as_json:
+        typer.echo(found.model_dump_json())
+    else:
+        _print(found)
+    if found.failed:
+        raise typer.Exit(1)
+
+
+async def _identify(
+    settings: Settings, family: str | None, executor: ExecutorName, scheduler: str | None
+) -> "FleetIdentification | None":
+    """Identify until the end, or until a signal: None."""
+    from service.jobs.fleet import Night, identify_fleet, night_of
+    from service.signals import stop_on_signals
+    from service.store import AuditEntry, Store
+
+    actor = command_line_actor()
+
+    def audit(action: str, target: str, detail: str = "") -> AuditEntry:
+        return AuditEntry(wall_us(), actor.who, actor.address, action, target, detail)
+
+    stop = stop_on_signals()
+    async with AsyncExitStack() as stack:
+        store = stack.enter_context(Store.open(settings.service.database_url, settings.data_dir))
+        assets, wrong = _chosen(settings, store, family)
+        clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
+        night = Night(night_of(datetime.now()), store, clock, actor.who, audit)
+        batches = await _executor(stack, settings, executor, scheduler)
+        tell = stack.enter_context(progress_bar(f"night {night.name}", _LINE_EVERY_S))
+        work = asyncio.create_task(identify_fleet(night, assets, batches, tell, wrong))
+        stopped = asyncio.create_task(stop.wait())
+        await asyncio.wait({work, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        stopped.cancel()
+        if not work.done():
+            work.cancel()
+            await asyncio.wait({work})
+            return None
+        found = work.result()
+        if found.machines:
+            chosen = "all assets" if family is None else f"family {family}"
+            store.audit.add(audit("fleet.identify", chosen, summary(found)))
+        return found
+
+
+def _chosen(
+    settings: Settings, store: "Store", family: str | None
+) -> "tuple[list[AssetSection], dict[str, str]]":
+    """Give the assets of file and store, and what is wrong with those that are not to be used."""
+    from service.site.provisioning import check_assets
+
+    tables = {one.id: one.table or {} for one in store.assets.present()}
+    in_file = {one.id for one in settings.assets}
+    right, wrong = check_assets(
+        settings, {name: table for name, table in tables.items() if name not in in_file}
+    )
+    assets = [*settings.assets, *(one.section for one in right.values())]
+    refused = {name: "; ".join(lines) for name, lines in wrong.items()}
+    if family is None:
+        return assets, refused
+    chosen = [one for one in assets if one.family == family]
+    if not chosen:
+        known = sorted({one.family for one in assets} - {""})
+        raise BadInputError(
+            f"--family {family!r}: no asset has it; expected one of {', '.join(known) or 'none'}"
+        )
+    return chosen, {}
+
+
+async def _executor(
+    stack: AsyncExitStack, settings: Settings, name: ExecutorName, scheduler: str | None
+) -> "BatchExecutor":
+    if name == "process":
+        from service.jobs.batch_executors import ProcessBatches
+
+        processes = ProcessBatches(settings.jobs.workers)
+        stack.callback(processes.end)
+        return processes
+    from service.site.fleet_section import checked_scheduler
+
+    address = checked_scheduler(settings.fleet, settings.base_dir, scheduler)
+    try:
+        from service.jobs.dask_executor import dask_batches
+    except ModuleNotFoundError as error:
+        raise BadInputError(
+            f"--executor dask: {error.name} is not installed: pip install 'bearing-twin[fleet]'"
+        ) from error
+    return await stack.enter_async_context(dask_batches(address))
+
+
+def _print(found: "FleetIdentification") -> None:
+    console = make_console()
+    table = Table("asset", "what came of it", "version", "active", "s", "reason")
+    for one in found.items:
+        table.add_row(
+            one.asset,
+            one.status + (", warm start" if one.warm_start else ""),
+            "" if one.model_version is None else str(one.model_version),
+            "yes" if one.active else "",
+            "" if one.seconds is None else f"{one.seconds:.2f}",
+            one.reason if one.model_version is None else "",
+        )
+    console.print(table)
+    console.print(summary(found), soft_wrap=True)
+
+
+def summary(found: "FleetIdentification") -> str:
+    """What a run did and cost, in one line: for the terminal and for the audit trail."""
+    each = found.seconds_per_machine
+    return (
+        f"Night {found.night}: {found.machines} machines identified ({found.warm_starts} by a warm "
+        f"start), {found.done_before} done before, {found.skipped} skipped, {found.failed} failed "
+        f"in {found.seconds:.1f} s on {found.workers} workers ({found.executor}"
+        + (f", {found.workers_lost} lost" if found.workers_lost else "")
+        + f"), {found.processor_seconds:.1f} s of processor time"
+        + ("" if each is None else f", {each:.2f} s for each machine")
+    )

@@ -1,0 +1,43 @@
+"""What came of identifying a fleet, asset by asset, and what it cost."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from service.documents.base import Document
+
+ExecutorName = Literal["process", "dask"]
+
+
+class IdentifiedAsset(Document):
+    """What came of one asset."""
+
+    asset: str
+    status: Literal["identified", "done before", "skipped", "failed"] = Field(
+        description="`done before`: in the same night, by an earlier run or another one."
+    )
+    model_version: int | None = Field(None, description="That came of it.")
+    active: bool = Field(False, description="Whether that version is the active one.")
+    reason: str = Field("", description="Of the gates, or why there is no version.")
+    warm_start: bool | None = Field(
+        None, description="Whether it comes from the active version, without a search."
+    )
+    seconds: float | None = Field(None, description="Of computation in the worker.")
+
+
+class FleetIdentification(Document):
+    """A run over a fleet; the figures are those of this run."""
+
+    night: str = Field(description="Date of the evening before.", examples=["2026-11-22"])
+    executor: ExecutorName
+    workers: int = Field(description="At the start.")
+    workers_lost: int
+    machines: int = Field(description="Identified by this run.")
+    warm_starts: int
+    done_before: int
+    skipped: int
+    failed: int
+    seconds: float = Field(description="Of the run.")
+    processor_seconds: float = Field(description="Of the workers and of the command.")
+    seconds_per_machine: float | None = Field(description="Of the run; null without a machine.")
+    items: list[IdentifiedAsset]

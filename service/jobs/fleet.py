@@ -1,0 +1,349 @@
+"""Identifies the machines of a fleet in one night: each asset once, whoever is killed meanwhile.
+
+Each result is stored as soon as it is there, under asset and night: a run that was stopped goes on
+where it ended, and a second run of the same night finds nothing to do.
+"""
+
+import asyncio
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from typing import Final
+from uuid import uuid4
+
+import structlog
+from anyio.to_thread import run_sync as in_thread
+
+from adapters.protocol import Clock
+from service.alarms.records import event_line
+from service.clock import rfc3339
+from service.documents.fleet_identification import FleetIdentification, IdentifiedAsset
+from service.jobs.batch_executors import BatchExecutor, WorkerLostError
+from service.jobs.batches import (
+    MachineOrder,
+    MachineResult,
+    packed_orders,
+    unpacked_results,
+)
+from service.jobs.drift import comparable_versions, earlier_versions, report_of, with_drift
+from service.jobs.history import AssetHistory
+from service.jobs.models import identified_document, machine_of, prior, why_not_of_this_asset
+from service.site.asset_section import AssetSection
+from service.store import AuditEntry, Store
+from service.store.nights import NightModel
+from service.store.records import Job, ModelVersion
+from twin_core.identification.posterior import Posterior
+
+#: A batch whose worker died so often is divided, to find the machine that kills it.
+MOST_ATTEMPTS: Final = 3
+#: A worker that dies takes a batch with it: few enough that it costs little, and enough that a
+#: worker is busy for longer than it takes to hand it the next one.
+FEWEST, MOST = 4, 16
+_BATCHES_PER_WORKER = 8
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """What all machines of a run share.
+
+    Attributes
+    ----------
+    name : str
+        The same for all runs of one night; see `night_of`.
+    store, clock
+        Where data and models are; process time.
+    who : str
+        Who asked for it.
+    audit : callable
+        Makes a line of the audit trail from action, target and detail.
+    """
+
+    name: str
+    store: Store
+    clock: Clock
+    who: str
+    audit: Callable[[str, str, str], AuditEntry]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prepared:
+    """A machine that is ready for a worker, and what its result is stored with."""
+
+    order: MachineOrder
+    settings: AssetSection
+    spans_us: list[tuple[int, int]]
+    active: ModelVersion | None
+    began_us: int
+
+
+def night_of(now: datetime) -> str:
+    """Name the night of a local time: the date of the evening; it ends at noon."""
+    return (now - timedelta(hours=12)).date().isoformat()
+
+
+def batches_of(assets: Sequence[AssetSection], worker_count: int) -> list[Sequence[AssetSection]]:
+    """Divide assets into batches, so many that all workers end at about the same time."""
+    size = min(max(len(assets) // (_BATCHES_PER_WORKER * worker_count), FEWEST), MOST)
+    return [assets[first : first + size] for first in range(0, len(assets), size)]
+
+
+async def identify_fleet(
+    night: Night,
+    assets: Sequence[AssetSection],
+    executor: BatchExecutor,
+    tell: Callable[[float, str], None],
+    wrong: Mapping[str, str],
+) -> FleetIdentification:
+    """Identify all machines that have no result of this night.
+
+    Parameters
+    ----------
+    night
+        Store, clock and name of the night.
+    assets
+        Whose machines.
+    executor
+        Computes the batches.
+    tell
+        Called with the fraction done and a few words.
+    wrong
+        Assets that cannot be identified, and why.
+
+    Raises
+    ------
+    ServiceError
+        If store or workers are away; what was identified until then is stored.
+    """
+    return await _Run(night, executor, tell).run(assets, wrong)
+
+
+class _Run:
+    def __init__(
+        self, night: Night, executor: BatchExecutor, tell: Callable[[float, str], None]
+    ) -> None:
+        self._night, self._executor, self._tell = night, executor, tell
+        self._waiting: deque[Sequence[AssetSection]] = deque()
+        self._items: dict[str, IdentifiedAsset] = {}
+        self._worker_s = 0.0
+        self._count = 0
+
+    async def run(
+        self, assets: Sequence[AssetSection], wrong: Mapping[str, str]
+    ) -> FleetIdentification:
+        began_s, processor_s = time.monotonic(), time.process_time()
+        workers = self._executor.worker_count
+        self._count = len(assets) + len(wrong)
+        for name, why in wrong.items():
+            self._note(IdentifiedAsset(asset=name, status="failed", reason=why))
+        done = await in_thread(
+            self._night.store.nights.done, self._night.name, [one.id for one in assets]
+        )
+        for job in done.values():
+            self._note(_done_before(job))
+        self._waiting.extend(
+            batches_of([asset for asset in assets if asset.id not in done], workers)
+        )
+        # One batch is read from the store while another one is computed.
+        try:
+            async with asyncio.TaskGroup() as group:
+                for _ in range(min(2 * workers, len(self._waiting))):
+                    group.create_task(self._work())
+        except BaseExceptionGroup as failures:
+            raise _first(failures) from None
+        numbers = await in_thread(self._night.store.models.active_numbers)
+        items = [
+            self._items[name].model_copy(
+                update={"active": self._items[name].model_version == numbers.get(name, 0)}
+            )
+            for name in (*(asset.id for asset in assets), *wrong)
+        ]
+        counts = Counter(one.status for one in items)
+        machines = counts["identified"]
+        seconds = time.monotonic() - began_s
+        return FleetIdentification(
+            night=self._night.name,
+            executor=self._executor.name,
+            workers=workers,
+            workers_lost=self._executor.workers_lost,
+            machines=machines,
+            warm_starts=sum(bool(one.warm_start) for one in items),
+            done_before=counts["done before"],
+            skipped=counts["skipped"],
+            failed=counts["failed"],
+            seconds=seconds,
+            processor_seconds=self._worker_s + time.process_time() - processor_s,
+            seconds_per_machine=seconds / machines if machines else None,
+            items=items,
+        )
+
+    async def _work(self) -> None:
+        while self._waiting:
+            batch = self._waiting.popleft()
+            prepared = await self._prepared(batch)
+            if not prepared:
+                continue
+            results = await self._results([one.order for one in prepared.values()])
+            for result in results:
+                await self._keep(prepared[result.asset], result)
+
+    def _note(self, item: IdentifiedAsset) -> None:
+        self._items[item.asset] = item
+        done = len(self._items)
+        self._tell(done / max(self._count, 1), f"{done} of {self._count}")
+
+    # ------------------------------------------------------------------ what goes to a worker
+    async def _prepared(self, batch: Sequence[AssetSection]) -> dict[str, _Prepared]:
+        names = [asset.id for asset in batch]
+        nights = self._night.store.nights
+        # Asked again: the first look may be hours ago.
+        done = await in_thread(nights.done, self._night.name, names)
+        busy = await in_thread(nights.busy, names)
+        prepared = {}
+        for asset in batch:
+            if asset.id in done:
+                self._note(_done_before(done[asset.id]))
+            elif asset.id in busy:
+                job = busy[asset.id]
+                self._note(_skipped(asset.id, f"identification {job.id} is {job.status}"))
+            else:
+                one = await self._order(asset)
+                if one is not None:
+                    prepared[asset.id] = one
+        return prepared
+
+    async def _order(self, asset: AssetSection) -> _Prepared | None:
+        store, clock = self._night.store, self._night.clock
+        history = AssetHistory(asset, store, clock)
+        windows = await history.windows()
+        if not windows:
+            self._note(_skipped(asset.id, "no low-risk window in the store"))
+            return None
+        spans_us = [history.span_us(window) for window in windows]
+        try:
+            data = await history.identification_data(spans_us)
+        except ValueError as error:
+            self._note(_skipped(asset.id, str(error)))
+            return None
+        versions = await in_thread(comparable_versions, store, asset.id)
+        active = next((one for one in versions if one.status == "active"), None)
+        if active is None:  # it may be older
+            active = await in_thread(store.models.active, asset.id)
+        posterior = prior(asset)
+        if active is not None and why_not_of_this_asset(asset, active) is None:
+            posterior = Posterior.from_dict(active.document["posterior"])
+        # Without its samples, which no gate asks for and which are most of it.
+        posterior = replace(posterior, samples=posterior.samples[:0])
+        earlier = earlier_versions(versions)
+        order = MachineOrder(asset.id, machine_of(asset), data, posterior, earlier)
+        return _Prepared(order, asset, spans_us, active, clock.now_us())
+
+    async def _results(self, orders: Sequence[MachineOrder]) -> list[MachineResult]:
+        content = await in_thread(packed_orders, orders)
+        for _ in range(MOST_ATTEMPTS):
+            try:
+                found = await self._executor.compute(content)
+            except WorkerLostError as error:
+                _log.warning("batch_worker_lost", machines=len(orders), reason=str(error))
+                continue
+            return await in_thread(unpacked_results, found)
+        if len(orders) == 1:
+            reason = f"{MOST_ATTEMPTS} workers died of it"
+            self._note(IdentifiedAsset(asset=orders[0].asset, status="failed", reason=reason))
+            return []
+        half = len(orders) // 2
+        return [*await self._results(orders[:half]), *await self._results(orders[half:])]
+
+    # ------------------------------------------------------------------ what comes back
+    async def _keep(self, prepared: _Prepared, result: MachineResult) -> None:
+        self._worker_s += result.processor_seconds
+        stored = await in_thread(self._store, prepared, result)
+        if stored is None:  # another run was quicker
+            names = [result.asset]
+            done = await in_thread(self._night.store.nights.done, self._night.name, names)
+            self._note(_done_before(done[result.asset]))
+            return
+        self._note(
+            IdentifiedAsset(
+                asset=result.asset,
+                status="failed" if result.found is None else "identified",
+                model_version=stored.model_version,
+                reason=result.error if result.found is None else result.found.gates.reason,
+                warm_start=None if result.found is None else result.method == "refine",
+                seconds=result.seconds,
+            )
+        )
+
+    def _store(self, prepared: _Prepared, result: MachineResult) -> Job | None:
+        found, night = result.found, self._night
+        now_us = night.clock.now_us()
+        job = Job(
+            id=uuid4().hex,
+            asset=result.asset,
+            status="failed" if found is None else "succeeded",
+            progress=0.0 if found is None else 1.0,
+            best_fitness=None if found is None else found.best_fitness,
+            evaluations=0 if found is None else found.evaluations,
+            created_at_us=prepared.began_us,
+            started_at_us=prepared.began_us,
+            ended_at_us=now_us,
+            error=result.error or None,
+            model_version=None,
+            request={
+                "windows": [
+                    {"start": rfc3339(start), "end": rfc3339(end)}
+                    for start, end in prepared.spans_us
+                ],
+                "windows_us": prepared.spans_us,
+                "method": result.method,
+                "seed": prepared.order.seed,
+                "budget": None,
+                "who": night.who,
+            },
+            idempotency_key=None,
+            attempts=1,
+        )
+        if found is None:
+            return night.store.nights.keep(night.name, job, None)
+        settings, active = prepared.settings, prepared.active
+        reason = with_drift(found.gates.reason, found.drift)
+        model = NightModel(
+            status="candidate" if found.gates.accepted else "rejected",
+            reason=reason,
+            document=identified_document(job, found, settings),
+            activate=found.gates.accepted and settings.identification.ladder == "apply",
+            instead_of=None if active is None else active.version,
+            comment=reason,
+            line=night.audit("model.activate", f"asset {settings.id}, version {{version}}", reason),
+            event=event_line(
+                settings.id,
+                "model drift",
+                report_of("{version}", found.drift.text),
+                now_us,
+                night.who,
+            )
+            if found.drift.changed
+            else None,
+        )
+        return night.store.nights.keep(night.name, job, model)
+
+
+def _done_before(job: Job) -> IdentifiedAsset:
+    return IdentifiedAsset(
+        asset=job.asset,
+        status="done before",
+        model_version=job.model_version,
+        reason=job.error or "",
+    )
+
+
+def _skipped(asset: str, reason: str) -> IdentifiedAsset:
+    return IdentifiedAsset(asset=asset, status="skipped", reason=reason)
+
+
+def _first(failures: BaseExceptionGroup[BaseException]) -> BaseException:
+    first = failures.exceptions[0]
+    return _first(first) if isinstance(first, BaseExceptionGroup) else first
