@@ -101,7 +101,7 @@ class FleetPage(Page):
     total: int = Field(description="Assets of the service.")
     found: int = Field(description="Assets that fit, on all pages.")
     counts: dict[FleetState, int] = Field(
-        description="By state, of the assets that fit but for the parameter `state`."
+        description="By state, of the assets that fit but for `state` and `attention`."
     )
     attention: int = Field(description="Of these, how many need attention.")
     unacknowledged: int = Field(description="Their alarms that wait for an acknowledgement.")

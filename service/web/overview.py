@@ -179,10 +179,14 @@ class Overview:
             for row in rows
             if (fit.group is None or row.asset.group == fit.group)
             and (not search or search in row.text)
-            and fit.attention in (None, row.asset.attention is not None)
         ]
         counts = Counter(row.asset.state for row in some)
-        found = [row for row in some if not fit.states or row.asset.state in fit.states]
+        found = [
+            row
+            for row in some
+            if (not fit.states or row.asset.state in fit.states)
+            and fit.attention in (None, row.asset.attention is not None)
+        ]
 
         def key(row: _Row) -> Key:
             return row.key if sort == "urgency" else (0.0, 0.0, 0.0, row.asset.id)
