@@ -5,16 +5,19 @@ at take a bounded share of its time, and those that nobody looks at take none.
 """
 
 import asyncio
+import contextlib
 import time
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Final, Literal
 
 from pydantic import BaseModel
 
 from service.bus.interface import AWAY_AFTER_S
+from service.bus.replica import AssetReplica
 from service.bus.replicas import PORTION, Replicas
 from service.bus.stream import Bus, SubscriptionClosedError
 from service.documents.fleet import (
@@ -37,6 +40,7 @@ UNREAD_AFTER_S: Final = 30.0
 PAUSE_TIMES: Final = 3.0
 #: Counts and order are made anew at most as often, in wall seconds.
 _LISTED_S: Final = 0.5
+_LOOK_EVERY_S: Final = 0.25
 _RETRY_S: Final = 0.5
 _MARKS: Final = {"lost": "f", "unknown": "g", "safe": "h", "waiting": "j", "unread": "k"}
 _LAST: Final = len(ATTENTIONS) + 2
@@ -54,13 +58,17 @@ class Place(BaseModel):
 
 @dataclass(slots=True)
 class _Row:
-    """One asset, and what is needed to find, sort and mark it."""
+    """What is needed of one asset to find, sort, count and mark it."""
 
-    asset: FleetAsset
+    replica: AssetReplica
     tag: bytes
     right_s: float
     key: Key
+    group: str | None
     text: str
+    state: FleetState
+    attention: bool
+    unacknowledged: int
     mark: str
 
 
@@ -103,7 +111,9 @@ class Overview:
     _rows: dict[str, _Row] = field(default_factory=dict)
     _order: list[_Row] = field(default_factory=list)
     _revision: str | None = None
+    _dirty: bool = True
     _listed_s: float = -1e9
+    _oldest_s: float = -1e9
     _asked_s: float = -1e9
     _wanted: asyncio.Event = field(default_factory=asyncio.Event)
     _soon: set[str] = field(default_factory=set)
@@ -114,27 +124,59 @@ class Overview:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._heed_alarms())
             while True:
-                if time.monotonic() - self._asked_s > WANTED_FOR_S:
+                await self._learn()
+                if time.monotonic() - self._asked_s <= WANTED_FOR_S:
+                    await self._sweep()
+                else:
                     self._wanted.clear()
-                await self._wanted.wait()
-                await self._sweep()
-                await asyncio.sleep(_LISTED_S)
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_LOOK_EVERY_S):
+                        await self._wanted.wait()
+                if self._wanted.is_set():
+                    await asyncio.sleep(_LOOK_EVERY_S)
+
+    async def _learn(self) -> None:
+        """Learn which assets there are; a poll that is due comes between some of them."""
+        revision = self.replicas.revision
+        if revision == self._revision:
+            return
+        rows = {}
+        for number, (name, replica) in enumerate(list(self.replicas.assets.items())):
+            if number % PORTION == 0:
+                await asyncio.sleep(0)
+            row = self._rows.get(name)
+            if row is None or row.tag != replica.known_tag("glance"):
+                row = _row(replica)
+            row.replica = replica
+            rows[name] = row
+        self._rows, self._revision, self._dirty = rows, revision, True
 
     async def _sweep(self) -> None:
         """Ask about all assets that were not heard of lately."""
-        assets = self.replicas.assets
-        due = [name for name, one in assets.items() if one.is_due("glance", FRESH_S)]
+        rows = self._rows
+        due = [name for name, row in rows.items() if row.replica.is_due("glance", FRESH_S)]
         while due or self._soon:
             first = [self._soon.pop() for _ in range(min(len(self._soon), PORTION))]
             names = first + [due.pop() for _ in range(min(len(due), PORTION - len(first)))]
-            portion = [assets[name] for name in dict.fromkeys(names) if name in assets]
+            portion = [rows[name].replica for name in dict.fromkeys(names) if name in rows]
             begun_s = time.monotonic()
             try:
                 await self.replicas.ask_for([(asset, "glance") for asset in portion])
             except CellUnavailableError:
                 await asyncio.sleep(_RETRY_S)
                 return
-            await asyncio.sleep(PAUSE_TIMES * (time.monotonic() - begun_s))
+            took_s = time.monotonic() - begun_s
+            for asset in portion:
+                self._take(rows, asset)
+            await asyncio.sleep(PAUSE_TIMES * took_s)
+
+    def _take(self, rows: dict[str, _Row], asset: AssetReplica) -> None:
+        row = rows[asset.id]
+        right_s = time.monotonic() - asset.age_s("glance")
+        if row.tag != asset.known_tag("glance"):
+            row = rows[asset.id] = _row(asset)
+            self._dirty = True
+        row.right_s = right_s
 
     async def _heed_alarms(self) -> None:
         while True:
@@ -151,6 +193,11 @@ class Overview:
                 subscription.close()
 
     # ------------------------------------------------------------------ what routes ask
+    @property
+    def known(self) -> bool:
+        """Whether it is known which assets there are."""
+        return self._revision is not None
+
     def page(
         self, fit: Fit, sort: Sort, limit: int, place: Place | None
     ) -> tuple[FleetPage, Place | None]:
@@ -174,40 +221,36 @@ class Overview:
         """
         rows = self._listing()
         search = fit.search.casefold()
-        some = [
-            row
-            for row in rows
-            if (fit.group is None or row.asset.group == fit.group)
-            and (not search or search in row.text)
-        ]
-        counts = Counter(row.asset.state for row in some)
-        found = [
-            row
-            for row in some
-            if (not fit.states or row.asset.state in fit.states)
-            and fit.attention in (None, row.asset.attention is not None)
-        ]
+        some = rows
+        if fit.group is not None:
+            some = [row for row in some if row.group == fit.group]
+        if search:
+            some = [row for row in some if search in row.text]
+        found = some
+        if fit.states:
+            found = [row for row in found if row.state in fit.states]
+        if fit.attention is not None:
+            found = [row for row in found if row.attention == fit.attention]
+        counts = Counter(map(attrgetter("state"), some))
 
         def key(row: _Row) -> Key:
-            return row.key if sort == "urgency" else (0.0, 0.0, 0.0, row.asset.id)
+            return row.key if sort == "urgency" else (0.0, 0.0, 0.0, row.replica.id)
 
         if sort == "id":
-            found.sort(key=key)
+            found = sorted(found, key=lambda row: row.replica.id)
         begin = 0 if place is None else bisect_right(found, place.key, key=key)
         items = found[begin : begin + limit]
-        more = begin + limit < len(found)
-        now_s = time.monotonic()
-        heard_s = (row.right_s for row in rows if row.asset.state != "unread")
         page = FleetPage(
-            items=[row.asset for row in items],
+            items=[_shown(row) for row in items],
             total=len(rows),
             found=len(found),
             counts={state: counts[state] for state in STATES},
-            attention=sum(row.asset.attention is not None for row in some),
-            unacknowledged=sum(row.asset.unacknowledged for row in some),
-            age_s=round(now_s - min(heard_s, default=now_s), 1),
-            revision=self.replicas.revision,
+            attention=sum(map(attrgetter("attention"), some)),
+            unacknowledged=sum(map(attrgetter("unacknowledged"), some)),
+            age_s=round(max(time.monotonic() - self._oldest_s, 0.0), 1),
+            revision=self._revision or "",
         )
+        more = begin + limit < len(found)
         return page, Place(sort=sort, key=key(items[-1])) if more else None
 
     def map(self) -> FleetMap:
@@ -220,7 +263,7 @@ class Overview:
         """
         self._listing()
         marks = "".join(self._rows[name].mark for name in sorted(self._rows))
-        return FleetMap(revision=self.replicas.revision, marks=marks)
+        return FleetMap(revision=self._revision or "", marks=marks)
 
     def _listing(self) -> list[_Row]:
         """All rows, the most urgent first."""
@@ -229,27 +272,28 @@ class Overview:
         away_s = self.replicas.reader.away_s
         if away_s > AWAY_AFTER_S:
             raise CellUnavailableError(f"the cell has not answered for {away_s:.0f} s")
-        renewed = self.replicas.revision != self._revision
-        if not renewed and now_s - self._listed_s < _LISTED_S:
+        if not self.known:
+            raise CellUnavailableError("the assets are being read")
+        if now_s - self._listed_s < _LISTED_S:
             return self._order
-        assets = self.replicas.assets
-        if renewed:
-            self._rows = {name: row for name, row in self._rows.items() if name in assets}
-        for name, replica in assets.items():
-            right_s = now_s - replica.age_s("glance")
-            old = now_s - right_s > UNREAD_AFTER_S
-            row = self._rows.get(name)
-            tag = b"" if old else replica.known_tag("glance")
-            if row is None or row.tag != tag or renewed:
-                self._rows[name] = _row(_unread(replica.glance()) if old else replica.glance(), tag)
-            self._rows[name].right_s = right_s
-        self._order = sorted(self._rows.values(), key=lambda row: row.key)
-        self._listed_s, self._revision = now_s, self.replicas.revision
+        read_since_s = now_s - UNREAD_AFTER_S
+        for row in self._rows.values():
+            if row.right_s < read_since_s and row.state != "unread":
+                _forget(row)
+                self._dirty = True
+        if self._dirty:
+            self._order = sorted(self._rows.values(), key=attrgetter("key"))
+        read = [row.right_s for row in self._order if row.state != "unread"]
+        self._oldest_s = min(read, default=now_s)
+        self._listed_s, self._dirty = now_s, False
         return self._order
 
 
-def _unread(asset: FleetAsset) -> FleetAsset:
-    """What is left of an asset that was not heard of lately: nothing of its state."""
+def _shown(row: _Row) -> FleetAsset:
+    """What is shown of an asset: nothing of its state where it was not heard of lately."""
+    asset = row.replica.glance()
+    if row.state != "unread":
+        return asset
     return asset.model_copy(
         update={
             "state": "unread",
@@ -270,10 +314,29 @@ def _unread(asset: FleetAsset) -> FleetAsset:
     )
 
 
-def _row(asset: FleetAsset, tag: bytes) -> _Row:
+def _forget(row: _Row) -> None:
+    """Know nothing of the state of an asset any more, until the next answer about it."""
+    row.tag = b""
+    row.state, row.mark = "unread", _MARKS["unread"]
+    row.attention, row.unacknowledged = False, 0
+    row.key = (float(_LAST), 0.0, 0.0, row.replica.id)
+
+
+def _row(replica: AssetReplica) -> _Row:
+    asset = replica.glance()
     words: Iterable[str | None] = (asset.id, asset.name, asset.group, asset.bearing)
-    text = " ".join(word for word in words if word).casefold()
-    return _Row(asset, tag, -1e9, _urgency(asset), text, _mark(asset))
+    return _Row(
+        replica=replica,
+        tag=replica.known_tag("glance"),
+        right_s=time.monotonic() - replica.age_s("glance"),
+        key=_urgency(asset),
+        group=asset.group,
+        text=" ".join(word for word in words if word).casefold(),
+        state=asset.state,
+        attention=asset.attention is not None,
+        unacknowledged=asset.unacknowledged,
+        mark=_mark(asset),
+    )
 
 
 def _urgency(asset: FleetAsset) -> Key:

@@ -120,6 +120,9 @@ async def followed() -> AsyncIterator[Followed]:
     await asyncio.sleep(0)
     await one.replicas.load()
     running = asyncio.create_task(one.fleet.run())
+    async with asyncio.timeout(PATIENCE_S):
+        while not one.fleet.known:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.01)
     yield one
     for task in (serving, running):
         task.cancel()

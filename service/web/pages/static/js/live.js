@@ -10,7 +10,7 @@ import { Stream } from './stream.js';
 export const SENSORS = RINGS;
 /** With more assets the page knows only of those that it shows, and of their neighbours by name. */
 export const MOST_FOLLOWED = 36;
-const PAGE = 1000;
+const PAGE = 500;
 const SUMMARY_EVERY_MS = 20000;
 const LOOK_AFTER_MS = 500;
 // With many assets, what is suppressed by design is not listed: it is most of what there is.

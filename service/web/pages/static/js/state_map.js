@@ -76,7 +76,7 @@ export class StateMap {
     this.room = h('div', { class: 'blocks' });
     this.element = h('div', {
       class: 'smap', tabindex: 0, role: 'application', 'aria-roledescription': 'map',
-      onkeydown: (event) => this.press(event), onfocus: () => this.chosen ?? this.step('Home'),
+      onkeydown: (event) => this.press(event), onfocus: () => this.enter(),
       onblur: () => this.choose(null),
     }, this.room, this.tip);
     this.room.addEventListener('pointermove', (event) => this.point(event));
@@ -216,6 +216,11 @@ export class StateMap {
     const again = found && found.block === this.chosen?.block && found.index === this.chosen.index;
     if (found && (again || event.pointerType !== 'touch')) this.open(found.block.assets[found.index].id);
     else this.choose(found);
+  }
+
+  /** Who comes with the keyboard sees where it is; a finger or a mouse chooses itself. */
+  enter() {
+    if (!this.chosen && this.element.matches(':focus-visible')) this.step('Home');
   }
 
   press(event) {
