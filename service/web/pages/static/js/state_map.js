@@ -80,7 +80,8 @@ export class StateMap {
       onblur: () => this.choose(null),
     }, this.room, this.tip);
     this.room.addEventListener('pointermove', (event) => this.point(event));
-    this.room.addEventListener('pointerleave', () => this.choose(null));
+    // A finger leaves with each touch.
+    this.room.addEventListener('pointerleave', (event) => event.pointerType === 'touch' || this.choose(null));
     this.room.addEventListener('click', (event) => this.click(event));
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(this.element);

@@ -83,7 +83,9 @@ export class Stream {
     this.socket = null;
     if (!socket) return;
     socket.onmessage = socket.onclose = null;
-    socket.close();
+    // A line that is not open yet is closed as soon as it is: browsers complain about anything else.
+    if (socket.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close();
+    else socket.close();
   }
 
   lost(socket) {
