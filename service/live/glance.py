@@ -124,7 +124,8 @@ def _reason(
     waiting: Sequence[Alarm],
     standing: Sequence[Alarm],
 ) -> str:
-    if waiting:
+    # What is exceeded already outweighs what is predicted.
+    if waiting and not (state == "over" and waiting[0].predicted):
         return waiting[0].message
     if state == "over" and standing and verdict.now.limit is None:
         return standing[0].message

@@ -246,13 +246,13 @@ function takeAssets(list) {
 function tick() {
   const state = feed?.store.state;
   header.tick({ link: live.link, sources: state ? chipsShown(state) : [] }, clock);
-  strip.tick(state ? lostState(state, clock, ofAll()) : null);
+  strip.tick(state ? lostState(state, clock, ofNone()) : null);
   if (state) jobs.update(state.jobs);
   showLink();
 }
 
 /** The sources of the asset that is looked at, or of all. */
-const chipsShown = (state) => (ofAll() ? driverChips(state, clock) : sourceChips(state, clock));
+const chipsShown = (state) => (ofNone() ? driverChips(state, clock) : sourceChips(state, clock));
 
 /** A page without connection looks out of date and takes no input. */
 function showLink() {
@@ -263,6 +263,8 @@ function showLink() {
 
 /** Whether the page speaks of all assets instead of one. */
 const ofAll = () => ['fleet', 'assets', ''].includes(shown);
+/** Whether no asset is known as a whole. */
+const ofNone = () => ofAll() || (live.many && shown === 'alarms');
 const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);
 /** Whose alarms the banner knows, or not yet. */
 const bannerStates = (feeds) => (live.many && feeds[0] !== feed ? [live]

@@ -7,18 +7,29 @@ import { isDistrust } from './readings.js';
 import { assetHash } from './route.js';
 
 const WORDS = {
-  over: 'over a limit', ahead: 'limit ahead', lost: 'no data', unknown: 'unknown',
-  safe: 'safe', waiting: 'waiting for data', unread: 'not read yet',
+  lost: 'No data', unknown: 'Unknown', waiting: 'Waiting', unread: 'Unknown', safe: 'Unknown',
 };
 const NOW = { 'not safe': 'Not safe', recovering: 'Recovering', unknown: 'Unknown', safe: 'Safe now' };
 
-function symbolOf({ state, alarm, limit }) {
-  const priority = limit?.level === 'alarm' ? 1 : 2;
-  if (state === 'over') return [Math.min(alarm?.priority ?? 3, priority), 'filled'];
+/** Priority of what is measured over a limit now: a prediction never looks like a measurement. */
+const overPriority = ({ limit, alarm }) => Math.min(limit?.level === 'alarm' ? 1 : 2,
+  alarm && !alarm.predicted && !isDistrust(alarm) ? alarm.priority : 3);
+
+function symbolOf(asset) {
+  const { state, alarm, limit } = asset;
+  if (state === 'over') return [overPriority(asset), 'filled'];
   if (alarm && isDistrust(alarm)) return ['bad', 'filled'];
   if (alarm) return [alarm.priority, alarm.predicted ? 'dashed' : 'hollow'];
-  if (state === 'ahead') return [priority, 'dashed'];
+  if (state === 'ahead') return [limit?.level === 'alarm' ? 1 : 2, 'dashed'];
   return { lost: ['bad', 'hollow'], safe: ['ok'] }[state] ?? ['none'];
+}
+
+/** The word before the reason; none where the reason says it itself. */
+function wordOf({ state, alarm, now }) {
+  if (state === 'over') return NOW[now];
+  if (alarm?.predicted) return 'PREDICTED';
+  if (state === 'lost' && alarm) return '';
+  return now === 'unknown' ? WORDS[state] : NOW[now];
 }
 
 /** The one figure of a row: time to the limit ahead, else the temperature, else the age of it. */
@@ -32,10 +43,7 @@ function figureOf(asset, nowMs) {
   return [value && h('s', {}, value), ageS !== null && h('small', {}, ` ${ageText(Math.max(0, ageS))} old`)];
 }
 
-const lookOf = ({ state, limit, alarm }) => {
-  if (state === 'over') return `p${Math.min(alarm?.priority ?? 3, limit?.level === 'alarm' ? 1 : 2)}`;
-  return state === 'lost' ? 'bad' : '';
-};
+const lookOf = (asset) => ({ over: `p${overPriority(asset)}`, lost: 'bad' }[asset.state] ?? '');
 
 export class AttentionList {
   constructor() {
@@ -54,11 +62,9 @@ export class AttentionList {
   }
 
   row(asset, nowMs) {
-    const { id, name, now, state, alarm, reason, unacknowledged: waits } = asset;
-    // An alarm about lost data says itself that they are lost.
-    const word = state === 'lost' && alarm ? '' : now === 'unknown' && state !== 'over' ? WORDS[state]
-      : NOW[now];
-    const why = word ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : reason;
+    const { id, name, alarm, reason, unacknowledged: waits } = asset;
+    const word = wordOf(asset);
+    const why = word ? `${word}: ${reason}` : reason;
     return h('li', {}, h('a', {
       class: lookOf(asset), href: assetHash('operator', id), 'data-asset': id,
     },
@@ -66,6 +72,6 @@ export class AttentionList {
     h('span', { class: 'm' }, h('b', {}, name), h('span', { class: 's mut' }, groupOf(asset))),
     h('b', { class: 'r' }, figureOf(asset, nowMs)),
     h('span', { class: 'why' }, joined(why),
-      waits > 0 && ` · ${waits} unacknowledged`)));
+      waits > 1 && ` · + ${waits - 1} more`)));
   }
 }
