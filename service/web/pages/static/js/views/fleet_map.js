@@ -10,7 +10,7 @@ import { StateMap } from '../state_map.js';
 const STATES = [
   ['over', 'over a limit', [2, 'filled']], ['ahead', 'limit ahead', [2, 'dashed']],
   ['lost', 'without data', ['bad', 'hollow']], ['unknown', 'unknown', ['none']],
-  ['safe', 'safe', ['ok']], ['waiting', 'waiting for data', ['none']],
+  ['safe', 'safe now', ['ok']], ['waiting', 'waiting for data', ['none']],
 ];
 const ASK_EVERY_MS = 2000;
 const PATIENCE_MS = 4000;
