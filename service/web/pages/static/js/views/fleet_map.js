@@ -112,7 +112,10 @@ export class FleetMapView {
     const { assets } = this.page;
     const { connection } = this.page;
     // Other assets, or another name of one: their list is read again, and then the map fits it.
-    if (answer.revision !== connection.revision) connection.guarded(() => connection.loadAssets());
+    if (answer.revision !== connection.revision) {
+      this.learning ??= connection.guarded(() => connection.loadAssets())
+        .finally(() => { this.learning = null; });
+    }
     if (map.revision === connection.revision && map.marks.length === assets.length) {
       assets.forEach((asset, index) => { asset.mark = map.marks[index]; });
       this.showMap(Boolean(this.bar.state));
