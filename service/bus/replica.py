@@ -16,6 +16,7 @@ from service.documents.advice import AdviceDocument
 from service.documents.assets import AssetDocument, GreaseRenewed, State
 from service.documents.base import Document as Shown
 from service.documents.envelope import EnvelopeDocument
+from service.documents.fleet import FleetAsset
 from service.documents.forecasts import LiveForecast, WhatIf
 from service.documents.identification import WindowDocument
 from service.documents.interfaces import DocumentKind
@@ -124,10 +125,11 @@ class AssetReplica:
         """
         self._changed_s = time.monotonic()
 
-    def is_due(self, kind: DocumentKind) -> bool:
-        """Tell whether a copy is to be asked for again."""
+    def is_due(self, kind: DocumentKind, fresh_s: float | None = None) -> bool:
+        """Tell whether a copy is to be asked for again; ``fresh_s`` says what fresh is here."""
         copy = self._copies.setdefault(kind, _Copy())
-        return copy.age_s > self._fresh_s or copy.right_s <= self._changed_s
+        fresh_s = self._fresh_s if fresh_s is None else fresh_s
+        return copy.age_s > fresh_s or copy.right_s <= self._changed_s
 
     async def refresh(self, *kinds: DocumentKind) -> None:
         """Bring copies up to date; where the cell does not answer the old ones stay.
@@ -278,6 +280,11 @@ class AssetReplica:
         """Return the flat tags; the same object until one of them changes."""
         snapshot: Snapshot = self._data("snapshot")
         return snapshot
+
+    def glance(self) -> FleetAsset:
+        """Return what the fleet shows of it, as it was heard last, however long ago."""
+        copy = self._copies.setdefault("glance", _Copy())
+        return FleetAsset.model_validate_json(copy.text)
 
     def verdict(self) -> VerdictDocument:
         """Return the verdict, as `GET /assets/{id}/verdict` shows it."""

@@ -9,7 +9,7 @@ from typing import Final
 
 from service.bus.commands import AssetNames, GetDocuments, Wanted
 from service.bus.interface import ReaderBus
-from service.bus.replica import FRESH_S, PATIENCE_S, AssetReplica, Questions
+from service.bus.replica import FRESH_S, PATIENCE_S, AssetReplica, Questions, digest
 from service.documents.interfaces import DocumentKind
 from service.domain.errors import CellUnavailableError
 
@@ -23,6 +23,7 @@ _ALL: Final[tuple[DocumentKind, ...]] = (
     "state",
     "verdict",
     "forecast",
+    "glance",
 )
 #: Wall seconds between two looks for other assets.
 _LOOK_EVERY_S: Final = 0.25
@@ -36,12 +37,15 @@ class Replicas:
     ----------
     assets : mapping of str to AssetReplica
         By id, in the order of the configuration; those that came later follow.
+    revision : str
+        Another one when assets have come or gone, or the table of one has changed.
     """
 
     reader: ReaderBus
     questions: Questions | None = None
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
+    revision: str = ""
     _loaded: int = 0
     _numbers: dict[str, int] = field(default_factory=dict)
     _loading: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -70,6 +74,7 @@ class Replicas:
             # One that was removed meanwhile is not known, and never shown.
             self.assets |= {name: one for name, one in new.items() if one.is_known("summary")}
             self._numbers = {name: numbers[name] for name in self.assets}
+            self.revision = digest(repr(sorted(self._numbers.items())).encode()).hex()
             self._loaded = loaded
 
     async def follow(self) -> None:
@@ -93,12 +98,15 @@ class Replicas:
     async def _refresh(self, assets: Iterable[AssetReplica], kinds: Sequence[DocumentKind]) -> None:
         due = [(asset, kind) for asset in assets for kind in kinds if asset.is_due(kind)]
         for begin in range(0, len(due), PORTION):
-            portion = due[begin : begin + PORTION]
-            wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
-            asked_s = time.monotonic()
-            documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
-            for (asset, kind), document in zip(portion, documents, strict=True):
-                asset.take(kind, document, asked_s)
+            await self.ask_for(due[begin : begin + PORTION])
+
+    async def ask_for(self, portion: Sequence[tuple[AssetReplica, DocumentKind]]) -> None:
+        """Bring some documents up to date with one question: `PORTION` of them at most."""
+        wanted = [Wanted(asset.id, kind, asset.known_tag(kind)) for asset, kind in portion]
+        asked_s = time.monotonic()
+        documents = await self.reader.ask(GetDocuments(wanted), PATIENCE_S)
+        for (asset, kind), document in zip(portion, documents, strict=True):
+            asset.take(kind, document, asked_s)
 
     async def refresh_known(self, *kinds: DocumentKind) -> None:
         """As `refresh`; where the cell does not answer what is known must do."""

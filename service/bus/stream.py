@@ -90,6 +90,7 @@ class Subscription:
         gap: bool,
         capacity: int,
         types: frozenset[MessageType] | None = None,
+        live: frozenset[str] | None = None,
     ) -> None:
         self.start_seq = start_seq
         self.gap = gap
@@ -98,6 +99,7 @@ class Subscription:
         self._bus = bus
         self._assets = assets
         self._types = types
+        self._live = assets if live is None else live
         self._capacity = capacity
         self._tiers: tuple[deque[Message], ...] = tuple(deque() for _ in range(_TIERS))
         self._closed: str | None = None
@@ -109,13 +111,14 @@ class Subscription:
     def followed(self) -> frozenset[str] | None:
         """Assets whose live messages are wanted; None for all."""
         live = self._types is None or not self._types.isdisjoint(_ON_DEMAND)
-        return self._assets if live else frozenset()
+        return self._live if live else frozenset()
 
     def wants(self, message: Message) -> bool:
         """Tell whether the message is about one of the assets asked for, or about all."""
         if self._types is not None and message.type not in self._types:
             return False
-        return message.asset is None or self._assets is None or message.asset in self._assets
+        wanted = self._live if message.type in _ON_DEMAND else self._assets
+        return message.asset is None or wanted is None or message.asset in wanted
 
     async def get(self) -> Message:
         """Wait for the next message, in order of number.
@@ -361,6 +364,7 @@ class Bus:
         capacity: int = SUBSCRIPTION_MESSAGES,
         types: Iterable[MessageType] | None = None,
         complete_after: int = 0,
+        live: Iterable[str] | None = None,
     ) -> Subscription:
         """Open a subscription in the running event loop.
 
@@ -377,6 +381,9 @@ class Bus:
             Only messages of these types; default all.
         complete_after : int
             Number after which there are all messages of the assets: before it nobody followed.
+        live : iterable of str, optional
+            Of these alone the messages that are made on demand (measurements, states, verdicts,
+            forecasts), and of all ``assets`` the others; default those of ``assets``.
         """
         of_types = None if types is None else frozenset(types)
         wanted = None if assets is None else frozenset(assets)
@@ -387,7 +394,13 @@ class Bus:
             missed = [message for message in self._history if message.seq > start_seq]
             # What is promised by resuming comes on top of what may wait.
             subscription = Subscription(
-                self, wanted, start_seq, gap, capacity + len(missed), of_types
+                self,
+                wanted,
+                start_seq,
+                gap,
+                capacity + len(missed),
+                of_types,
+                None if live is None else frozenset(live),
             )
             for message in missed:
                 if subscription.wants(message):

@@ -165,6 +165,7 @@ class Answers:
             "verdict": asset.verdict,
             "forecast": asset.forecast,
             "machine": asset.machine,
+            "glance": asset.glance,
         }
         # A process that has just begun asks for all there is, and knows nothing yet.
         if wanted.kind == "forecast" and wanted.tag:

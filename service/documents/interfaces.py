@@ -5,7 +5,9 @@ from typing import Literal, Protocol
 from service.documents.base import Document
 from service.documents.messages import MessageType
 
-DocumentKind = Literal["summary", "snapshot", "state", "verdict", "forecast", "facts", "machine"]
+DocumentKind = Literal[
+    "summary", "snapshot", "state", "verdict", "forecast", "facts", "machine", "glance"
+]
 
 
 class Publisher(Protocol):

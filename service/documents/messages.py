@@ -19,6 +19,12 @@ MessageType = Literal[
 ]
 """What a message may be, but for `hello`, which begins every stream."""
 
+LIVE = (
+    "Assets to follow, comma-separated, empty for none: `hello`, `measurement`, `state`, `verdict` "
+    "and `forecast` come of these alone. Absent: all of `assets`."
+)
+"""What the parameter ``live`` of the stream means."""
+
 
 # ---------------------------------------------------------------------------- what they carry
 class NewSamples(Document):
@@ -180,6 +186,7 @@ def asyncapi_document(version: str, address: str) -> JsonSchemaValue:
                                     "type": "string",
                                     "description": "Asset ids, comma-separated; absent: all.",
                                 },
+                                "live": {"type": "string", "description": LIVE},
                                 "resume": {
                                     "type": "integer",
                                     "minimum": 0,

@@ -104,6 +104,7 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
         model=thermal_model(asset),
         posterior=posterior,
         identified_at_us=version.created_at_us if posterior.identified else None,
+        drifted=bool((version.document.get("drift") or {}).get("changed")),
     )
 
 

@@ -17,6 +17,7 @@ from service.documents.assets import (
     State,
     VerdictSettings,
 )
+from service.documents.fleet import FleetAsset
 from service.documents.forecasts import LiveForecast
 from service.documents.limits import LowRisk
 from service.documents.machine import AssetFacts, PresentMachine
@@ -26,6 +27,7 @@ from service.domain.channels import CONTROLLER_CHANNELS, unit_of
 from service.live import presentation
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
+from service.live.glance import glance
 from service.live.judgement import Judgement
 from service.live.readings import Readings
 from service.site.asset_section import AssetSection
@@ -217,6 +219,20 @@ class AssetDocuments:
     def verdict(self) -> VerdictDocument:
         """Tell whether the machine is safe now, and whether its next step is."""
         return self._judgement.document(self.running)
+
+    def glance(self) -> FleetAsset:
+        """Show the asset as the fleet does."""
+        active = self._estimate.active
+        return glance(
+            self._settings,
+            self._readings,
+            self.verdict(),
+            self._alarms.active(self._settings.id),
+            version=active.version,
+            trusted=self._trusted(),
+            identified=active.identified_at_us is not None,
+            drifted=active.drifted,
+        )
 
     def forecast(self) -> LiveForecast | None:
         """Return the latest live forecast; None before the first."""

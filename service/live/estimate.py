@@ -32,12 +32,13 @@ _LONGEST_SEEN_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class ActiveModel:
-    """A model version that the live twin runs on."""
+    """A model version that the live twin runs on; ``drifted``: its drift report says *changed*."""
 
     version: int
     model: ThermalModel
     posterior: Posterior
     identified_at_us: int | None
+    drifted: bool = False
 
     @property
     def values(self) -> NDArray[np.float64]:

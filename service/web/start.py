@@ -36,6 +36,7 @@ from service.web.cell import (
     CellJobs,
     Shared,
 )
+from service.web.overview import Overview
 from service.web.questions import WorkerQuestions
 from service.web.side import WebSide
 
@@ -124,6 +125,7 @@ class _Start:
             replicas = Replicas(reader, questions)
             await self._until_known(replicas, following)
             shared = Shared(reader)
+            fleet = Overview(replicas, bus)
 
             def changed(asset: str | None) -> None:
                 replicas.changed(asset)
@@ -142,6 +144,7 @@ class _Start:
                     assets=replicas.assets,
                     jobs=CellJobs(reader, shared),
                     health=CellHealth(shared),
+                    fleet=fleet,
                     refresh_summaries=partial(replicas.refresh_known, "summary"),
                     changed=changed,
                     follow=following.follow,
@@ -151,6 +154,7 @@ class _Start:
             for name, work in (
                 ("presence", tell_presence(reader, "web")),
                 ("assets", replicas.follow()),
+                ("fleet", fleet.run()),
                 ("absence", _tell_absence(reader, replicas, bus, clock.rate)),
             ):
                 await stack.enter_async_context(background(work, name, stop))

@@ -11,6 +11,7 @@ from service.bus.stream import Bus
 from service.site.settings import Settings
 from service.store import Outbox, Store
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs
+from service.web.overview import Overview
 
 
 async def _nothing() -> None:
@@ -42,6 +43,8 @@ class ServiceContext:
         What the cell does and knows.
     assets
         By id.
+    fleet
+        All assets at a glance.
     refresh_summaries
         Brings the summaries of all assets up to date.
     changed
@@ -66,6 +69,7 @@ class ServiceContext:
     assets: Mapping[str, AssetReplica]
     jobs: CellJobs
     health: CellHealth
+    fleet: Overview
     refresh_summaries: Callable[[], Awaitable[None]] = _nothing
     changed: Callable[[str | None], None] = lambda asset: None
     follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are

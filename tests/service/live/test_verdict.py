@@ -33,6 +33,7 @@ from service.site.settings import Settings
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.overview import Overview
 
 WARM = {
     "speed_rpm": 1500.0,
@@ -319,6 +320,7 @@ async def open_web(
             assets=replicas.assets,
             jobs=CellJobs(joint, shared),
             health=CellHealth(shared),
+            fleet=Overview(replicas, live.bus),
         )
         client = httpx2.AsyncClient(
             transport=httpx2.ASGITransport(create_app(context)),

@@ -13,6 +13,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from service.bus.stream import Subscription, SubscriptionClosedError
+from service.documents.messages import LIVE
 from service.documents.tags import Snapshot
 from service.domain.errors import CellUnavailableError
 from service.domain.roles import VIEWER
@@ -54,6 +55,7 @@ _log = structlog.get_logger(__name__)
 )
 async def stream_by_http(
     assets: Annotated[str | None, Query(description="Asset ids, comma-separated; all.")] = None,
+    live: Annotated[str | None, Query(description=LIVE)] = None,
     resume: Annotated[int | None, Query(description="Number of the last message seen.")] = None,
     epoch: Annotated[str | None, Query(description="Epoch of that message.")] = None,
 ) -> Response:
@@ -69,7 +71,8 @@ async def stream_by_http(
     `alarm`, `job`, `health`, and a `heartbeat` every 15 s. A client that reads
     slowly loses old measurements, never alarms or jobs. Of an asset that nobody follows, and nobody
     has followed for ten minutes, only `alarm` and `job` are made: a `resume` from before that has
-    a `gap`.
+    a `gap`. `live` names the assets to follow, and `alarm` and `job` come of all `assets` still:
+    with many assets, follow those that you show.
     """
     raise Problem(
         426,
@@ -158,26 +161,40 @@ async def _admit(
 async def _subscribe(
     websocket: WebSocket, context: ServiceContext
 ) -> tuple[Subscription, list[str]]:
-    named = [name for name in websocket.query_params.get("assets", "").split(",") if name]
-    for name in named:
-        if name not in context.assets:
-            raise parameter_problem("assets", f"no asset {name!r}", 404)
+    assets = _named(websocket, context, "assets") or None
+    live = _named(websocket, context, "live")
     resume_text = websocket.query_params.get("resume")
     resume: int | None = None
     if resume_text:
         if not resume_text.isdecimal() or len(resume_text) > 18:
             raise parameter_problem("resume", f"expected a message number (got {resume_text!r})")
         resume = int(resume_text)
+    followed = assets if live is None else live
     try:
-        complete_after = await context.follow(named or None)
+        # Who follows no asset need not tell the cell.
+        complete_after = 0 if followed == [] else await context.follow(followed)
     except CellUnavailableError:
         complete_after = None  # nobody knows whether there are all messages
     epoch = websocket.query_params.get("epoch")
     is_another = bool(epoch) and epoch != context.bus.epoch  # what came in the earlier one is gone
     if resume is not None and (is_another or complete_after is None):
         resume = -1
-    subscription = context.bus.subscribe(named or None, resume, complete_after=complete_after or 0)
-    return subscription, list(dict.fromkeys(named)) or list(context.assets)
+    subscription = context.bus.subscribe(
+        assets, resume, complete_after=complete_after or 0, live=live
+    )
+    return subscription, list(context.assets) if followed is None else followed
+
+
+def _named(websocket: WebSocket, context: ServiceContext, parameter: str) -> list[str] | None:
+    """Assets that a parameter names, each once; None where it is not given."""
+    text = websocket.query_params.get(parameter)
+    if text is None:
+        return None
+    names = list(dict.fromkeys(name for name in text.split(",") if name))
+    for name in names:
+        if name not in context.assets:
+            raise parameter_problem(parameter, f"no asset {name!r}", 404)
+    return names
 
 
 async def _refuse(websocket: WebSocket, problem: Problem) -> None:
@@ -258,7 +275,7 @@ async def _send(
 ) -> Ending:
     bus = context.bus
     try:
-        # A service without assets still says hello.
+        # Also where no asset is followed, or there is none.
         for asset_id in wanted or (None,):
             tags: Snapshot = {"tags": {}}
             if asset_id is not None:

@@ -37,6 +37,7 @@ from service.documents.assets import (
     VerdictSettings,
 )
 from service.documents.envelope import EnvelopeDocument, PresentPoint, RunawayMap
+from service.documents.fleet import FleetAsset
 from service.documents.forecasts import LiveForecast, Quantiles, WhatIf
 from service.documents.identification import JobDocument, WindowDocument, job_document
 from service.documents.limits import Crossing, Limits, LowRisk
@@ -60,6 +61,7 @@ from service.store import ActiveJobError, AuditEntry, Outbox, Store
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.overview import Overview
 
 ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
 REMOTE = ("203.0.113.9", 50_000)
@@ -90,6 +92,7 @@ class MemoryTwin:
         self.identified = True
         self.live_forecast: LiveForecast | None = None
         self.looks = 0
+        self.at_a_glance: dict[str, object] = {}
         self.tags = {
             name: tag(60.0, "°C", time_us) for name in channels if not name.endswith(".twin")
         }
@@ -175,6 +178,33 @@ class MemoryTwin:
 
     def forecast(self) -> LiveForecast | None:
         return self.live_forecast
+
+    def glance(self) -> FleetAsset:
+        return FleetAsset(
+            id=self.id,
+            name=self.id,
+            group=None,
+            bearing="6311",
+            network="bearing-14",
+            state="unknown",
+            attention="unknown",
+            now="unknown",
+            next_step="unknown",
+            reason="the twin does not run",
+            missing=["twin"],
+            limit=None,
+            seconds_to_limit=None,
+            probability=None,
+            channel=None,
+            value_c=None,
+            value_at=None,
+            unacknowledged=0,
+            alarm=None,
+            model_version=1,
+            trusted=True,
+            identified=False,
+            drifted=False,
+        ).model_copy(update=self.at_a_glance)
 
     def what_if(
         self, profile: Sequence[ProfileStep], step_s: float | None, nodes: Collection[str] | None
@@ -476,6 +506,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
         replicas = Replicas(joint, MemoryQuestions(twins), fresh_s=0.0)
         await replicas.load()
         shared = Shared(joint, fresh_s=0.0)
+        fleet = Overview(replicas, bus)
         context = ServiceContext(
             settings=settings,
             clock=clock,
@@ -487,6 +518,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             assets=replicas.assets,
             jobs=CellJobs(joint, shared),
             health=CellHealth(shared),
+            fleet=fleet,
             refresh_summaries=lambda: replicas.refresh("summary"),
         )
         world = World(
@@ -506,11 +538,13 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             taken=taken,
         )
         ingesting = asyncio.create_task(ingest.run([]))
+        watching = asyncio.create_task(fleet.run())
         try:
             yield world
         finally:
             for client in world.clients.values():
                 await client.aclose()
-            ingesting.cancel()
-            serving.cancel()
-            await asyncio.gather(ingesting, serving, return_exceptions=True)
+            running = ingesting, serving, watching
+            for task in running:
+                task.cancel()
+            await asyncio.gather(*running, return_exceptions=True)

@@ -51,6 +51,8 @@ LEAST = {
     ("POST", "/api/v1/assets/{asset_id}/models/{version}/activate"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/models/activations"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/drift"): "engineer",
+    ("GET", "/api/v1/fleet"): "viewer",
+    ("GET", "/api/v1/fleet/map"): "viewer",
     ("GET", "/api/v1/alarms"): "viewer",
     ("GET", "/api/v1/alarms/journal"): "viewer",
     ("GET", "/api/v1/alarms/statistics"): "viewer",

@@ -105,6 +105,31 @@ async def test_each_asset_says_hello(world: Any, server: Any) -> None:
         assert [m["asset"] for m in await receive(websocket, 2)] == ["bench-1", "rig-2"]
 
 
+async def test_who_follows_one_asset_still_hears_the_alarms_of_all(world: Any, server: Any) -> None:
+    async with server.open("?live=rig-2", world.keys["viewer"]) as websocket:
+        (hello,) = await receive(websocket)
+        assert hello["asset"] == "rig-2"
+        assert world.bus.followed() == {"rig-2"}
+        for asset in ("bench-1", "rig-2"):
+            world.bus.publish("verdict", asset, {})
+            world.bus.publish("alarm", asset, {})
+        messages = await receive(websocket, 3)
+        assert [(m["type"], m["asset"]) for m in messages] == [
+            ("alarm", "bench-1"),
+            ("verdict", "rig-2"),
+            ("alarm", "rig-2"),
+        ]
+    await subscribed(world, 0)
+    async with server.open("?live=", world.keys["viewer"]) as websocket:
+        (hello,) = await receive(websocket)
+        assert (hello["type"], hello["asset"]) == ("hello", None)
+        assert world.bus.followed() == frozenset()
+    with pytest.raises(InvalidStatus) as refused:
+        async with server.open("?live=nobody", world.keys["viewer"]):
+            pass
+    assert refused.value.response.status_code == 404
+
+
 async def test_resume_brings_what_was_missed(world: Any, server: Any) -> None:
     async with server.open("?assets=bench-1", world.keys["viewer"]) as websocket:
         world.bus.publish("measurement", "bench-1", {"samples": []})

@@ -1,6 +1,6 @@
 // The page: session, frame, views.
 import { AlarmDesk } from './alarm_desk.js';
-import { ApiError, call, onRefusedKey } from './api.js';
+import { ApiError, onRefusedKey } from './api.js';
 import { Banner } from './banner.js';
 import { ProcessClock } from './clock.js';
 import { notify } from './dialogs.js';
@@ -8,7 +8,7 @@ import { find, h, put } from './dom.js';
 import {
   driverChips, Header, JobStrip, LostStrip, lostState, sourceChips,
 } from './frame.js';
-import { Live } from './live.js';
+import { listAssets, Live } from './live.js';
 import { currentSession, logInFromAddress, logOut, showLogin } from './login.js';
 import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
@@ -18,8 +18,9 @@ import { showWaiting } from './waiting_dialog.js';
 // is the style sheet of a view that has one of its own.
 const VIEWS = {
   fleet: {
-    title: 'Fleet', from: 'viewer', load: async () => (await import('./views/fleet.js')).FleetView,
-    style: 'css/fleet.css',
+    title: 'Fleet', from: 'viewer', style: 'css/fleet.css',
+    load: async () => (live.many ? (await import('./views/fleet_map.js')).FleetMapView
+      : (await import('./views/fleet.js')).FleetView),
   },
   operator: {
     title: 'Operator', from: 'viewer', load: async () => (await import('./views/operator.js')).OperatorView,
@@ -49,13 +50,18 @@ const VIEWS = {
   },
 };
 const FETCH_OTHERS_MS = 3000;
+/** Views that show no asset of their own. */
+const OF_ALL = ['fleet', 'alarms', 'assets'];
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
 
 const clock = new ProcessClock();
-const live = new Live(clock, () => start('Your key is no longer valid, or your session has ended.'),
-  takeAssets);
+const live = new Live(clock, {
+  onLoggedOut: () => start('Your key is no longer valid, or your session has ended.'),
+  onAssets: takeAssets,
+  onFeed: (one) => one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250),
+});
 onRefusedKey(() => live.isLoggedOut());
 const main = find('#main');
 let session = null;
@@ -88,10 +94,10 @@ const nowhere = () => {
       : 'No asset is configured. Add an [[assets]] section to the configuration file.';
   }
   if (name && !Object.hasOwn(VIEWS, name)) return `Unknown view “${name}”.`;
-  if (!asset || live.feeds.has(asset)) return '';
+  if (!asset || live.assets.has(asset)) return '';
   return `Unknown asset “${asset}”. It may have been renamed or removed.`;
 };
-const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? id;
+const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? live.assets.get(id)?.name ?? id;
 
 const desk = new AlarmDesk(live, refusal);
 const page = {
@@ -150,7 +156,7 @@ async function showView() {
   const mine = latest;
   let View;
   try {
-    View = await fetchView(name);
+    [View] = await Promise.all([fetchView(name), !ofAll() && knowFeed(looked)]);
   } catch {
     put(main, h('p', { class: 'panel waiting' }, 'Loading this view failed.'));
     return;
@@ -158,6 +164,11 @@ async function showView() {
   if (mine !== latest || looked !== feed) return;
   view = new View(main, page);
   updateFrame();
+}
+
+/** Of many assets only that which is looked at is known as a whole, and only from then on. */
+async function knowFeed(one) {
+  if (one && !one.store.get('asset')) await whileAway(() => one.loadAsset());
 }
 
 /** The views and the asset that is looked at; views of all assets look at none. */
@@ -212,15 +223,16 @@ function follow() {
 }
 
 function chooseFeed() {
-  const id = [readHash().asset, feed?.assetId, assets[0]?.id].find((one) => live.feeds.has(one));
-  feed = live.feeds.get(id) ?? null;
-  if (feed) live.guarded(() => feed.open('whole'));
+  const id = [readHash().asset, feed?.assetId, assets[0]?.id].find((one) => live.assets.has(one));
+  feed = live.feedOf(id);
+  const ofOne = feed && !OF_ALL.includes(viewName());
+  const greeted = live.follow(ofOne ? [feed.assetId] : live.many ? [] : null);
+  if (ofOne || (feed && !live.many)) live.guarded(() => feed.open('whole', greeted));
 }
 
 /** Assets have come or gone: what lists them is made again, what shows one of them stays. */
 function takeAssets(list) {
   assets = list;
-  watchFeeds();
   const lost = shown !== 'assets' && live.feeds.get(feed?.assetId) !== feed;
   if (lost || !isOf(shown) || ['fleet', 'alarms', ''].includes(shown)) {
     follow();
@@ -231,27 +243,16 @@ function takeAssets(list) {
   view?.assetsChanged?.();
 }
 
-const watched = new WeakSet();
-
-function watchFeeds() {
-  for (const one of live.feeds.values()) {
-    if (!watched.has(one)) {
-      one.store.on(['alarms', 'forecast', 'verdict', 'tags', 'link'], updateFrame, 250);
-    }
-    watched.add(one);
-  }
-}
-
 function tick() {
   const state = feed?.store.state;
   header.tick({ link: live.link, sources: state ? chipsShown(state) : [] }, clock);
-  strip.tick(state ? lostState(state, clock, ofAll()) : null);
+  strip.tick(state ? lostState(state, clock, ofNone()) : null);
   if (state) jobs.update(state.jobs);
   showLink();
 }
 
 /** The sources of the asset that is looked at, or of all. */
-const chipsShown = (state) => (ofAll() ? driverChips(state, clock) : sourceChips(state, clock));
+const chipsShown = (state) => (ofNone() ? driverChips(state, clock) : sourceChips(state, clock));
 
 /** A page without connection looks out of date and takes no input. */
 function showLink() {
@@ -262,7 +263,12 @@ function showLink() {
 
 /** Whether the page speaks of all assets instead of one. */
 const ofAll = () => ['fleet', 'assets', ''].includes(shown);
+/** Whether no asset is known as a whole. */
+const ofNone = () => ofAll() || (live.many && shown === 'alarms');
 const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);
+/** Whose alarms the banner knows, or not yet. */
+const bannerStates = (feeds) => (live.many && feeds[0] !== feed ? [live]
+  : feeds.map((one) => one.store.state));
 const bannerWords = () => ({
   nameOf: (alarm) => (bannerFeeds().length > 1 ? nameOf(alarm.asset) : ''),
   live: (alarm) => liveDetail(live.feeds.get(alarm.asset).store.state, clock),
@@ -271,10 +277,11 @@ const bannerWords = () => ({
 function updateFrame() {
   if (!live.stream || (!view && shown) || !(feed || ofAll())) return;
   const feeds = bannerFeeds();
-  const answers = feeds.map((one) => situation(one.store.state, clock));
-  const words = answers.map((one) => one?.verdict.now.word);
-  const blind = answers.some((one) => one?.lostMs != null);
-  banner.update(feeds, { ...bannerWords(), blind });
+  const overall = live.many && ofAll() ? view?.overall : null;
+  const answers = overall ? [] : feeds.map((one) => situation(one.store.state, clock));
+  const words = overall?.words ?? answers.map((one) => one?.verdict.now.word);
+  const blind = overall?.blind ?? answers.some((one) => one?.lostMs != null);
+  banner.update(feeds, { ...bannerWords(), blind, states: bannerStates(feeds) });
   const mark = words.includes('not safe') ? '▲ ' : words.includes('unknown') ? '✕ ' : '';
   const title = VIEWS[shown]?.title ?? 'Not found';
   document.title = [mark + (ofAll() ? title : `${nameOf(feed.assetId)} · ${title}`),
@@ -314,9 +321,9 @@ async function start(reason = '') {
     session = await whileAway(currentSession);
   }
   header.showSession(session);
-  assets = (await whileAway(() => call('/assets'))).items;
-  live.start(assets);
-  watchFeeds();
+  const list = await whileAway(listAssets);
+  assets = list.items;
+  live.start(list);
   follow();
   setTimeout(fetchOthers, FETCH_OTHERS_MS);
 }

@@ -9,8 +9,7 @@ import { icon } from './icons.js';
 import { isDistrust } from './readings.js';
 
 /** Why there is no telling whether an alarm is there, or ''. */
-function ignorance(feeds) {
-  const states = feeds.map((feed) => feed.store.state);
+function ignorance(states) {
   if (states.some(({ link }) => link.status === 'away')) return 'the service does not answer';
   const waiting = states.some(({ link, alarmsKnown }) => link.status !== 'live' || !alarmsKnown);
   return waiting ? 'loading' : '';
@@ -39,9 +38,10 @@ export class Banner {
 
   /**
    * feeds: the assets whose alarms are meant; nameOf(alarm): name to show with the alarm, or '';
-   * live(alarm): the present values of its asset's forecast and sensor; blind: a limit has no data.
+   * live(alarm): the present values of its asset's forecast and sensor; blind: a limit has no data;
+   * states: { link, alarmsKnown } of all of which the alarms are meant.
    */
-  update(feeds, { nameOf, live, blind }) {
+  update(feeds, { nameOf, live, blind, states = feeds.map(({ store }) => store.state) }) {
     const all = feeds.flatMap((feed) => [...feed.store.get('alarms').values()]);
     const alarm = feeds.map((feed) => worst(feed.store.get('alarms'))).filter(Boolean)
       .sort(byUrgency)[0] ?? null;
@@ -51,7 +51,7 @@ export class Banner {
       button.hidden = !alarm || (name === 'acknowledge' && !needsAcknowledge(alarm));
       if (alarm) refuse(button, this.desk.refusal(name, alarm));
     }
-    const unknown = ignorance(feeds);
+    const unknown = ignorance(states);
     const look = alarm ? [alarm.id, alarm.state, alarm.priority].join()
       : ['quiet', unknown, blind].join();
     if (look !== this.look) this.changeLook(alarm, unknown, blind);

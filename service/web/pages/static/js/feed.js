@@ -31,11 +31,24 @@ export class AssetFeed {
     this.stopped = true;
   }
 
-  /** Ask for what the fleet's card needs ('card') or for everything ('whole'), and keep it. */
-  async open(depth) {
+  /**
+   * Ask for what the fleet's card needs ('card') or for everything ('whole'), and keep it;
+   * greeted: the stream is about to greet this asset, which asks for everything.
+   */
+  async open(depth, greeted = false) {
     if (this.depth === depth || (this.depth === 'whole' && depth === 'card')) return;
     this.depth = depth;
-    if (this.store.get('link').status === 'live') await this.loadAll();
+    if (!greeted && this.store.get('link').status === 'live') await this.loadAll();
+  }
+
+  /** Forget all but the alarms: nobody tells what is new of it any more. */
+  close() {
+    clearTimeout(this.historyTimer);
+    this.depth = null;
+    this.history = null;
+    const { alarms, alarmsKnown } = this.store.state;
+    const nothing = { ...emptyAsset(), history: null, alarms, alarmsKnown };
+    for (const [topic, value] of Object.entries(nothing)) this.store.set(topic, value);
   }
 
   receive(message) {
@@ -83,6 +96,7 @@ export class AssetFeed {
       call(path('/state')), this.firstForecast(), callPages('/alarms', { asset: this.assetId }),
       call(path('/verdict')),
     ]);
+    if (!this.depth) return; // closed meanwhile
     this.takeVerdict(verdict);
     this.takeAlarms(alarms);
     newer.forEach((alarm) => applyAlarm(this.store, alarm));
@@ -145,7 +159,7 @@ export class AssetFeed {
     if (now === null || !history) return;
     await history.refresh(now);
     await history.load(now - (this.depth === 'whole' ? this.span : FLEET_SPAN_MS), now);
-    if (this.stopped) return;
+    if (this.stopped || history !== this.history) return;
     this.store.set('history', history);
     await this.findLastValues();
   }
@@ -170,7 +184,7 @@ export class AssetFeed {
   /** Fetch the latest means again and again, more often when process time runs fast. */
   async keepHistory() {
     if (this.store.get('link').status === 'live') await this.guarded(() => this.loadHistory());
-    if (this.stopped) return;
+    if (this.stopped || !this.depth) return;
     const everyMs = Math.min(30000, Math.max(2000, 60000 / this.clock.rate));
     clearTimeout(this.historyTimer);
     this.historyTimer = setTimeout(() => this.keepHistory(), everyMs);

@@ -7,6 +7,7 @@ import {
 } from './format.js';
 import { icon, logo } from './icons.js';
 import { currentVerdict, listed, missingChannels } from './live_verdict.js';
+import { MOST_FOLLOWED } from './live.js';
 import { limitedReadings, readChannel } from './readings.js';
 
 const JOB_SHOWN_AFTER_MS = 15000;
@@ -105,8 +106,9 @@ export class Header {
   /** assets: as `GET /assets` lists them; current: id of the one looked at, null for none. */
   showAssets(assets, current) {
     const title = ({ id, name, bearing }) => [name ?? id, bearing].filter(Boolean).join(' · ');
-    if (assets.length < 2) {
-      put(this.asset, assets.map((asset) => h('b', { class: 'nw', title: asset.id }, title(asset))));
+    const one = assets.length > MOST_FOLLOWED ? assets.filter(({ id }) => id === current) : assets;
+    if (one.length < 2) {
+      put(this.asset, one.map((asset) => h('b', { class: 'nw', title: asset.id }, title(asset))));
       return;
     }
     if (current === null) {
@@ -181,8 +183,9 @@ export function lostState(state, clock, whole = false) {
       aside: waitS ? `next try in ${waitS} s` : 'Retrying …',
     };
   }
-  if (state.link.status !== 'live' || !state.asset || !Object.keys(state.tags).length) return null;
+  if (state.link.status !== 'live') return null;
   if (whole) return silentSource(state, clock);
+  if (!state.asset || !Object.keys(state.tags).length) return null;
   const lost = missingChannels(currentVerdict(state).missing)
     .map((name) => readChannel(state, clock, name));
   if (!lost.length) return silentSource(state, clock);

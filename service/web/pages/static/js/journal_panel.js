@@ -24,7 +24,7 @@ export class JournalPanel {
     this.span = select('Time range', SPANS, again);
     this.kind = select('Alarms or events', CLASSES, () => this.show());
     this.asset = select('Asset of the journal',
-      [['', 'all assets'], ...page.assets.map(({ id }) => [id, page.nameOf(id)])], again);
+      [['', 'all assets'], ...offered(page).map((id) => [id, page.nameOf(id)])], again);
     this.search = h('input', {
       type: 'search', placeholder: 'Search text', 'aria-label': 'Search text',
       oninput: () => this.show(),
@@ -116,4 +116,10 @@ export class JournalPanel {
   export() {
     saveText('alarm-journal.csv', journalCsv(this.chosen()), 'text/csv;charset=utf-8');
   }
+}
+
+/** Assets to choose among: of many the one looked at last, and those with alarms. */
+function offered({ connection, assets, live }) {
+  if (!connection.many) return assets.map(({ id }) => id);
+  return [...new Set([live.assetId, ...connection.alarms().map(({ alarm }) => alarm.asset)])].sort();
 }

@@ -37,10 +37,12 @@ export function wrongField({ pointer, detail }) {
   return { field, reason: field && line.startsWith(`${field}: `) ? line.slice(field.length + 2) : line };
 }
 
+const isWaiting = ({ health, state }) => (health ? !health.twin_running : state === 'waiting');
+
 /**
  * Every asset once, by id: { id, name, group, template, origin, state, why }.
  *
- * assets: as `GET /assets` lists them; items: those of `GET /provisioning`.
+ * assets: as `GET /assets` or `GET /fleet` lists them; items: those of `GET /provisioning`.
  */
 export function assetRows(assets, items) {
   const provisioned = new Map(items.map((item) => [item.id, item]));
@@ -56,7 +58,7 @@ export function assetRows(assets, items) {
       group: asset?.group ?? item?.table?.group ?? '',
       template: item ? item.template ?? '' : null, // the file alone knows that of its own
       origin: item ? 'provisioned' : 'file',
-      state: !asset || why ? 'not running' : asset.health.twin_running ? 'running' : 'waiting for data',
+      state: !asset || why ? 'not running' : isWaiting(asset) ? 'waiting for data' : 'running',
     };
   }).sort((a, b) => a.id.localeCompare(b.id, undefined, { numeric: true }));
 }

@@ -18,3 +18,13 @@ function decoded(text) {
 
 export const assetHash = (view, asset) =>
   (asset ? `#${view}/${encodeURIComponent(asset)}` : `#${view}`);
+
+/** What a view keeps behind the ? of the address. */
+export const readQuery = () => new URLSearchParams(location.hash.split('?')[1] ?? '');
+
+/** Keep it there without opening the view anew; what is empty is left out. */
+export function keepQuery(values) {
+  const query = new URLSearchParams(Object.entries(values).filter(([, value]) => value));
+  const [path] = location.hash.split('?');
+  history.replaceState(null, '', `${path || '#'}${query.size ? `?${query}` : ''}`);
+}

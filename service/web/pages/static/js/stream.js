@@ -7,12 +7,14 @@ const LONGEST_WAIT_S = 30;
 
 export class Stream {
   /**
-   * Of all assets, also of those that come later.
+   * Alarms and jobs of all assets, also of those that come later; live messages of those alone that
+   * are followed: ids, or null for all.
    *
    * handlers: message(message), up(), down({ nextTryMs }), refused() when the session is over.
    */
-  constructor(handlers) {
+  constructor(handlers, followed = null) {
     this.handlers = handlers;
+    this.followed = followed;
     this.epoch = null;
     this.sequence = null;
     this.failures = 0;
@@ -28,6 +30,17 @@ export class Stream {
     this.drop();
   }
 
+  /** Follow other assets from now on; gives whether that opens the line anew, with its greetings. */
+  follow(followed) {
+    if (String(followed) === String(this.followed)) return false;
+    this.followed = followed;
+    if (this.socket) {
+      this.drop();
+      this.connect();
+    }
+    return true;
+  }
+
   /** Try at once instead of waiting for the next turn. */
   tryNow() {
     clearTimeout(this.retry);
@@ -35,7 +48,7 @@ export class Stream {
   }
 
   address() {
-    const query = new URLSearchParams();
+    const query = new URLSearchParams(this.followed ? { live: this.followed.join(',') } : {});
     if (this.sequence !== null) {
       query.set('resume', String(this.sequence));
       query.set('epoch', this.epoch);
@@ -70,7 +83,9 @@ export class Stream {
     this.socket = null;
     if (!socket) return;
     socket.onmessage = socket.onclose = null;
-    socket.close();
+    // A line that is not open yet is closed as soon as it is: browsers complain about anything else.
+    if (socket.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close();
+    else socket.close();
   }
 
   lost(socket) {

@@ -104,7 +104,8 @@ export class AssetsView {
   }
 
   show() {
-    const assets = [...this.page.connection.feeds.values()].map(({ store }) => store.get('asset'));
+    const { assets: listed, feeds } = this.page.connection;
+    const assets = [...listed].map(([id, asset]) => feeds.get(id)?.store.get('asset') ?? asset);
     const rows = assetRows(assets, this.known.items);
     const word = this.search.value.trim().toLowerCase();
     const found = rows.filter((row) => !word || [row.id, row.name, row.group, row.template, row.state]
