@@ -68,6 +68,9 @@ class FleetAsset(Document):
     id: str = Field(examples=["bench-1"])
     name: str = Field(description="Name on the pages.", examples=["Test bench 1"])
     group: str | None = Field(description="Null without one.", examples=["Hall A"])
+    family: str | None = Field(
+        description="Machines of one type; null without one.", examples=["6016 grease-L front"]
+    )
     bearing: str | None = Field(
         description="Null for a machine with a custom network.", examples=["6311"]
     )

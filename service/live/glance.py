@@ -64,6 +64,7 @@ def glance(
         id=settings.id,
         name=settings.name or settings.id,
         group=settings.group or None,
+        family=settings.family or None,
         bearing=settings.bearing.name if settings.bearing else None,
         network=settings.network_name,
         state=state,

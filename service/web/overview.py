@@ -65,6 +65,7 @@ class _Row:
     right_s: float
     key: Key
     group: str | None
+    family: str | None
     text: str
     state: FleetState
     attention: bool
@@ -80,8 +81,10 @@ class Fit:
     ----------
     group : str or None
         Of this group.
+    family : str or None
+        Of this family.
     search : str
-        With this text in id, name, group or bearing, in small or capital letters.
+        With this text in id, name, group, family or bearing, in small or capital letters.
     states : collection of str
         In one of these states.
     attention : bool or None
@@ -89,6 +92,7 @@ class Fit:
     """
 
     group: str | None = None
+    family: str | None = None
     search: str = ""
     states: Collection[FleetState] = ()
     attention: bool | None = None
@@ -224,6 +228,8 @@ class Overview:
         some = rows
         if fit.group is not None:
             some = [row for row in some if row.group == fit.group]
+        if fit.family is not None:
+            some = [row for row in some if row.family == fit.family]
         if search:
             some = [row for row in some if search in row.text]
         found = some
@@ -324,13 +330,20 @@ def _forget(row: _Row) -> None:
 
 def _row(replica: AssetReplica) -> _Row:
     asset = replica.glance()
-    words: Iterable[str | None] = (asset.id, asset.name, asset.group, asset.bearing)
+    words: Iterable[str | None] = (
+        asset.id,
+        asset.name,
+        asset.group,
+        asset.family,
+        asset.bearing,
+    )
     return _Row(
         replica=replica,
         tag=replica.known_tag("glance"),
         right_s=time.monotonic() - replica.age_s("glance"),
         key=_urgency(asset),
         group=asset.group,
+        family=asset.family,
         text=" ".join(word for word in words if word).casefold(),
         state=asset.state,
         attention=asset.attention is not None,

@@ -27,8 +27,9 @@ async def list_fleet(
     request: Request,
     context: Context,
     group: Annotated[str | None, Query(max_length=200, description="Of this group.")] = None,
+    family: Annotated[str | None, Query(max_length=200, description="Of this family.")] = None,
     search: Annotated[
-        str, Query(max_length=200, description="Text in id, name, group or bearing.")
+        str, Query(max_length=200, description="Text in id, name, group, family or bearing.")
     ] = "",
     state: Annotated[list[FleetState], Query(description="In one of these states.")] = [],  # noqa: B006
     attention: Annotated[
@@ -53,7 +54,8 @@ async def list_fleet(
     place = None if cursor is None else decode_cursor(cursor, Place)
     if place is not None and place.sort != sort:
         raise parameter_problem("cursor", f"expected a cursor of the order {sort!r}")
-    page, following = context.fleet.page(Fit(group, search, state, attention), sort, limit, place)
+    fit = Fit(group, family, search, state, attention)
+    page, following = context.fleet.page(fit, sort, limit, place)
     page.next = None if following is None else encode_cursor(following)
     return json_response(page, headers=next_link(request, page.next))
 

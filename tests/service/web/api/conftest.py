@@ -184,6 +184,7 @@ class MemoryTwin:
             id=self.id,
             name=self.id,
             group=None,
+            family=None,
             bearing="6311",
             network="bearing-14",
             state="unknown",

@@ -38,6 +38,7 @@ def asset_of(name: str, chance: random.Random) -> FleetAsset:
             "id": name,
             "name": f"Machine {name}",
             "group": chance.choice([None, "Hall A", "Hall B"]),
+            "family": chance.choice([None, "6016 front"]),
             "bearing": "6311",
             "network": "bearing-14",
             "state": state,
@@ -131,7 +132,11 @@ async def followed() -> AsyncIterator[Followed]:
 
 async def test_pages_hold_every_asset_once_in_the_order_of_urgency(followed: Followed) -> None:
     fleet, assets = followed.fleet, followed.cell.assets
-    for fit, limit in ((Fit(), 7), (Fit(group="Hall A", states=("over", "ahead")), 3)):
+    for fit, limit in (
+        (Fit(), 7),
+        (Fit(group="Hall A", states=("over", "ahead")), 3),
+        (Fit(group="Hall A", family="6016 front"), 5),
+    ):
         seen: list[FleetAsset] = []
         place = None
         while True:
@@ -140,11 +145,12 @@ async def test_pages_hold_every_asset_once_in_the_order_of_urgency(followed: Fol
             seen += page.items
             if place is None:
                 break
-        wanted = [
-            one.id
+        together = [
+            one
             for one in assets.values()
-            if fit.group in (None, one.group) and (not fit.states or one.state in fit.states)
+            if fit.group in (None, one.group) and fit.family in (None, one.family)
         ]
+        wanted = [one.id for one in together if not fit.states or one.state in fit.states]
         assert sorted(one.id for one in seen) == sorted(wanted)
         assert page.found == len(wanted)
         ranks = [9 if one.attention is None else ATTENTIONS.index(one.attention) for one in seen]
@@ -153,10 +159,9 @@ async def test_pages_hold_every_asset_once_in_the_order_of_urgency(followed: Fol
         assert priorities == sorted(priorities)
         ahead = [one.seconds_to_limit or 0 for one in seen if one.attention == "ahead"]
         assert ahead == sorted(ahead)
-        in_group = [one for one in assets.values() if fit.group in (None, one.group)]
-        states = Counter(one.state for one in in_group)
+        states = Counter(one.state for one in together)
         assert {state: count for state, count in page.counts.items() if count} == states
-        assert page.attention == sum(one.attention is not None for one in in_group)
+        assert page.attention == sum(one.attention is not None for one in together)
 
 
 async def test_the_map_has_a_letter_for_each_asset_in_the_order_of_ids(followed: Followed) -> None:

@@ -11,10 +11,10 @@ const FLOOD = 10;
 /** The group of an asset as the fleet's pages show it; '' where it has none. */
 export const groupOf = (asset) => asset?.group ?? '';
 
-/** Whether an asset has a text in its id, name, group or bearing, in capital or small letters. */
+/** Whether an asset has a text in its id, name, group, family or bearing, in capital or small letters. */
 export function hasText(asset, text) {
   const word = text.trim().toLowerCase();
-  return !word || [asset.id, asset.name, groupOf(asset), asset.bearing].filter(Boolean).join(' ')
+  return !word || [asset.id, asset.name, groupOf(asset), asset.family, asset.bearing].filter(Boolean).join(' ')
     .toLowerCase().includes(word);
 }
 
