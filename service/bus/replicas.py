@@ -72,7 +72,7 @@ class Replicas:
             for gone in self.assets.keys() - numbers.keys():
                 del self.assets[gone]
             # One that was removed meanwhile is not known, and never shown.
-            self.assets |= {name: one for name, one in new.items() if one.is_known("summary")}
+            self.assets |= {name: one for name, one in new.items() if _is_whole(one)}
             self._numbers = {name: numbers[name] for name in self.assets}
             self.revision = digest(repr(sorted(self._numbers.items())).encode()).hex()
             self._loaded = loaded
@@ -112,3 +112,8 @@ class Replicas:
         """As `refresh`; where the cell does not answer what is known must do."""
         with contextlib.suppress(CellUnavailableError):
             await self.refresh(*kinds)
+
+
+def _is_whole(asset: AssetReplica) -> bool:
+    """Whether all is known that every asset has; one that goes while it is read lacks some."""
+    return asset.is_known("summary") and asset.is_known("glance")

@@ -15,7 +15,7 @@ from service.cli.keys import command_line_actor
 from service.cli.progress import progress_bar
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock, wall_us
-from service.documents.fleet_identification import ExecutorName
+from service.documents.fleet_identification import ExecutorName, summary
 from service.site.settings import Settings, load_settings
 
 # The compiled twin takes a second to load, which --help should not pay.
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from service.documents.fleet_identification import FleetIdentification
     from service.jobs.batch_executors import BatchExecutor
     from service.site.asset_section import AssetSection
+    from service.site.configuration import TomlTable
     from service.store import Store
 
 fleet = typer.Typer(help="Many machines at once.", no_args_is_help=True)
@@ -68,7 +69,8 @@ def identify(
     was stopped goes on with the next call; a night ends at noon, and a second run of the same
     night changes nothing. Services may run meanwhile: they take up the new versions.
 
-    The status is 1 if a machine failed, and 75 if the run is to be started again.
+    The status is 1 if a machine failed, 75 if store or scheduler are away, and 0 after a signal,
+    which leaves the rest to the next call.
     """
     if all_assets == (family is not None):
         raise BadInputError("expected either --all or --family FAMILY")
@@ -85,7 +87,7 @@ def identify(
         sys.stderr.write(
             "bearing-twin: stopped; what was identified is stored, call again for the rest\n"
         )
-        raise typer.Exit(75)
+        raise typer.Exit(0)
     if as_json:
         typer.echo(found.model_dump_json())
     else:
@@ -112,7 +114,8 @@ async def _identify(
         store = stack.enter_context(Store.open(settings.service.database_url, settings.data_dir))
         assets, wrong = _chosen(settings, store, family)
         clock = ProcessClock.resume(settings.clock.rate, settings.data_dir)
-        night = Night(night_of(datetime.now()), store, clock, actor.who, audit)
+        chosen = "all assets" if family is None else f"family {family}"
+        night = Night(night_of(datetime.now()), store, clock, actor.who, audit, chosen)
         batches = await _executor(stack, settings, executor, scheduler)
         tell = stack.enter_context(progress_bar(f"night {night.name}", _LINE_EVERY_S))
         work = asyncio.create_task(identify_fleet(night, assets, batches, tell, wrong))
@@ -123,11 +126,7 @@ async def _identify(
             work.cancel()
             await asyncio.wait({work})
             return None
-        found = work.result()
-        if found.machines:
-            chosen = "all assets" if family is None else f"family {family}"
-            store.audit.add(audit("fleet.identify", chosen, summary(found)))
-        return found
+        return work.result()
 
 
 def _chosen(
@@ -146,12 +145,19 @@ def _chosen(
     if family is None:
         return assets, refused
     chosen = [one for one in assets if one.family == family]
-    if not chosen:
-        known = sorted({one.family for one in assets} - {""})
+    if not chosen and not refused:
+        families = sorted({one.family for one in assets} - {""})
         raise BadInputError(
-            f"--family {family!r}: no asset has it; expected one of {', '.join(known) or 'none'}"
+            f"--family {family!r}: no asset has it; expected one of {', '.join(families) or 'none'}"
         )
-    return chosen, {}
+    # What is wrong with a table may hide its family: rather one too many is told of.
+    templates = {one.get("name"): one for one in settings.templates}
+
+    def may_be_of_it(table: "TomlTable") -> bool:
+        template = templates.get(table.get("template"), {})
+        return bool(table.get("family", template.get("family", family)) == family)
+
+    return chosen, {name: why for name, why in refused.items() if may_be_of_it(tables[name])}
 
 
 async def _executor(
@@ -189,16 +195,3 @@ def _print(found: "FleetIdentification") -> None:
         )
     console.print(table)
     console.print(summary(found), soft_wrap=True)
-
-
-def summary(found: "FleetIdentification") -> str:
-    """What a run did and cost, in one line: for the terminal and for the audit trail."""
-    each = found.seconds_per_machine
-    return (
-        f"Night {found.night}: {found.machines} machines identified ({found.warm_starts} by a warm "
-        f"start), {found.done_before} done before, {found.skipped} skipped, {found.failed} failed "
-        f"in {found.seconds:.1f} s on {found.workers} workers ({found.executor}"
-        + (f", {found.workers_lost} lost" if found.workers_lost else "")
-        + f"), {found.processor_seconds:.1f} s of processor time"
-        + ("" if each is None else f", {each:.2f} s for each machine")
-    )

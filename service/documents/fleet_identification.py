@@ -41,3 +41,16 @@ class FleetIdentification(Document):
     processor_seconds: float = Field(description="Of the workers and of the command.")
     seconds_per_machine: float | None = Field(description="Of the run; null without a machine.")
     items: list[IdentifiedAsset]
+
+
+def summary(found: FleetIdentification) -> str:
+    """What a run did and cost, in one line: for the terminal and for the audit trail."""
+    each = found.seconds_per_machine
+    return (
+        f"Night {found.night}: {found.machines} machines identified ({found.warm_starts} by a warm "
+        f"start), {found.done_before} done before, {found.skipped} skipped, {found.failed} failed "
+        f"in {found.seconds:.1f} s on {found.workers} workers ({found.executor}"
+        + (f", {found.workers_lost} lost" if found.workers_lost else "")
+        + f"), {found.processor_seconds:.1f} s of processor time"
+        + ("" if each is None else f", {each:.2f} s for each machine")
+    )

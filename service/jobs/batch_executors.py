@@ -6,15 +6,24 @@ from typing import Final, Protocol
 
 from service.documents.fleet_identification import ExecutorName
 from service.jobs.batches import run_batch
-from service.jobs.executor import STALLED_AFTER_WALL_S, make_executor
+from service.jobs.executor import STALLED_AFTER_WALL_S as JOB_STALLED_AFTER_WALL_S
+from service.jobs.executor import make_executor
 from service.jobs.workers import Workers
 
 #: A worker that has a batch for longer hangs; the first one may begin with compiling all kernels.
-_STALLED_AFTER_WALL_S: Final = 2 * STALLED_AFTER_WALL_S
+STALLED_AFTER_WALL_S: Final = 2 * JOB_STALLED_AFTER_WALL_S
 
 
 class WorkerLostError(RuntimeError):
-    """The worker that had a batch died or hangs: the batch is to be computed again."""
+    """The worker that had a batch died: the batch is to be computed again."""
+
+
+class BatchFailedError(RuntimeError):
+    """A batch that hangs, or that killed one worker after the other: it is to be divided."""
+
+
+#: What is said of a batch that hangs.
+HANGS: Final = f"a worker that had it for {STALLED_AFTER_WALL_S:g} s was ended"
 
 
 class BatchExecutor(Protocol):
@@ -41,6 +50,8 @@ class BatchExecutor(Protocol):
         ------
         WorkerLostError
             If the worker died; another one can take the batch.
+        BatchFailedError
+            If the batch hangs, or killed several workers.
         ServiceError
             If there are no workers any more.
         """
@@ -69,12 +80,16 @@ class ProcessBatches:
             try:
                 # One that died while it had nothing to do says so only now.
                 computed = asyncio.wrap_future(worker.executor.submit(run_batch, content))
-                async with asyncio.timeout(_STALLED_AFTER_WALL_S):
+                async with asyncio.timeout(STALLED_AFTER_WALL_S):
                     return await computed
-            except (BrokenProcessPool, TimeoutError) as error:
+            except BrokenProcessPool as error:
                 self.workers_lost += 1
                 worker.replace()
-                raise WorkerLostError(str(error) or "the worker hangs") from error
+                raise WorkerLostError(str(error)) from error
+            except TimeoutError as error:
+                self.workers_lost += 1
+                worker.replace()
+                raise BatchFailedError(HANGS) from error
 
     def end(self) -> None:
         """End all processes at once."""

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from service.documents.fleet_identification import ExecutorName
 from service.domain.errors import ServiceError, TemporaryError
-from service.jobs.batch_executors import WorkerLostError
+from service.jobs.batch_executors import STALLED_AFTER_WALL_S, BatchFailedError
 from service.jobs.batches import run_batch
 from service.site.fleet_section import SchedulerAddress
 
@@ -134,13 +134,21 @@ class DaskBatches:
         )
         result = asyncio.ensure_future(future.result())
         try:
+            computing_s = 0.0
             while not result.done():
                 await self._some_workers()
                 await asyncio.wait({result}, timeout=_LOOK_EVERY_WALL_S)
+                # Not the time in which it waits for a worker.
+                if await self._is_computed(future.key):
+                    computing_s += _LOOK_EVERY_WALL_S
+                if computing_s > STALLED_AFTER_WALL_S:
+                    raise BatchFailedError(
+                        f"a worker has not finished it within {STALLED_AFTER_WALL_S:g} s"
+                    )
             found: bytes = result.result()
             return found
         except KilledWorker as error:
-            raise WorkerLostError("several workers died of it, one after the other") from error
+            raise BatchFailedError("several workers died of it, one after the other") from error
         except (LostConnectionError, CommClosedError, OSError) as error:
             raise ClusterUnavailableError(
                 f"scheduler {self._address}: the connection is lost ({error})"
@@ -153,6 +161,10 @@ class DaskBatches:
         finally:
             result.cancel()
             future.release()
+
+    async def _is_computed(self, key: str) -> bool:
+        tasks = await self._client.processing()
+        return any(key in keys for keys in tasks.values())
 
     async def _some_workers(self) -> None:
         if not await self._client.nthreads():

@@ -5,9 +5,10 @@ where it ended, and a second run of the same night finds nothing to do.
 """
 
 import asyncio
+import contextlib
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Final
@@ -19,8 +20,13 @@ from anyio.to_thread import run_sync as in_thread
 from adapters.protocol import Clock
 from service.alarms.records import event_line
 from service.clock import rfc3339
-from service.documents.fleet_identification import FleetIdentification, IdentifiedAsset
-from service.jobs.batch_executors import BatchExecutor, WorkerLostError
+from service.documents.fleet_identification import (
+    FleetIdentification,
+    IdentifiedAsset,
+    summary,
+)
+from service.domain.errors import ServiceError
+from service.jobs.batch_executors import BatchExecutor, BatchFailedError, WorkerLostError
 from service.jobs.batches import (
     MachineOrder,
     MachineResult,
@@ -60,6 +66,8 @@ class Night:
         Who asked for it.
     audit : callable
         Makes a line of the audit trail from action, target and detail.
+    chosen : str
+        Which assets, for the audit trail.
     """
 
     name: str
@@ -67,6 +75,7 @@ class Night:
     clock: Clock
     who: str
     audit: Callable[[str, str, str], AuditEntry]
+    chosen: str = "all assets"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +109,8 @@ async def identify_fleet(
 ) -> FleetIdentification:
     """Identify all machines that have no result of this night.
 
+    What it did and cost becomes a line of the audit trail, also where it is stopped or fails.
+
     Parameters
     ----------
     night
@@ -118,7 +129,20 @@ async def identify_fleet(
     ServiceError
         If store or workers are away; what was identified until then is stored.
     """
-    return await _Run(night, executor, tell).run(assets, wrong)
+    run = _Run(night, executor, tell)
+    try:
+        await run.run(assets, wrong)
+    finally:
+        found = run.report()
+        if found.machines:
+            with contextlib.suppress(ServiceError):  # the store may be what is away
+                night.store.audit.add(night.audit("fleet.identify", night.chosen, summary(found)))
+    numbers = await in_thread(night.store.models.active_numbers)
+    items = [
+        one.model_copy(update={"active": one.model_version == numbers.get(one.asset, 0)})
+        for one in found.items
+    ]
+    return found.model_copy(update={"items": items})
 
 
 class _Run:
@@ -129,14 +153,12 @@ class _Run:
         self._waiting: deque[Sequence[AssetSection]] = deque()
         self._items: dict[str, IdentifiedAsset] = {}
         self._worker_s = 0.0
-        self._count = 0
+        self._names: list[str] = []
+        self._began_s, self._began_processor_s = time.monotonic(), time.process_time()
 
-    async def run(
-        self, assets: Sequence[AssetSection], wrong: Mapping[str, str]
-    ) -> FleetIdentification:
-        began_s, processor_s = time.monotonic(), time.process_time()
+    async def run(self, assets: Sequence[AssetSection], wrong: Mapping[str, str]) -> None:
         workers = self._executor.worker_count
-        self._count = len(assets) + len(wrong)
+        self._names = [*(asset.id for asset in assets), *wrong]
         for name, why in wrong.items():
             self._note(IdentifiedAsset(asset=name, status="failed", reason=why))
         done = await in_thread(
@@ -154,20 +176,17 @@ class _Run:
                     group.create_task(self._work())
         except BaseExceptionGroup as failures:
             raise _first(failures) from None
-        numbers = await in_thread(self._night.store.models.active_numbers)
-        items = [
-            self._items[name].model_copy(
-                update={"active": self._items[name].model_version == numbers.get(name, 0)}
-            )
-            for name in (*(asset.id for asset in assets), *wrong)
-        ]
+
+    def report(self) -> FleetIdentification:
+        """Tell what was done so far, in the order in which the assets were asked for."""
+        items = [self._items[name] for name in self._names if name in self._items]
         counts = Counter(one.status for one in items)
         machines = counts["identified"]
-        seconds = time.monotonic() - began_s
+        seconds = time.monotonic() - self._began_s
         return FleetIdentification(
             night=self._night.name,
             executor=self._executor.name,
-            workers=workers,
+            workers=self._executor.worker_count,
             workers_lost=self._executor.workers_lost,
             machines=machines,
             warm_starts=sum(bool(one.warm_start) for one in items),
@@ -175,7 +194,7 @@ class _Run:
             skipped=counts["skipped"],
             failed=counts["failed"],
             seconds=seconds,
-            processor_seconds=self._worker_s + time.process_time() - processor_s,
+            processor_seconds=self._worker_s + time.process_time() - self._began_processor_s,
             seconds_per_machine=seconds / machines if machines else None,
             items=items,
         )
@@ -188,12 +207,25 @@ class _Run:
                 continue
             results = await self._results([one.order for one in prepared.values()])
             for result in results:
-                await self._keep(prepared[result.asset], result)
+                with self._guarding(result.asset):
+                    await self._keep(prepared[result.asset], result)
 
     def _note(self, item: IdentifiedAsset) -> None:
         self._items[item.asset] = item
         done = len(self._items)
-        self._tell(done / max(self._count, 1), f"{done} of {self._count}")
+        self._tell(done / max(len(self._names), 1), f"{done} of {len(self._names)}")
+
+    @contextlib.contextmanager
+    def _guarding(self, asset: str) -> Iterator[None]:
+        """Let an error be that of one machine, unless store or workers are away."""
+        try:
+            yield
+        except ServiceError:
+            raise
+        except Exception as error:
+            _log.exception("machine_failed", asset=asset)
+            reason = f"{type(error).__name__}: {error}"
+            self._note(IdentifiedAsset(asset=asset, status="failed", reason=reason))
 
     # ------------------------------------------------------------------ what goes to a worker
     async def _prepared(self, batch: Sequence[AssetSection]) -> dict[str, _Prepared]:
@@ -210,9 +242,10 @@ class _Run:
                 job = busy[asset.id]
                 self._note(_skipped(asset.id, f"identification {job.id} is {job.status}"))
             else:
-                one = await self._order(asset)
-                if one is not None:
-                    prepared[asset.id] = one
+                with self._guarding(asset.id):
+                    one = await self._order(asset)
+                    if one is not None:
+                        prepared[asset.id] = one
         return prepared
 
     async def _order(self, asset: AssetSection) -> _Prepared | None:
@@ -243,15 +276,19 @@ class _Run:
 
     async def _results(self, orders: Sequence[MachineOrder]) -> list[MachineResult]:
         content = await in_thread(packed_orders, orders)
+        reason = f"{MOST_ATTEMPTS} workers died of it"
         for _ in range(MOST_ATTEMPTS):
             try:
                 found = await self._executor.compute(content)
             except WorkerLostError as error:
                 _log.warning("batch_worker_lost", machines=len(orders), reason=str(error))
                 continue
+            except BatchFailedError as error:
+                reason = str(error)
+                _log.warning("batch_failed", machines=len(orders), reason=reason)
+                break
             return await in_thread(unpacked_results, found)
         if len(orders) == 1:
-            reason = f"{MOST_ATTEMPTS} workers died of it"
             self._note(IdentifiedAsset(asset=orders[0].asset, status="failed", reason=reason))
             return []
         half = len(orders) // 2
@@ -334,7 +371,7 @@ class _Run:
 def _done_before(job: Job) -> IdentifiedAsset:
     return IdentifiedAsset(
         asset=job.asset,
-        status="done before",
+        status="failed" if job.status == "failed" else "done before",
         model_version=job.model_version,
         reason=job.error or "",
     )

@@ -81,11 +81,13 @@ def keep_ensemble(
     members = len(result.members_c)
     if result.runaway_probability > _NEAR_SHARE or not _is_clear(result, limits):
         return None
-    # Moved as far as it may be, none of the others reaches a limit.
+    # Moved and widened as far as may be, none of the others reaches a limit.
     near = np.zeros(members, np.bool_)
     for number, name in enumerate(result.sensors):
         if name in limits:
-            highest_c = result.members_c[:, :, number].max(axis=1)
+            median_c = result.quantile(name)[2]
+            beyond_k = (1.0 + _WIDER_PART) * (result.members_c[:, :, number] - median_c)
+            highest_c = (median_c + beyond_k).max(axis=1)
             near |= ~(highest_c + MOVED_K < _lowest_limit_c(limits[name]))
     if np.count_nonzero(near) > _NEAR_SHARE * members:
         return None
@@ -160,7 +162,8 @@ def carried(
     near_c = result.members_c
     if len(near_c):
         others_c = np.broadcast_to(members_c[2], (kept.members - len(near_c), *members_c.shape[1:]))
-        members_c = np.concatenate((near_c + moved_k[:, sensors], others_c))
+        near_c = members_c[2] + widened[sensors] * (near_c - median_c[:, sensors])
+        members_c = np.concatenate((near_c, others_c))
     result = replace(result, quantiles=quantiles, members_c=members_c)
     return result if _is_clear(result, limits) else None
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from adapters.samples import Quality
 from service.alarms.records import urgency
@@ -15,6 +16,13 @@ from service.live.readings import Readings
 from service.live.verdict import FORECAST, IDENTIFIED_MODEL, judged_temperatures
 from service.site.asset_section import AssetSection
 from service.store import Alarm
+
+
+class _Ahead(NamedTuple):
+    limit: Limit | None
+    probability: float | None
+    seconds: float | None
+
 
 #: Alarms of a measured temperature that is too high now.
 _STANDING_KINDS = ("measured limit", "above ambient")
@@ -54,7 +62,7 @@ def glance(
     standing = [one for one in alarms if one.state in ACTIVE_STATES and one.kind in _STANDING_KINDS]
     state = _state(verdict, bool(standing), readings)
     attention = _attention(state, bool(waiting), trusted, identified, drifted)
-    ahead = verdict.time_to_limit if state == "ahead" else None
+    ahead = _ahead(verdict) if state == "ahead" else None
     limit = verdict.now.limit or (ahead.limit if ahead else None) or _limit_of(standing)
     channel = limit.channel if limit else _hottest(settings, readings)
     sample = readings.latest.get(channel) if channel else None
@@ -74,7 +82,7 @@ def glance(
         reason=_reason(state, attention, verdict, waiting, standing),
         missing=verdict.missing,
         limit=limit,
-        seconds_to_limit=ahead.earliest_s if ahead else None,
+        seconds_to_limit=ahead.seconds if ahead else None,
         probability=ahead.probability if ahead else None,
         channel=channel if sample else None,
         value_c=None if value_c is None else round(value_c, 1),
@@ -98,8 +106,20 @@ def _state(verdict: VerdictDocument, standing: bool, readings: Readings) -> Flee
         return "waiting"
     if now.word == "unknown":
         return "lost" if channels else "unknown"
-    toward = verdict.time_to_limit
-    return "ahead" if toward is not None and toward.expected else "safe"
+    return "safe" if _ahead(verdict) is None else "ahead"
+
+
+def _ahead(verdict: VerdictDocument) -> _Ahead | None:
+    """The limit that is expected to be exceeded; None where none is.
+
+    Of all that is planned, or of the next step, which is judged by limits of nodes as well.
+    """
+    toward, step = verdict.time_to_limit, verdict.next_step
+    if toward is not None and toward.expected:
+        return _Ahead(toward.limit, toward.probability, toward.earliest_s)
+    if step.word == "not safe":
+        return _Ahead(step.limit, step.probability, step.seconds_to_limit)
+    return None
 
 
 def _attention(
@@ -130,8 +150,9 @@ def _reason(
         return waiting[0].message
     if state == "over" and standing and verdict.now.limit is None:
         return standing[0].message
-    if state == "ahead" and verdict.time_to_limit is not None:
-        limit = verdict.time_to_limit.limit
+    ahead = _ahead(verdict) if state == "ahead" else None
+    if ahead is not None and ahead.limit is not None:
+        limit = ahead.limit
         return f"{label(limit.channel)} toward {limit.level} {limit.value_c:g} °C"
     if state == "waiting":
         return "no data yet"

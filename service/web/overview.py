@@ -154,11 +154,14 @@ class Overview:
             row.replica = replica
             rows[name] = row
         self._rows, self._revision, self._dirty = rows, revision, True
+        self._listed_s = -1e9  # whoever asks next gets the list of this revision
 
     async def _sweep(self) -> None:
         """Ask about all assets that were not heard of lately."""
         rows = self._rows
         due = [name for name, row in rows.items() if row.replica.is_due("glance", FRESH_S)]
+        # The oldest last, where they are taken: of a slow cell each has its turn.
+        due.sort(key=lambda name: rows[name].right_s, reverse=True)
         while due or self._soon:
             first = [self._soon.pop() for _ in range(min(len(self._soon), PORTION))]
             names = first + [due.pop() for _ in range(min(len(due), PORTION - len(first)))]

@@ -1,5 +1,6 @@
 """Random draws that an ensemble is made of, in antithetic pairs."""
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -10,8 +11,9 @@ from twin_core.identification.posterior import Posterior
 FloatArray = NDArray[np.float64]
 
 _DRAWN_AT_ONCE = 1 << 16
-#: Large draws that are kept: those of an ensemble of 200 members over four hours take 4 MB.
-_KEPT = 9
+#: Draws that are kept, and the largest: those of an ensemble of 200 members over four hours are
+#: three and half a million numbers, 4 MB.
+_KEPT, _LARGEST = 9, 1_000_000
 
 
 def parameter_draws(rng: np.random.Generator, members: int, posterior: Posterior) -> FloatArray:
@@ -49,6 +51,8 @@ def standard_normals(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatA
     shape
         Of the result.
     """
+    if math.prod(shape) > _LARGEST:
+        return _in_pieces(rng, shape)
     before = rng.bit_generator.state
     inner = before["state"]
     drawn, after = _drawn(
@@ -62,11 +66,7 @@ def standard_normals(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatA
 def _drawn(
     state: int, increment: int, has_uint32: int, uinteger: int, shape: tuple[int, ...]
 ) -> tuple[FloatArray, int]:
-    """Standard normal numbers from a state of PCG64, and its state afterwards.
-
-    numpy holds the interpreter while it draws: millions at once would stop every other thread
-    for a tenth of a second.
-    """
+    """Standard normal numbers from a state of PCG64, and its state afterwards."""
     bits = np.random.PCG64()
     bits.state = {
         "bit_generator": "PCG64",
@@ -74,9 +74,18 @@ def _drawn(
         "has_uint32": has_uint32,
         "uinteger": uinteger,
     }
-    rng = np.random.Generator(bits)
+    drawn = _in_pieces(np.random.Generator(bits), shape)
+    return drawn, bits.state["state"]["state"]
+
+
+def _in_pieces(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Draw, and let other threads run now and then.
+
+    numpy holds the interpreter while it draws: millions at once would stop all of them for a
+    tenth of a second.
+    """
     drawn = np.empty(shape)
     flat = drawn.reshape(-1)
     for begin in range(0, flat.size, _DRAWN_AT_ONCE):
         rng.standard_normal(out=flat[begin : begin + _DRAWN_AT_ONCE])
-    return drawn, bits.state["state"]["state"]
+    return drawn

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 import socket
 import subprocess
 import tempfile
@@ -136,19 +137,30 @@ async def _watch(
     client: httpx2.AsyncClient, facts: FleetAnnouncement, pid: int, duration_s: float
 ) -> tuple[float, float, int]:
     """Share of the polls that were skipped, oldest forecast in s, greatest memory in bytes."""
-    polls = sum(await answers_of(facts["modbus"]))
     began_s = time.monotonic()
-    oldest_s, most_bytes = 0.0, 0
+    before = await answers_of(facts["modbus"])
+    # The units are asked one after the other, at the end in the same order and as quickly: each
+    # has the same time, but for what the asking takes longer then.
+    asked_s = time.monotonic() - began_s
+    oldest_s, most_bytes = math.nan, 0
     while (left_s := began_s + duration_s - time.monotonic()) > 0:
         await asyncio.sleep(min(left_s, _LOOK_EVERY_S))
         # Without the answer of a busy service the next look finds the age greater.
         with contextlib.suppress(httpx2.TransportError):
-            oldest_s = max([oldest_s, *await forecast_ages(client)])
+            oldest_s = max(
+                (age_s for age_s in (oldest_s, *await forecast_ages(client)) if age_s >= 0.0),
+                default=math.nan,
+            )
         with contextlib.suppress(OSError):
             most_bytes = max(most_bytes, memory_bytes_of(pid))
-    due = facts["benches"] * (time.monotonic() - began_s)
-    polls = sum(await answers_of(facts["modbus"])) - polls
-    return max(1.0 - polls / due, 0.0), oldest_s, most_bytes
+    if math.isnan(oldest_s):
+        raise BenchmarkError("the service never told how old its forecasts are")
+    passed_s = time.monotonic() - began_s
+    after = await answers_of(facts["modbus"])
+    # What the last question took longer is time in which polls were due, too.
+    passed_s += max(time.monotonic() - began_s - passed_s - asked_s, 0.0)
+    polls = sum(after) - sum(before)
+    return max(1.0 - polls / (facts["benches"] * passed_s), 0.0), oldest_s, most_bytes
 
 
 def _free_port() -> int:

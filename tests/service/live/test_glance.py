@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +53,13 @@ def test_no_state_is_better_than_the_verdict(make_evidence: Callable[..., Eviden
     """Whatever is missing, in whatever way, and however hot it is."""
     chance = random.Random(11)
     states = set()
+    # The next step of a node, which no time to a limit tells of.
+    node_ahead = replace(outlook(channel(), channel(0.4)), crossings={})
     for _ in range(500):
         evidence = make_evidence(
             twin_runs=chance.random() < 0.8,
             identified=chance.random() < 0.8,
-            outlook=chance.choice([None, outlook(channel(), channel(0.4))]),
+            outlook=chance.choice([None, outlook(channel(), channel(0.4)), node_ahead]),
         )
         for name in INPUTS:
             hot = name == RING and chance.random() < 0.4
@@ -68,6 +71,8 @@ def test_no_state_is_better_than_the_verdict(make_evidence: Callable[..., Eviden
         assert (asset.now, asset.next_step) == (verdict.now.word, verdict.next_step.word)
         if asset.state in ("safe", "ahead"):
             assert asset.now == "safe"
+        if asset.state == "safe":
+            assert asset.next_step != "not safe"
         if overview._mark(asset) == "h":
             assert (asset.now, asset.next_step) == ("safe", "safe")
         if verdict.now.limit is not None:

@@ -10,7 +10,7 @@ from twin_core.forecasting.draws import standard_normals
 def test_kept_draws_are_those_of_numpy_and_leave_the_same_state(seed: int) -> None:
     for _ in range(2):  # the second time from memory
         ours, theirs = np.random.default_rng(seed), np.random.default_rng(seed)
-        for shape in ((3, 5), (100, 400, 2), (3, 5)):
+        for shape in ((3, 5), (100, 400, 2), (3, 5), (200, 3000, 2), (2, 2)):
             for rng in (ours, theirs):
                 rng.permutation(7)
                 rng.integers(5, dtype=np.int32)

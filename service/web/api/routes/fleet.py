@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from service.documents.fleet import FleetMap, FleetPage, FleetState
+from service.documents.fleet import STATES, FleetMap, FleetPage, FleetState
 from service.domain.roles import VIEWER
 from service.web.api.access import secured
 from service.web.api.cursors import LIMIT, Cursor, Limit, decode_cursor, encode_cursor, next_link
@@ -31,7 +31,9 @@ async def list_fleet(
     search: Annotated[
         str, Query(max_length=200, description="Text in id, name, group, family or bearing.")
     ] = "",
-    state: Annotated[list[FleetState], Query(description="In one of these states.")] = [],  # noqa: B006
+    state: Annotated[
+        list[FleetState], Query(max_length=len(STATES), description="In one of these states.")
+    ] = [],  # noqa: B006
     attention: Annotated[
         bool | None, Query(description="Only what needs attention (or only the others).")
     ] = None,
@@ -54,7 +56,7 @@ async def list_fleet(
     place = None if cursor is None else decode_cursor(cursor, Place)
     if place is not None and place.sort != sort:
         raise parameter_problem("cursor", f"expected a cursor of the order {sort!r}")
-    fit = Fit(group, family, search, state, attention)
+    fit = Fit(group, family, search, frozenset(state), attention)
     page, following = context.fleet.page(fit, sort, limit, place)
     page.next = None if following is None else encode_cursor(following)
     return json_response(page, headers=next_link(request, page.next))

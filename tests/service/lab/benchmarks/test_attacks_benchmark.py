@@ -3,7 +3,6 @@
 import pytest
 
 from service.lab.benchmarks import attacks
-from service.lab.benchmarks.attackers import attack_names
 
 
 @pytest.mark.wires
@@ -11,8 +10,7 @@ from service.lab.benchmarks.attackers import attack_names
 def test_all_attackers_are_at_work_and_polls_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(attacks, "_ROWS_PER_CHANNEL", 1000)
     found = attacks.attacks(lambda share, what: None, benches=2, duration_s=3.0)
-    assert 0.0 <= found.value <= 1.0
+    assert found.value < 1.0, "polls go on"
     assert found.reference is not None
     assert found.reference < 1.0, "without attacks the benches are polled"
-    assert found.extra["attackers"] == len(attack_names())
     assert found.extra["memory_bytes"] > 50e6

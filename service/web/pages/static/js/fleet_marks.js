@@ -11,7 +11,7 @@ export const MARKS = {
   f: { state: 'lost', words: 'without data' },
   g: { state: 'unknown', words: 'unknown' },
   h: { state: 'safe', words: 'safe, also in the next step' },
-  i: { state: 'safe', words: 'safe now, next step unknown' },
+  i: { state: 'safe', words: 'safe now; next step or model in doubt' },
   j: { state: 'waiting', words: 'waiting for the first data' },
   k: { state: 'unread', words: 'not read yet' },
 };
