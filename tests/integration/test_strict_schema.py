@@ -215,6 +215,9 @@ def reset_what_is_gone(published: Published, alarm_id: str) -> bool:
 def test_every_other_route_answers_as_published(published: Published) -> None:
     site, call = published.site, published.call
     call("GET", "/api/v1/assets", 200)
+    call("GET", "/api/v1/fleet", 200)
+    call("GET", "/api/v1/fleet", 200, params={"sort": "id", "attention": "true"})
+    call("GET", "/api/v1/fleet/map", 200)
     for part in ("", "/snapshot", "/state", "/verdict", "/forecast", "/envelope", "/windows"):
         call("GET", A + part, 200)
     call("GET", f"{A}/advice", 200, params={"speed_rpm": 6200, "load_n": 5500})
