@@ -66,7 +66,7 @@ def test_processes_of_a_service_are_found_with_what_they_use() -> None:
         assert process.stdout is not None
         process.stdout.readline()
         found = fleet._processes(process.pid)
-        used_bytes = fleet._memory_bytes(process.pid)
+        used_bytes = fleet.memory_bytes_of(process.pid)
         total, cell = fleet._processor_s(process.pid)
         process.kill()
     assert process.pid in found
