@@ -41,7 +41,8 @@ $(VENV)/bin/python:
 		{ rm -rf $(VENV); echo "No venv module: on Debian install it with 'apt-get install python3-venv'" >&2; exit 2; }
 
 $(VENV)/.installed-run: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . >&2
+	@echo "Installing into $(VENV) ..." >&2
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . >&2
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml constraints.txt
