@@ -38,7 +38,7 @@ FRESH_S: Final = 1.0
 UNREAD_AFTER_S: Final = 30.0
 #: A pause as many times as long as the cell took to answer.
 PAUSE_TIMES: Final = 3.0
-#: Counts and order are made anew at most as often, in wall seconds.
+#: Counts and order are made again at most as often, in wall seconds.
 _LISTED_S: Final = 0.5
 _LOOK_EVERY_S: Final = 0.25
 _RETRY_S: Final = 0.5
@@ -195,7 +195,7 @@ class Overview:
                     if message.asset is not None and self._wanted.is_set():
                         self._soon.add(message.asset)
             except SubscriptionClosedError:
-                await asyncio.sleep(_RETRY_S)  # the cell has begun anew, or the service stops
+                await asyncio.sleep(_RETRY_S)  # the cell has begun again, or the service stops
             finally:
                 subscription.close()
 

@@ -49,7 +49,7 @@ class WorkerQuestions:
         self._store = store
 
         def make_executor() -> Executor:
-            # For the worker, which loads its libraries anew: many small matrices, where threads
+            # For the worker, which loads its libraries again: many small matrices, where threads
             # only wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
             return ProcessPoolExecutor(

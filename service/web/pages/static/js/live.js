@@ -95,7 +95,7 @@ export class Live {
   }
 
   /**
-   * Follow some assets, or all (null), and no others; gives whether the stream greets them anew.
+   * Follow some assets, or all (null), and no others; gives whether the stream greets them again.
    * Of many assets, what was known of the others is forgotten, but for their alarms.
    */
   follow(ids) {

@@ -22,7 +22,7 @@ export const assetHash = (view, asset) =>
 /** What a view keeps behind the ? of the address. */
 export const readQuery = () => new URLSearchParams(location.hash.split('?')[1] ?? '');
 
-/** Keep it there without opening the view anew; what is empty is left out. */
+/** Keep it there without opening the view again; what is empty is left out. */
 export function keepQuery(values) {
   const query = new URLSearchParams(Object.entries(values).filter(([, value]) => value));
   const [path] = location.hash.split('?');

@@ -107,7 +107,7 @@ export class StateMap {
     this.fit();
   }
 
-  /** Lay the blocks out anew where the room has changed. */
+  /** Lay the blocks out again where the room has changed. */
   fit() {
     const { clientWidth: width } = this.element;
     if (!width || !this.groups) return;

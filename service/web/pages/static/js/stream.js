@@ -30,7 +30,7 @@ export class Stream {
     this.drop();
   }
 
-  /** Follow other assets from now on; gives whether that opens the line anew, with its greetings. */
+  /** Follow other assets from now on; gives whether that opens the line again, with its greetings. */
   follow(followed) {
     if (String(followed) === String(this.followed)) return false;
     this.followed = followed;

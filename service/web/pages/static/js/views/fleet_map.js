@@ -137,14 +137,14 @@ export class FleetMapView {
       : reading ? 'Reading …' : 'Nothing needs attention.');
   }
 
-  /** Draw the map; anew: other assets than before. */
-  showMap(anew) {
+  /** Draw the map; changed: other assets than before. */
+  showMap(changed) {
     const { bar, map } = this;
     const known = this.page.assets;
     known.forEach((asset) => { asset.mark ??= 'k'; });
     const shown = known.filter((asset) => bar.fits(asset)
       && (!bar.state || meaningOf(asset.mark).state === bar.state));
-    const key = anew || !this.key ? shown.map(({ id }) => id).join() : this.key;
+    const key = changed || !this.key ? shown.map(({ id }) => id).join() : this.key;
     if (key !== this.key) map.show(shown);
     else map.repaint();
     this.key = key;
