@@ -1,4 +1,4 @@
-"""A night's run over some machines, one of which kills its workers."""
+"""A night's run over some machines, one of which kills or stops its workers."""
 
 import pickle
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import pytest
 from job_shop import WHO, Shop
 
 from service.documents.fleet_identification import ExecutorName
-from service.jobs.batch_executors import WorkerLostError
+from service.jobs.batch_executors import BatchFailedError, WorkerLostError
 from service.jobs.batches import OtherSoftwareError, packed_orders, run_batch
 from service.jobs.fleet import MOST_ATTEMPTS, Night, batches_of, identify_fleet, night_of
 from service.store import AuditEntry
@@ -19,12 +19,13 @@ DEADLY = "bench-2"
 
 
 class Workers:
-    """Compute here; a batch with one of the machines kills its worker."""
+    """Compute here; a batch with one of the machines fails."""
 
     name: ExecutorName = "process"
     worker_count = 1
 
-    def __init__(self) -> None:
+    def __init__(self, error: RuntimeError) -> None:
+        self.error = error
         self.workers_lost = 0
         self.sizes: list[int] = []
 
@@ -33,12 +34,19 @@ class Workers:
         self.sizes.append(len(orders))
         if any(order.asset == DEADLY for order in orders):
             self.workers_lost += 1
-            raise WorkerLostError("killed")
+            raise self.error
         return run_batch(content)
 
 
-async def test_a_machine_that_kills_workers_does_not_stop_the_others(
-    shop: Shop, make_section: Callable[..., Any]
+@pytest.mark.parametrize(
+    ("error", "tries", "reason"),
+    [
+        (WorkerLostError("killed"), MOST_ATTEMPTS, f"{MOST_ATTEMPTS} workers died of it"),
+        (BatchFailedError("hangs"), 1, "hangs"),
+    ],
+)
+async def test_a_machine_that_kills_or_stops_workers_does_not_stop_the_others(
+    shop: Shop, make_section: Callable[..., Any], error: RuntimeError, tries: int, reason: str
 ) -> None:
     for asset in ASSETS[1:4]:
         shop.copy_run(asset)
@@ -51,21 +59,21 @@ async def test_a_machine_that_kills_workers_does_not_stop_the_others(
         lambda action, target, detail: AuditEntry(1, "night shift", "", action, target, detail),
     )
     told: list[float] = []
-    workers = Workers()
+    workers = Workers(error)
     assets = [make_section(id=asset) for asset in ASSETS]
     found = await identify_fleet(
         night, assets, workers, lambda done, _: told.append(done), {"bench-6": "model: wrong"}
     )
     items = {item.asset: (item.status, item.reason) for item in found.items}
     assert items["bench-1"][0] == items["bench-4"][0] == "identified"
-    assert items[DEADLY] == ("failed", f"{MOST_ATTEMPTS} workers died of it")
+    assert items[DEADLY] == ("failed", reason)
     assert items["bench-3"] == ("skipped", f"identification {running.id} is queued")
     assert items["bench-5"] == ("skipped", "no low-risk window in the store")
     assert items["bench-6"] == ("failed", "model: wrong")
     assert (found.machines, found.skipped, found.failed) == (2, 2, 2)
     # Three machines, divided until the one is alone.
-    assert workers.sizes == [3] * 3 + [1] + [2] * 3 + [1] * 3 + [1]
-    assert found.workers_lost == 9
+    assert workers.sizes == [3] * tries + [1] + [2] * tries + [1] * tries + [1]
+    assert found.workers_lost == 3 * tries
     assert told == sorted(told)
     assert told[-1] == 1.0
     assert set(shop.store.nights.done("2026-11-22", ASSETS)) == {"bench-1", "bench-4"}

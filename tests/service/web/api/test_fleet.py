@@ -179,6 +179,17 @@ async def test_the_map_has_a_letter_for_each_asset_in_the_order_of_ids(followed:
         assert mark.isupper() == (one.unacknowledged > 0)
 
 
+async def test_list_and_map_change_together_with_their_revision(followed: Followed) -> None:
+    cell, fleet = followed.cell, followed.fleet
+    before, _ = fleet.page(Fit(), "id", MANY, None)
+    cell.assets["axle-new"] = asset_of("axle-new", random.Random(1))
+    await followed.replicas.load()
+    await fleet._learn()
+    page, _ = fleet.page(Fit(), "id", MANY + 1, None)
+    assert page.revision != before.revision
+    assert len(page.items) == page.total == len(fleet.map().marks) == MANY + 1
+
+
 async def test_the_cell_is_asked_only_while_somebody_looks_and_first_where_an_alarm_came(
     followed: Followed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
