@@ -55,13 +55,22 @@ class AlarmBook:
     on_change : callable
         Gets every alarm whose state, message or priority changed, in order, also once when it
         has become normal. It must return quickly.
+    begins_empty : bool
+        Whether the open alarms are another cell's until `take_over` names their assets.
     """
 
-    def __init__(self, outbox: Outbox, clock: Clock, on_change: Callable[[Alarm], None]) -> None:
+    def __init__(
+        self,
+        outbox: Outbox,
+        clock: Clock,
+        on_change: Callable[[Alarm], None],
+        *,
+        begins_empty: bool = False,
+    ) -> None:
         self._clock = clock
         self._on_change = on_change
         self._lock = threading.RLock()
-        self._register = Register(outbox.load_alarms())
+        self._register = Register([] if begins_empty else outbox.load_alarms())
         self._outbox = outbox
 
     # ------------------------------------------------------------------ what the rules say
@@ -126,6 +135,18 @@ class AlarmBook:
             for asset in assets:
                 self.withdraw(asset, ())
             self._register.forget(set(assets))
+
+    def leave(self, assets: Collection[str]) -> None:
+        """Know nothing of some assets any more: their alarms go on in another cell."""
+        with self._lock:
+            self._register.forget(set(assets))
+
+    def take_over(self, assets: Collection[str]) -> None:
+        """Go on with the open alarms of assets that another cell followed; reads from the store."""
+        wanted = set(assets)
+        alarms = [alarm for alarm in self._outbox.load_alarms() if alarm.asset in wanted]
+        with self._lock:
+            self._register.add(alarms)
 
     def record_event(
         self, asset: str, kind: EventKind, message: str, who: str = SERVICE, comment: str = ""

@@ -74,6 +74,10 @@ class Register:
         self.open: dict[AlarmKey, Watched] = {}
         self.shelved: dict[AlarmKey, None] = {}
         self._present: defaultdict[str, set[tuple[str, str, str]]] = defaultdict(set)
+        self.add(alarms)
+
+    def add(self, alarms: Iterable[Alarm]) -> None:
+        """Take in alarms that are open; nothing is known of their conditions yet."""
         for alarm in alarms:
             key = key_of(alarm)
             self._watched[key] = self.open[key] = Watched(alarm)

@@ -22,10 +22,11 @@ class Asking:
     Parameters
     ----------
     send : callable
-        Takes an encoded request, or raises `CellUnavailableError`; must not wait.
+        Takes an encoded request and the wall seconds that its answer may take, or raises
+        `CellUnavailableError`; must not wait.
     """
 
-    def __init__(self, send: Callable[[bytes], None]) -> None:
+    def __init__(self, send: Callable[[bytes, float], None]) -> None:
         self._send = send
         self._number = 0
         self._waiting: dict[int, asyncio.Future[Answer]] = {}
@@ -41,7 +42,7 @@ class Asking:
         request = Request(number, time.monotonic() + patience_s, name, msgspec.Raw(encode(command)))
         waiting = self._waiting[number] = asyncio.get_running_loop().create_future()
         try:
-            self._send(encode(request))
+            self._send(encode(request), patience_s)
             async with asyncio.timeout(patience_s):
                 answer = await waiting
         except TimeoutError:

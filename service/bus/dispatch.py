@@ -41,7 +41,13 @@ class Dispatcher:
         self._tasks: set[asyncio.Task[None]] = set()
         self._unreadable = 0
 
-    def take(self, caller: bytes, request: bytes, send: Callable[[bytes], None]) -> None:
+    def take(
+        self,
+        caller: bytes,
+        request: bytes,
+        send: Callable[[bytes], None],
+        patience_s: float | None = None,
+    ) -> None:
         """Begin to answer a request; returns at once.
 
         What is no request, or past its deadline, is not answered: no caller waits for it.
@@ -54,6 +60,8 @@ class Dispatcher:
             The encoded request.
         send : callable
             Takes the encoded answer; must not wait.
+        patience_s : float, optional
+            Wall seconds that a caller on another machine waits, whose deadline says nothing here.
         """
         try:
             asked = self._request.decode(request)
@@ -62,7 +70,7 @@ class Dispatcher:
                 _log.warning("bus_request_unreadable", bytes=len(request))
             self._unreadable += 1
             return
-        left_s = asked.deadline_s - time.monotonic()
+        left_s = asked.deadline_s - time.monotonic() if patience_s is None else patience_s
         if left_s <= 0.0:
             return
         if self._running[caller] >= AT_ONCE_EACH or self._running.total() >= AT_ONCE:

@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any, Final, cast
 
 import msgspec
@@ -43,9 +43,18 @@ class Following:
         Where they come from.
     bus : Bus
         Takes them, and keeps them for subscribers that come back.
+    followed : callable, optional
+        Gives the assets whose live messages are wanted; None for all. Default: those that the
+        subscribers of the bus want.
     """
 
-    def __init__(self, reader: ReaderBus, bus: Bus) -> None:
+    def __init__(
+        self,
+        reader: ReaderBus,
+        bus: Bus,
+        followed: Callable[[], Collection[str] | None] | None = None,
+    ) -> None:
+        self._followed = followed or bus.followed
         self._reader = reader
         self._bus = bus
         self._decoder = msgspec.msgpack.Decoder(StreamMessage)
@@ -92,7 +101,7 @@ class Following:
     async def _go_on_following(self) -> None:
         while True:
             await asyncio.sleep(FOLLOW_EVERY_S)
-            followed = self._bus.followed()
+            followed = self._followed()
             if followed is None or followed:
                 with contextlib.suppress(CellUnavailableError):
                     await self.follow(followed)

@@ -186,7 +186,7 @@ class LocalReaderBus:
         socket.connect(f"ipc://{self._folder / name}")
         return socket
 
-    def _send(self, request: bytes) -> None:
+    def _send(self, request: bytes, patience_s: float) -> None:
         if _ended(self._commands.send(request, zmq.NOBLOCK)) is not None:
             raise CellUnavailableError("the cell takes no more commands")
 

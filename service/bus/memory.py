@@ -84,7 +84,7 @@ class MemoryBus:
         """See `service.bus.interface.ReaderBus.ask`."""
         return await self._asking.ask(command, patience_s)
 
-    def _send(self, request: bytes) -> None:
+    def _send(self, request: bytes, patience_s: float) -> None:
         if self._dispatcher is None:
             raise CellUnavailableError("the cell takes no commands")
         self._dispatcher.take(b"", request, self._asking.take)

@@ -85,12 +85,18 @@ class State(msgspec.Struct, frozen=True, array_like=True):
         Number of the latest live message.
     assets
         Revision of the assets that it follows.
+    partitions
+        Of a fleet, those that it owns, each with its epoch.
+    followed
+        Another number when it follows other assets.
     """
 
     waits_for: str = ""
     ready: bool = False
     stream: int = 0
     assets: int = 0
+    partitions: dict[int, int] = {}
+    followed: int = 0
 
 
 _encoder = msgspec.msgpack.Encoder()

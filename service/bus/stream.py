@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
+import msgspec
 from pydantic_core import to_json
 
 from adapters.protocol import Clock
@@ -61,6 +62,17 @@ class Message:
     seq: int
     asset: str | None
     text: str
+
+
+class _Envelope(msgspec.Struct):
+    """What a message keeps under another number."""
+
+    time: str
+    sent_at: str
+    data: msgspec.Raw
+
+
+_read_envelope = msgspec.json.Decoder(_Envelope)
 
 
 class SubscriptionClosedError(Exception):
@@ -287,6 +299,22 @@ class Bus:
             if message.seq > self._seq:
                 self._seq = message.seq
                 self._hand_out(message)
+
+    def renumber(self, message: Message) -> None:
+        """Hand out a message of another bus under the next number of this one."""
+        envelope = _read_envelope.decode(message.text)
+        with self._lock:
+            self._seq += 1
+            head = {
+                "type": message.type,
+                "seq": self._seq,
+                "epoch": self.epoch,
+                "asset": message.asset,
+                "time": envelope.time,
+                "sent_at": envelope.sent_at,
+            }
+            text = f'{to_json(head).decode()[:-1]},"data":{bytes(envelope.data).decode()}}}'
+            self._hand_out(Message(message.type, self._seq, message.asset, text))
 
     def announce(self, type: MessageType, asset: str | None, data: object) -> None:
         """Hand out a message beside the numbered ones: it has the number of the latest one."""

@@ -22,7 +22,7 @@ from service.bus.messages import Command
 from service.bus.presence import resident_bytes
 from service.bus.replica import digest
 from service.bus.stream import Bus
-from service.domain.errors import NotKeptError, PushRefusedError
+from service.domain.errors import CellUnavailableError, NotKeptError, PushRefusedError
 from service.domain.requests import IdentificationRequest
 from service.ingest import Ingest
 from service.jobs.manager import IdentificationJobs
@@ -59,6 +59,7 @@ class Parts:
     sources: Callable[[], Sequence[SourceHealth]]
     problems: Callable[[], Mapping[str, str | None]] = dict
     apply_assets: Callable[[], Awaitable[dict[str, str]]] | None = None
+    is_fleet: bool = False
 
 
 @dataclass(slots=True)
@@ -214,6 +215,8 @@ class Answers:
         """Take judged samples in; the answer means that they are on the disk."""
         ingest, store = self.parts.ingest, self.parts.store
         asset, received_us = command.asset, command.received_us
+        if asset not in self.parts.assets:  # removed, or another cell's, since who asks looked
+            raise CellUnavailableError(f"asset {asset!r} is not followed here now")
         try:
             async with self._pushing:
                 if len(command.too_old):
@@ -288,8 +291,14 @@ class Answers:
             When neither the store nor the disk takes it.
         """
         outbox = self.parts.outbox
-        if await to_thread.run_sync(outbox.flush, _FLUSH_S) or not outbox.unkept:
+        written = await to_thread.run_sync(outbox.flush, _FLUSH_S)
+        if written or not (outbox.unkept or self.parts.is_fleet):
             return
+        if not outbox.unkept:
+            raise NotKeptError(
+                "the change is made and waits on the disk of one cell: the database does not "
+                "answer, and another cell that takes over before it does would not know of it"
+            )
         raise NotKeptError(
             "the change is made, but neither the store nor the disk takes it "
             f"({outbox.disk_problem or 'the disk is slow'}): it is lost if the service stops "

@@ -24,6 +24,7 @@ from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
 from service.cell.provisioning import Provisioning, Site
 from service.cell.retention import StoreMaintenance
+from service.cell.share import Share
 from service.clock import ClockWatch, ProcessClock
 from service.documents.alarms import alarm_document
 from service.documents.messages import ServiceHealth, SourceDocument
@@ -58,6 +59,8 @@ STORE_RETRY_WALL_S = 2.0
 STATE_EVERY_S = 0.25
 #: Twins that are begun or ended in one go.
 _AT_ONCE = 50
+#: Wall seconds in which the store takes what is known of assets that another cell takes over.
+_HANDED_OVER_S = 5.0
 
 _log = structlog.get_logger(__name__)
 
@@ -83,6 +86,8 @@ class Cell:
         What brings the samples.
     bus : CellBus
         Where others follow and ask.
+    share : Share, optional
+        Which assets this cell follows, where several cells share them; None: all.
 
     Raises
     ------
@@ -99,8 +104,10 @@ class Cell:
         clock: ProcessClock,
         acquisition: Acquisition,
         bus: CellBus,
+        share: Share | None = None,
     ) -> None:
         self.settings = settings
+        self._share = share
         self.store = store
         self.clock = clock
         self.acquisition = acquisition
@@ -119,7 +126,9 @@ class Cell:
             lambda: self.outbox.lost,
             self.registry,
         )
-        self.alarms = AlarmBook(self.outbox, clock, self._alarm_changed)
+        self.alarms = AlarmBook(
+            self.outbox, clock, self._alarm_changed, begins_empty=share is not None
+        )
         self._clock_steps = Counter(
             "bearing_twin_clock_steps",
             "Times that the process clock was set.",
@@ -138,18 +147,23 @@ class Cell:
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
-            settings, store, Site(self._change_assets, acquisition.change)
+            settings, store, Site(self._change_assets, acquisition.change), share
         )
-        of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
-        self._take_in(self._made([*of_file, *self.provisioning.first().values()]))
-        self._kept_states = cast(dict[str, KeptState], store.states.load_all())
+        of_store = self.provisioning.first().values()
+        of_file = [CheckedAsset(asset, wiring) for asset in settings.assets] if not share else []
+        self._take_in(self._made([*of_file, *of_store]))
+        self._kept_states: dict[str, KeptState] = {}
         self._tasks = asyncio.TaskGroup()
         self._twins = Twins(clock)
         self._running: dict[str, asyncio.Task[None]] = {}
-        left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
-        self._report_unconfigured(left)
-        for alarm in left:
-            self.alarms.withdraw(alarm.asset, ())
+        # Counts the changes of the assets that are followed here.
+        self._followed = 0
+        if share is None:
+            self._kept_states = cast(dict[str, KeptState], store.states.load_all())
+            left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
+            self._report_unconfigured(left)
+            for alarm in left:
+                self.alarms.withdraw(alarm.asset, ())
         job_seconds = Histogram(
             "bearing_twin_job_seconds",
             "Wall seconds of an identification job.",
@@ -170,7 +184,10 @@ class Cell:
             )
         )
         self.maintenance = StoreMaintenance(
-            store, clock, Retention(**settings.retention.model_dump())
+            store,
+            clock,
+            Retention(**settings.retention.model_dump()),
+            is_ours=lambda: share is None or share.keeps_house,
         )
         self.answers = Answers(
             Parts(
@@ -186,6 +203,7 @@ class Cell:
                 sources=acquisition.health,
                 problems=self._problems,
                 apply_assets=self.provisioning.apply,
+                is_fleet=share is not None,
             )
         )
 
@@ -202,11 +220,14 @@ class Cell:
             self.histories[runtime.id] = AssetHistory(runtime.settings, self.store, self.clock)
             self.assets[runtime.id] = runtime
 
-    async def _change_assets(self, gone: Sequence[str], given: Sequence[CheckedAsset]) -> None:
-        """Follow some assets no longer, and others from now on or by another table.
+    async def _change_assets(
+        self, gone: Sequence[str], left: Sequence[str], given: Sequence[CheckedAsset]
+    ) -> None:
+        """Follow assets that were removed or left to others no longer, and given ones from now on.
 
         Whatever needs the store comes first: where it fails, all are followed as before.
         """
+        await self._leave(left)
         changed = {one.section.id: one for one in given if one.section.id in self.assets}
         new = [one.section.id for one in given if one.section.id not in self.assets]
         await self.jobs.end(
@@ -217,6 +238,8 @@ class Cell:
             runtimes = await to_thread.run_sync(self._made, given)
             load = partial(self.store.states.load_all, new)
             kept = cast(dict[str, KeptState | None], await to_thread.run_sync(load))
+            if self._share is not None and new:
+                await to_thread.run_sync(self._take_over, new)
             await self._stop([*gone, *changed])
             for runtime in runtimes:
                 if runtime.id in changed:
@@ -227,11 +250,34 @@ class Cell:
             self.alarms.forget(gone)
             self.answers.forget([*gone, *changed])
             self._take_in(runtimes)
+            self._followed += 1
         for number, runtime in enumerate(runtimes):
             self._follow(runtime.id, kept.get(runtime.id))
             if number % _AT_ONCE == _AT_ONCE - 1:
                 await asyncio.sleep(0)
         await self.jobs.resume(new)
+
+    def _take_over(self, assets: Sequence[str]) -> None:
+        """Go on where the cell that owned some assets before ended; reads from the store."""
+        self.alarms.take_over(assets)
+        self.acquisition.ingest.expect(self.store.samples.open_ends(assets))
+
+    async def _leave(self, assets: Sequence[str]) -> None:
+        """Leave assets to another cell: all that is known of them is in the store then."""
+        if not assets:
+            return
+        await self.jobs.leave(assets)
+        async with self.jobs.switching:
+            await self._stop(assets)
+            for name in assets:
+                self.assets.pop(name, None)
+                self.histories.pop(name, None)
+            self.alarms.leave(assets)
+            self.answers.forget(assets)
+            self.acquisition.ingest.expect_no_more(assets)
+            self._followed += 1
+        if not await to_thread.run_sync(self.outbox.flush, _HANDED_OVER_S):
+            raise StoreUnavailableError(self.outbox.problem or "changes of alarms wait")
 
     async def _stop(self, assets: Sequence[str]) -> None:
         for begin in range(0, len(assets), _AT_ONCE):
@@ -331,6 +377,7 @@ class Cell:
         files = [*([self.maintenance.damage] if self.maintenance.damage else []), *mended]
         return {
             "assets": self.provisioning.problem or self._refused_sources(),
+            **({} if self._share is None else {"clock": self._share.ownership.clock_problem}),
             "history": ingest.too_old_problem or self.maintenance.problem,
             "files": "; ".join(files) or None,
         }
@@ -421,7 +468,14 @@ class Cell:
     async def _report(self) -> None:
         """Say how far the live messages are, so that nobody misses the last one."""
         while True:
-            state = State(ready=True, stream=self.bus.seq, assets=self.provisioning.revision)
+            partitions = {} if self._share is None else dict(self._share.ownership.owned)
+            state = State(
+                ready=True,
+                stream=self.bus.seq,
+                assets=self.provisioning.revision,
+                partitions=partitions,
+                followed=self._followed,
+            )
             self._others.report(state)
             await asyncio.sleep(STATE_EVERY_S)
 

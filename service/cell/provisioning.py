@@ -2,16 +2,17 @@
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import structlog
 from anyio import to_thread
 
 from service.cell.known_assets import keep_copy
+from service.cell.share import Share
 from service.live.guard import Guard
 from service.site.configuration import TomlTable
-from service.site.provisioning import CheckedAsset, check_assets
+from service.site.provisioning import CheckedAsset, check_assets, of_section
 from service.site.settings import Settings
 from service.site.wiring import Wiring
 from service.store import ProvisionedAsset, Store, StoreUnavailableError
@@ -30,12 +31,13 @@ class Site:
     Attributes
     ----------
     follow
-        Follows some assets no longer, and others from now on or by another table; all or nothing.
+        Follows some assets no longer, since they were removed; leaves others to another cell; and
+        follows others from now on or by another table; all or nothing.
     read
         Reads other channels for some assets; None: nothing.
     """
 
-    follow: Callable[[Sequence[str], Sequence[CheckedAsset]], Awaitable[None]]
+    follow: Callable[[Sequence[str], Sequence[str], Sequence[CheckedAsset]], Awaitable[None]]
     read: Callable[[Mapping[str, Wiring | None]], Awaitable[None]]
 
 
@@ -50,6 +52,8 @@ class Provisioning:
         Where the others are.
     site : Site
         What is done with them.
+    share : Share, optional
+        Which of them this cell follows, where several cells share them; None: all.
 
     Attributes
     ----------
@@ -57,11 +61,16 @@ class Provisioning:
         Of the latest change that is taken up.
     """
 
-    def __init__(self, settings: Settings, store: Store, site: Site) -> None:
+    def __init__(
+        self, settings: Settings, store: Store, site: Site, share: Share | None = None
+    ) -> None:
         self.revision = 0
+        self._share = share
         self._settings = settings
         self._store = store
         self._site = site
+        # All that there are besides those that run from the start, and those that run now.
+        self._known: dict[str, CheckedAsset] = {}
         self._running: dict[str, CheckedAsset] = {}
         self._wrong: dict[str, str] = {}
         self._tables: dict[str, TomlTable] = {}
@@ -79,12 +88,18 @@ class Provisioning:
     def first(self) -> Mapping[str, CheckedAsset]:
         """Take up what there is at the start; reads from the store."""
         changed = self._store.assets.changed_since(0)
-        self._running, self._wrong = self._checked(changed)
+        self._known, self._wrong = self._checked(changed)
         self._tables = {one.id: one.table for one in changed if one.table is not None}
         self._keep_copy()
         self.revision = max((one.revision for one in changed), default=0)
         for name, why in self._wrong.items():
             _log.error("asset_not_followed", asset=name, reason=why)
+        if self._share is None:
+            self._running = dict(self._known)
+        else:
+            of_file = {one.id: of_section(self._settings, one) for one in self._settings.assets}
+            self._known = of_file | self._known
+            self._arrange(self._known, max((one.revision for one in changed), default=0))
         return self._running
 
     def wirings(self) -> dict[str, Wiring | None]:
@@ -95,7 +110,13 @@ class Provisioning:
         """Take up what others write into the store, until cancelled."""
         looking = Guard("taking_up_assets", "")
         while True:
-            await asyncio.sleep(LOOK_EVERY_WALL_S)
+            if self._share is None:
+                await asyncio.sleep(LOOK_EVERY_WALL_S)
+            else:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(LOOK_EVERY_WALL_S):
+                        await self._share.changed.wait()
+                self._share.changed.clear()
             # Assets that are followed go on, whatever is wrong with a new one. That the store is
             # away says who stores samples.
             with looking(), contextlib.suppress(StoreUnavailableError):
@@ -115,41 +136,72 @@ class Provisioning:
     async def _apply(self) -> dict[str, str]:
         async with self._applying:
             changed = await to_thread.run_sync(self._store.assets.changed_since, self.revision)
+            if not changed and self._share is None:
+                return dict(self._wrong)
+            names = {one.id for one in changed}
+            known, wrong, revision = self._known, self._wrong, self.revision
             if changed:
-                right, wrong = await to_thread.run_sync(self._checked, changed)
-                await self._take_up([one.id for one in changed], right)
-                for one in changed:
-                    self._wrong.pop(one.id, None)
-                    if one.table is None:
-                        self._tables.pop(one.id, None)
-                    else:
-                        self._tables[one.id] = one.table
-                self._wrong |= wrong
-                await to_thread.run_sync(self._keep_copy)
-                self.revision = max(one.revision for one in changed)
+                right, now_wrong = await to_thread.run_sync(self._checked, changed)
+                in_file = {asset.id for asset in self._settings.assets}
+                kept = {
+                    name: one for name, one in known.items() if name not in names or name in in_file
+                }
+                known = kept | right
+                wrong = {name: why for name, why in wrong.items() if name not in names} | now_wrong
+                revision = max(one.revision for one in changed)
+                await to_thread.run_sync(self._arrange, known, revision)
+            await self._take_up(names, known)
+            # Only now: what fails is done again with the next look.
+            self._known, self._wrong = known, wrong
+            if changed:
+                await to_thread.run_sync(self._keep_tables, changed)
+                self.revision = revision
+            if self._share is not None:
+                self._share.settle(self.revision)
             return dict(self._wrong)
 
-    async def _take_up(self, changed: Sequence[str], right: Mapping[str, CheckedAsset]) -> None:
-        in_file = {asset.id for asset in self._settings.assets}
-        other = [
-            name
-            for name in changed
-            if name not in in_file
+    def _arrange(self, known: Mapping[str, CheckedAsset], revision: int) -> None:
+        if self._share is not None:
+            self._share.arrange([one.section for one in known.values()], revision)
+
+    async def _take_up(self, changed: Collection[str], known: Mapping[str, CheckedAsset]) -> None:
+        """Follow what is ours of all assets, and no others."""
+        running, share = self._running, self._share
+        ours = {name for name in known if share is None or share.owns(name)}
+        given = [
+            known[name]
+            for name in known
+            if name in ours
             and (
-                name not in right
-                or name not in self._running
-                or right[name].section != self._running[name].section
+                name not in running
+                or (name in changed and known[name].section != running[name].section)
             )
         ]
-        gone = [name for name in other if name not in right]
-        given = [right[name] for name in other if name in right]
-        await self._site.follow(gone, given)
-        await self._site.read(dict.fromkeys(gone) | {one.section.id: one.wiring for one in given})
-        # Only now: what fails is done again with the next look.
-        for name in gone:
-            self._running.pop(name, None)
-        self._running |= {one.section.id: one for one in given}
-        _log.info("assets_taken_up", changed=len(other), followed=len(self._running))
+        gone = [name for name in running if name not in known]
+        left = [name for name in running if name in known and name not in ours]
+        if not (given or gone or left):
+            return
+        await self._site.follow(gone, left, given)
+        wirings: dict[str, Wiring | None] = dict.fromkeys([*gone, *left])
+        await self._site.read(wirings | {one.section.id: one.wiring for one in given})
+        for name in (*gone, *left):
+            running.pop(name, None)
+        self._running = running | {one.section.id: one for one in given}
+        _log.info(
+            "assets_taken_up",
+            taken=len(given),
+            removed=len(gone),
+            left_to_others=len(left),
+            followed=len(self._running),
+        )
+
+    def _keep_tables(self, changed: Sequence[ProvisionedAsset]) -> None:
+        for one in changed:
+            if one.table is None:
+                self._tables.pop(one.id, None)
+            else:
+                self._tables[one.id] = one.table
+        self._keep_copy()
 
     def _keep_copy(self) -> None:
         keep_copy(self._settings.data_dir, self._tables)

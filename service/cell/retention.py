@@ -3,6 +3,7 @@
 import asyncio
 import ctypes
 import time
+from collections.abc import Callable
 from functools import partial
 
 import structlog
@@ -53,6 +54,8 @@ class StoreMaintenance:
         How long each resolution is kept.
     trust_after_s
         Wall seconds for which the clock must have agreed with the monotonic clock.
+    is_ours
+        Whether this cell does it, of several with one store.
 
     Attributes
     ----------
@@ -68,11 +71,13 @@ class StoreMaintenance:
         clock: Clock,
         retention: Retention,
         trust_after_s: float = TRUST_AFTER_S,
+        is_ours: Callable[[], bool] = lambda: True,
     ) -> None:
         self._store = store
         self._clock = clock
         self._retention = retention
         self._trust_after_s = trust_after_s
+        self._is_ours = is_ours
         self.problem: str | None = None
         self.damage: str | None = None
 
@@ -87,6 +92,9 @@ class StoreMaintenance:
             if watch.step_s():
                 agrees_since_s = now_s
             expire_at_s = max(expire_at_s, agrees_since_s + self._trust_after_s)
+            if not self._is_ours():
+                await asyncio.sleep(ROLLUPS_EVERY_S)
+                continue
             try:
                 await to_thread.run_sync(
                     _refresh,
@@ -111,6 +119,9 @@ class StoreMaintenance:
         await asyncio.sleep(CHECK_AFTER_S)
         while True:
             try:
+                if not self._is_ours():
+                    await asyncio.sleep(CHECK_AFTER_S)
+                    continue
                 damage = await to_thread.run_sync(self._store.find_damage, abandon_on_cancel=True)
             except StoreError as error:
                 damage = str(error)

@@ -11,11 +11,14 @@ from typing import Any
 import numba
 from anyio import to_thread
 
+from service.bus.fleet_connection import connection_of
 from service.bus.local import LocalCellBus
 from service.bus.messages import State
+from service.bus.nats_bus import NatsCellBus
 from service.cell.acquisition import Acquisition
 from service.cell.cell import Cell
 from service.cell.known_assets import read_copy
+from service.cell.share import Share
 from service.clock import ProcessClock
 from service.ingest import Spool
 from service.kernels import compile_live_kernels
@@ -27,11 +30,15 @@ from service.store import (
     DatabaseLock,
     DataDirectoryLock,
     Outbox,
+    Ownership,
     Store,
+    StoreUnavailableError,
     lock_data_directory,
     lock_database,
+    run_name,
 )
 from service.store.errors import opening_error
+from service.store.opening import database_address
 from service.tasks import INGEST, background
 from service.waiting import LEAVE_DATABASE_S, LEAVE_S, StoppedError, Waiting
 
@@ -39,7 +46,13 @@ from service.waiting import LEAVE_DATABASE_S, LEAVE_S, StoppedError, Waiting
 ACQUIRE_AFTER_S = 1.0
 #: Wall seconds for the last changes of alarms; what the store does not take then stays on the disk.
 OUTBOX_S = 1.0
+#: And for those that an earlier run left.
+_DELIVERED_S = 10.0
 _ALIVE_EVERY_S = 1.0
+
+
+class PartitionsLostError(RuntimeError):
+    """Another cell has taken over what this one owned: it hung, or did not reach the database."""
 
 
 async def run_cell(
@@ -98,7 +111,9 @@ class _Start:
         self._alive = alive
         self._wiring = wire(settings)
         self._waiting = Waiting(stop, self._waits_for)
-        self._bus: LocalCellBus | None = None
+        self._bus: LocalCellBus | NatsCellBus | None = None
+        # Names this run among all cells, where there are several.
+        self._run = run_name() if settings.is_fleet else ""
         # What is open until the last sample has been written.
         self._open = contextlib.ExitStack()
 
@@ -118,11 +133,14 @@ class _Start:
             self._open.enter_context(lock)
             spool, clock = await until("room on the disk", self._open_spool)
             self._open.callback(spool.close)
-            bus = self._bus = LocalCellBus(data_dir)
-            self._open.callback(bus.close)
-            others = await to_thread.run_sync(self._known_assets)
-            acquisition = Acquisition(self._wiring, clock, spool, others)
             async with contextlib.AsyncExitStack() as running:
+                bus = self._bus = await self._make_bus(running)
+                if self._settings.is_fleet:  # what is read is known when partitions are owned
+                    acquisition = Acquisition(Wiring([], {}), clock, spool)
+                    acquisition.ingest.expect_no_more()
+                else:
+                    others = await to_thread.run_sync(self._known_assets)
+                    acquisition = Acquisition(self._wiring, clock, spool, others)
                 # Who asks meanwhile is answered that there is nothing yet.
                 answering = asyncio.create_task(bus.serve({}))
                 running.push_async_callback(_cancel, answering)
@@ -142,9 +160,19 @@ class _Start:
                 self._ready()
                 store, database_lock = await opening
                 await self._work(store, acquisition, clock, bus, answering)
-                lost = database_lock.lost
+                lost = database_lock.lost if database_lock is not None else ""
         if lost:
             raise DatabaseInUseError(lost)
+
+    async def _make_bus(self, running: contextlib.AsyncExitStack) -> LocalCellBus | NatsCellBus:
+        if self._settings.is_fleet:
+            connection = connection_of(self._settings, "cell")
+            bus = NatsCellBus(connection, self._run)
+            await running.enter_async_context(background(connection.run(), "bus", self._stop))
+            return bus
+        local = LocalCellBus(self._settings.data_dir)
+        self._open.callback(local.close)
+        return local
 
     def _known_assets(self) -> dict[str, Wiring]:
         """What is read for assets of the store, as far as they were known before this start."""
@@ -166,13 +194,15 @@ class _Start:
             spool.close()
             raise opening_error(f"data directory {settings.data_dir}: {error}", error) from error
 
-    async def _open_store(self) -> tuple[Store, DatabaseLock | DataDirectoryLock]:
+    async def _open_store(self) -> tuple[Store, DatabaseLock | DataDirectoryLock | None]:
         """Open all that the cell needs beside its devices."""
         settings, until = self._settings, self._waiting.until
         service, data_dir = settings.service, settings.data_dir
         url = service.database_url
-        store = await until("the store", partial(Store.open, url, data_dir))
+        store = await until("the store", partial(Store.open, url, data_dir, run=self._run))
         self._open.callback(store.close)
+        if settings.is_fleet:
+            return store, None
         loop = asyncio.get_running_loop()
         lost = partial(loop.call_soon_threadsafe, self._stop.set)
         lock = await until(
@@ -188,22 +218,58 @@ class _Start:
         store: Store,
         acquisition: Acquisition,
         clock: ProcessClock,
-        bus: LocalCellBus,
+        bus: LocalCellBus | NatsCellBus,
         answering: "asyncio.Task[None]",
     ) -> None:
         """Store what has been acquired so far, and run the rest of the cell."""
         settings, until = self._settings, self._waiting.until
-        acquisition.ingest.attach(store, await until("the store", store.samples.open_ends))
+        ends = {} if settings.is_fleet else await until("the store", store.samples.open_ends)
+        acquisition.ingest.attach(store, ends)
         await until("its compiled kernels", compile_live_kernels)
-        outbox = await until("room on the disk", partial(Outbox.open, settings.data_dir, store))
+        open_outbox = partial(Outbox.open, settings.data_dir, store, run=self._run)
+        outbox = await until("room on the disk", open_outbox)
+        share: Share | None = None
         try:
-            make = partial(Cell, settings, self._wiring, store, outbox, clock, acquisition, bus)
+            if settings.is_fleet:
+                share = await self._share(store, outbox)
+            make = partial(
+                Cell, settings, self._wiring, store, outbox, clock, acquisition, bus, share
+            )
             cell = await until("the store", make)
             be_prompt()
             await _cancel(answering)
             await cell.run(self._stop, lambda: self._status("runs"))
         finally:
             await to_thread.run_sync(outbox.close, OUTBOX_S)
+            if share is not None:
+                await to_thread.run_sync(share.ownership.close)
+        if share is not None and share.ownership.lost:
+            # Nothing that this process knows holds any more: a new one begins with the store.
+            raise PartitionsLostError(share.ownership.lost)
+
+    async def _share(self, store: Store, outbox: Outbox) -> Share:
+        """Begin to own partitions, and with them assets."""
+        settings, until = self._settings, self._waiting.until
+        loop = asyncio.get_running_loop()
+        changed = asyncio.Event()
+
+        # What an earlier run left is written while nobody else has taken its partitions.
+        def deliver() -> None:
+            if not outbox.flush(_DELIVERED_S):
+                raise StoreUnavailableError(outbox.problem or "changes of an earlier run wait")
+
+        await until("the store", deliver)
+        own = partial(
+            Ownership,
+            database_address(settings.service.database_url, settings.data_dir),
+            self._run,
+            settings.fleet.partitions,
+            on_change=partial(loop.call_soon_threadsafe, changed.set),
+            on_lost=partial(loop.call_soon_threadsafe, self._stop.set),
+        )
+        share = Share(await until("another service to leave the database", own), changed)
+        store.write_only_what(share)
+        return share
 
 
 def be_prompt() -> None:

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from operator import attrgetter
@@ -299,6 +299,19 @@ class Ingest:
         self._first_us = {}
         self._store = store
         self._writer.attach(store)
+
+    def expect(self, ends: Mapping[tuple[str, str], int]) -> None:
+        """Mark the gap behind these last times of channels when their next samples come."""
+        self._unmarked_gaps |= ends
+
+    def expect_no_more(self, assets: Collection[str] | None = None) -> None:
+        """Mark no gaps of these assets, or of any: somebody else reads them."""
+        gone = None if assets is None else set(assets)
+        self._unmarked_gaps = {
+            channel: end_us
+            for channel, end_us in self._unmarked_gaps.items()
+            if gone is not None and channel[0] not in gone
+        }
 
     async def _pump(self, driver: Driver) -> None:
         backoff = Backoff(RESTART_FIRST_S, RESTART_LAST_S)

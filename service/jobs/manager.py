@@ -73,11 +73,22 @@ class IdentificationJobs:
     async def stop(self) -> None:
         """Stop the workers; what was running waits in the store for the next start."""
         await self.runner.stop()
+        await self._interrupt(None)
+
+    async def leave(self, assets: Collection[str]) -> None:
+        """Leave the jobs of some assets to another cell, which takes them up again."""
+        await self.runner.stop_those_of(assets)
+        await self._interrupt(assets)
+
+    async def _interrupt(self, assets: Collection[str] | None) -> None:
+        """Have the jobs of these assets, or of all, wait in the store for whoever goes on."""
         try:
             async with asyncio.timeout(STOP_WALL_S):
                 for job in await anyio.to_thread.run_sync(
                     self._store.jobs.unfinished, abandon_on_cancel=True
                 ):
+                    if job.asset not in (self._assets if assets is None else assets):
+                        continue
                     # A clean stop is no failed attempt.
                     await self.runner.change(
                         job.id, "interrupt", progress=0.0, attempts=max(job.attempts - 1, 0)

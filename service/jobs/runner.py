@@ -4,7 +4,7 @@ Notes in the store what becomes of a job; a job whose row has ended is left alon
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -27,7 +27,7 @@ from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workers import Worker, Workers
 from service.jobs.workspace import JobFolder
 from service.live.asset import AssetRuntime
-from service.store import AuditEntry, Store, StoreUnavailableError
+from service.store import AuditEntry, NotOwnerError, Store, StoreUnavailableError
 from service.store.records import Job, ModelStatus, ModelVersion
 
 STORE_RETRY_WALL_S = 2.0
@@ -126,6 +126,14 @@ class JobRunner:
         if self._workers is not None:
             self._workers.end()
 
+    async def stop_those_of(self, assets: Collection[str]) -> None:
+        """End the jobs of some assets as a stop of the service does."""
+        tasks = [task for task in self._tasks.values() if task.get_name() in assets]
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks, timeout=STOP_WALL_S)
+
     def busy(self, asset_id: str) -> bool:
         """Tell whether a job of this asset is queued or running here."""
         return any(task.get_name() == asset_id for task in self._tasks.values())
@@ -181,6 +189,8 @@ class JobRunner:
             _log.warning("job_waits_for_the_store", job=job_id, error=str(error))
             await asyncio.sleep(STORE_RETRY_WALL_S)
             return False
+        except NotOwnerError as error:
+            _log.warning("job_left_to_another_cell", job=job_id, reason=str(error))
         except Exception as error:
             # Whatever went wrong in one job is that job's failure, not the service's.
             _log.exception("job_failed", job=job_id)

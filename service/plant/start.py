@@ -8,8 +8,12 @@ from typing import Final
 
 from prometheus_client import CollectorRegistry
 
+from service.bus.directory import Directory
+from service.bus.fleet import Fleet
+from service.bus.fleet_connection import fleet_of
+from service.bus.fleet_following import FleetFollowing
 from service.bus.following import Following
-from service.bus.interface import AWAY_AFTER_S
+from service.bus.interface import AWAY_AFTER_S, ReaderBus
 from service.bus.local import LocalReaderBus
 from service.bus.presence import tell_presence
 from service.bus.replicas import Replicas
@@ -64,20 +68,32 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
     waiting = Waiting(stop, lambda what, why: None)
     await waiting.until("the port for OPC UA", partial(check_ports, settings), LEAVE_S)
     async with contextlib.AsyncExitStack() as stack:
-        reader = LocalReaderBus(settings.data_dir)
-        stack.callback(reader.close)
+        url, data_dir = settings.service.database_url, settings.data_dir
+        open_store = partial(Store.open, url, data_dir)
+        reader: LocalReaderBus | Fleet
+        if settings.is_fleet:
+            store = await waiting.until("the store", open_store)
+            stack.callback(store.close)
+            directory = Directory(settings, store)
+            await waiting.until("the store", directory.look)
+            await stack.enter_async_context(background(directory.follow(), "directory", stop))
+            reader = fleet_of(settings, store, directory, "plant")
+        else:
+            reader = LocalReaderBus(settings.data_dir)
+            stack.callback(reader.close)
         await stack.enter_async_context(background(reader.run(), "bus", stop))
         replicas = Replicas(reader)
         while not await _is_known(reader, replicas):
             await _pause(stop)
-        url, data_dir = settings.service.database_url, settings.data_dir
-        store = await waiting.until("the store", partial(Store.open, url, data_dir))
-        stack.callback(store.close)
+        if not settings.is_fleet:
+            store = await waiting.until("the store", open_store)
+            stack.callback(store.close)
         outbox = await waiting.until(
             "room on the disk", partial(Outbox.open, data_dir, store, OUTBOX_FILE)
         )
         stack.callback(outbox.close, _CLOSE_S)
-        bus = Bus(ProcessClock.resume(settings.clock.rate, data_dir))
+        clock = ProcessClock.resume(settings.clock.rate, data_dir)
+        bus = Bus(clock)
         security = settings.security
         authenticator = Authenticator(
             store, security.failed_logins_per_minute, security.requests_per_minute
@@ -85,7 +101,11 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
         trail = AuditTrail(outbox)
         stack.callback(trail.settle)
         registry = CollectorRegistry()
-        following = Following(reader, bus)
+        following = (
+            FleetFollowing(reader, bus, clock)
+            if isinstance(reader, Fleet)
+            else Following(reader, bus)
+        )
         for name, work in (
             ("live messages", following.run()),
             ("tags", _refresh(replicas)),
@@ -103,7 +123,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
         bus.close("the service stops")
 
 
-async def _is_known(reader: LocalReaderBus, replicas: Replicas) -> bool:
+async def _is_known(reader: ReaderBus, replicas: Replicas) -> bool:
     if not reader.state.ready or reader.away_s > AWAY_AFTER_S:
         return False
     try:

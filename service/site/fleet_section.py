@@ -1,4 +1,4 @@
-"""The cluster that identifies a whole fleet at night."""
+"""A fleet: cells that share its machines, and the cluster that identifies them at night."""
 
 import ipaddress
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from service.domain.section import Section
 from service.site.configuration import SettingsError
@@ -37,9 +37,41 @@ def _address_or_none(text: str) -> str:
     return _address(text) if text else text
 
 
-class FleetSection(Section):
-    """Identification of a whole fleet (extra ``fleet``)."""
+def _database_or_none(text: str) -> str:
+    if text and urlsplit(text).scheme not in ("postgresql", "postgres"):
+        raise ValueError("expected postgresql://USER:PASSWORD@HOST/DATABASE: cells share a server")
+    return text
 
+
+def _nats_or_none(text: str) -> str:
+    """Whoever reaches the bus commands every cell: not without a password from other machines."""
+    if not text:
+        return text
+    try:
+        place = urlsplit(text)
+        host, _ = place.hostname, place.port
+    except ValueError:
+        host = None
+    if not host or place.path or place.scheme not in ("nats", "tls"):
+        raise ValueError("expected nats://TOKEN@HOST:PORT or tls://TOKEN@HOST:PORT")
+    if not place.username and not _is_loopback(host):
+        raise ValueError("expected a token or USER:PASSWORD before a host that others reach, too")
+    return text
+
+
+class FleetSection(Section):
+    """Several cells that share the machines, and identification of a whole fleet (``fleet``)."""
+
+    #: PostgreSQL and NATS of all cells and web sides; empty: one service does everything.
+    database_url: Annotated[str, AfterValidator(_database_or_none)] = Field("", repr=False)
+    nats_url: Annotated[str, AfterValidator(_nats_or_none)] = Field("", repr=False)
+    #: PEM files for a NATS server with tls://: the authority that signed its certificate, and the
+    #: certificate and key by which it knows us.
+    nats_ca: Path | None = None
+    nats_certificate: Path | None = None
+    nats_key: Path | None = None
+    #: Parts that the machines are divided into; a cell owns some of them.
+    partitions: int = Field(64, ge=1, le=1024)
     #: Address of a Dask scheduler; empty: processes of this machine.
     scheduler: Annotated[str, AfterValidator(_address_or_none)] = ""
     #: PEM files for tls://: certificates of the authority that signed the scheduler's, and the

@@ -78,9 +78,19 @@ def _check(
     if given != asset_id:
         raise SettingsError(f"{asset_id}.id = {given!r}: expected {asset_id!r} or none")
     _check_json(asset_id, table)
-    section = settings.asset({"id": asset_id} | table, asset_id)
-    wiring = wire_assets(_with_its_sources(settings, section), {asset_id: section})
+    return of_section(settings, settings.asset({"id": asset_id} | table, asset_id))
+
+
+def of_section(settings: Settings, section: AssetSection) -> CheckedAsset:
+    """Wire one asset by itself, of the file or of the store."""
+    wiring = wire_assets(_with_its_sources(settings, section), {section.id: section})
     return CheckedAsset(section, wiring)
+
+
+def wire_sources(asset: AssetSection) -> set[str]:
+    """Names of the sources that an asset is read from; none where all is pushed."""
+    tables = (*asset.channels.values(), *(one for _, one in asset.controller if one is not None))
+    return {str(table.get("source")) for table in tables} - {PUSH}
 
 
 def _check_json(asset_id: str, table: TomlTable) -> None:
@@ -97,8 +107,7 @@ def _check_json(asset_id: str, table: TomlTable) -> None:
 
 def _with_its_sources(settings: Settings, asset: AssetSection) -> Settings:
     """Give the configuration with the sources alone that an asset names: there may be hundreds."""
-    tables = (*asset.channels.values(), *(one for _, one in asset.controller if one is not None))
-    named = {str(table.get("source")) for table in tables} - {PUSH}
+    named = wire_sources(asset)
     sources = tuple(one for one in settings.sources if one.get("name") in named)
     if len(sources) < len(named):
         return settings  # a name is wrong: the error lists those that there are

@@ -197,6 +197,7 @@ class Settings(BaseSettings):
     @classmethod
     def _complete_assets(cls, given: Any) -> Any:
         """Make assets from their templates, and put bearings in where they are named."""
+        given = _with_fleet_database(given)
         bearings, assets = given.get("bearings", {}), given.get("assets")
         templates = templates_by_name(given.get("templates"))
         if not isinstance(bearings, dict) or not isinstance(assets, list | tuple):
@@ -222,6 +223,28 @@ class Settings(BaseSettings):
                 if names.count(name) > 1:
                     raise ValueError(f"{what}: the name {name!r} is used twice; expected unique")
         return self
+
+    @model_validator(mode="after")
+    def _fleet_is_whole(self) -> Self:
+        fleet = self.fleet
+        if bool(fleet.database_url) != bool(fleet.nats_url):
+            missing = "nats_url" if fleet.database_url else "database_url"
+            raise ValueError(f"fleet.{missing}: missing; several cells need both addresses")
+        if fleet.database_url and self.service.database_url != fleet.database_url:
+            raise ValueError(
+                "service.database_url: differs from fleet.database_url; expected one of them"
+            )
+        if fleet.database_url and self.clock.rate != 1.0:
+            raise ValueError(
+                f"clock.rate = {self.clock.rate:g}: expected 1 with [fleet]: cells on several "
+                "machines have no other clock in common"
+            )
+        return self
+
+    @property
+    def is_fleet(self) -> bool:
+        """Whether several cells share the machines."""
+        return bool(self.fleet.nats_url)
 
     def asset(self, table: TomlTable, key: str) -> AssetSection:
         """Check the table of an asset that is not in the file, as those of the file are checked.
@@ -255,6 +278,15 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """Directory of the store, the spool and checkpoints."""
         return self.path(self.service.data_dir)
+
+
+def _with_fleet_database(given: Any) -> Any:
+    """Let the service keep everything in the database of the fleet."""
+    fleet, service = given.get("fleet"), given.get("service", {})
+    url = fleet.get("database_url") if isinstance(fleet, dict) else None
+    if not url or not isinstance(service, dict) or service.get("database_url"):
+        return given
+    return given | {"service": service | {"database_url": url}}
 
 
 def _completed(

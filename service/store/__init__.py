@@ -14,12 +14,14 @@ from service.store.errors import (
     ActiveJobError,
     DatabaseInUseError,
     DataDirectoryInUseError,
+    NotOwnerError,
     StoreDamagedError,
     StoreError,
     StoreUnavailableError,
 )
 from service.store.locking import DataDirectoryLock, lock_data_directory
 from service.store.outbox import AlarmChange, Outbox
+from service.store.ownership import Ownership, run_name
 from service.store.pages import PageRow
 from service.store.queue_file import (
     Mended,
@@ -74,7 +76,9 @@ __all__ = [
     "MinuteTable",
     "ModelStatus",
     "ModelVersion",
+    "NotOwnerError",
     "Outbox",
+    "Ownership",
     "PageRow",
     "ProvisionedAsset",
     "QueueFile",
@@ -92,4 +96,5 @@ __all__ = [
     "WriteCounts",
     "lock_data_directory",
     "lock_database",
+    "run_name",
 ]

@@ -17,6 +17,7 @@ from service.store.alarm_records import (
 )
 from service.store.audit import add_line
 from service.store.deliveries import Delivery
+from service.store.errors import NotOwnerError
 from service.store.part import StorePart
 from service.store.records import AuditEntry
 from service.store.tables import AlarmRow, AlarmTransitionRow
@@ -52,10 +53,22 @@ class AlarmJournal(StorePart):
             Of an outbox; what it delivers again is known.
         audit : AuditEntry, optional
             Line of the audit trail, where somebody asked for the change.
+
+        Raises
+        ------
+        NotOwnerError
+            If another cell has owned the asset since the change was recorded.
         """
         with self._writing_once(delivery) as connection:
             if connection is None:
                 return
+            asset = alarm.asset if alarm is not None else lines[0].asset if lines else None
+            fence = self._database.fence
+            if fence is not None and asset is not None:
+                if delivery is None:
+                    self._require(connection, asset)
+                elif not fence.may_deliver(connection, asset, delivery.run):
+                    raise NotOwnerError(f"asset {asset}: another cell has owned it since")
             if alarm is not None:
                 values = asdict(alarm)
                 changed = connection.execute(

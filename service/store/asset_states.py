@@ -35,18 +35,25 @@ class AssetStates(StorePart):
     def save_all(
         self, documents: Mapping[str, Mapping[str, object]], lines: Sequence[AuditEntry] = ()
     ) -> None:
-        """Keep the documents of many assets in one transaction, as `save` does."""
+        """Keep the documents of many assets in one transaction, as `save` does.
+
+        Those of assets that another cell owns now are left out: it has kept newer ones.
+        """
         if not documents:
             return
-        rows = [
-            {"asset": asset, "document": {_PACKED: b64encode(_packed(one)).decode()}}
+        rows = {
+            asset: {"asset": asset, "document": {_PACKED: b64encode(_packed(one)).decode()}}
             for asset, one in documents.items()
-        ]
+        }
+        fence = self._database.fence
         with self._database.writing(_PATIENCE_S) as connection:
-            connection.execute(
-                delete(AssetStateRow).where(AssetStateRow.asset.in_(list(documents)))
-            )
-            connection.execute(insert(AssetStateRow), rows)
+            held = rows.keys() if fence is None else fence.held(connection, rows.keys())
+            if len(held) < len(rows):
+                _log.warning("states_of_others_left_out", count=len(rows) - len(held))
+            if not held:
+                return
+            connection.execute(delete(AssetStateRow).where(AssetStateRow.asset.in_(list(held))))
+            connection.execute(insert(AssetStateRow), [rows[asset] for asset in held])
             for line in lines:
                 add_line(connection, line)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import compress
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DatabaseError, InterfaceError, InternalError, OperationalError
@@ -65,6 +65,16 @@ class Dialect:
     with_patience: Callable[[Connection, float], AbstractContextManager[None]]
 
 
+class Fence(Protocol):
+    """Keeps a cell of a fleet from writing for what another cell owns."""
+
+    def held(self, connection: Connection, assets: Collection[str]) -> Collection[str]:
+        """Give those of some assets that stay this cell's until the transaction ends."""
+
+    def may_deliver(self, connection: Connection, asset: str, run: str) -> bool:
+        """Tell whether nobody has owned an asset since this run of a cell, until the commit."""
+
+
 class Turn:
     """A lock that the threads of a process get in the order in which they asked for it.
 
@@ -115,6 +125,8 @@ class Database:
         What only this kind of database does.
     writer : sqlalchemy.Engine, optional
         Connections that write; by default those that read do.
+    fence : Fence, optional
+        Asked before what the service derives from measurements is written; None: all is ours.
     """
 
     def __init__(
@@ -123,6 +135,7 @@ class Database:
         self.engine = engine
         self.name = name
         self.dialect = dialect
+        self.fence: Fence | None = None
         self._writer = writer or engine
         self._turn = Turn()
 

@@ -30,11 +30,11 @@ _ANSWER_S = 8.0
 _END_S = 1.0
 
 #: Number of the advisory lock, with the schema's next to it; any that no one else uses.
-_SERVICE_LOCK = 0x42545773
-_LOCK = f"pg_try_advisory_lock({_SERVICE_LOCK}, hashtext(current_schema()))"
+SERVICE_LOCK = 0x42545773
+_LOCK = f"pg_try_advisory_lock({SERVICE_LOCK}, hashtext(current_schema()))"
 _HOLDER = f"""
 SELECT pid, coalesce(application_name, '') FROM pg_locks JOIN pg_stat_activity USING (pid)
-WHERE locktype = 'advisory' AND granted AND classid = {_SERVICE_LOCK}
+WHERE locktype = 'advisory' AND granted AND classid = {SERVICE_LOCK}
 AND objid::bigint = hashtext(current_schema())::bigint & 4294967295
 AND database = (SELECT oid FROM pg_database WHERE datname = current_database())
 """

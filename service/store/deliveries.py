@@ -14,6 +14,11 @@ class Delivery:
     sender: str
     number: int
 
+    @property
+    def run(self) -> str:
+        """Name of the run of a cell that recorded the change; see `Outbox.open`."""
+        return self.sender.partition("/")[0]
+
 
 def is_first(connection: Connection, delivery: Delivery) -> bool:
     """Take note of a delivery; False when it was made before."""

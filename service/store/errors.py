@@ -3,7 +3,7 @@
 import errno
 import sqlite3
 
-from service.domain.errors import ServiceError, TemporaryError
+from service.domain.errors import CellUnavailableError, ServiceError, TemporaryError
 
 #: The state of a disk or of the machine; what is wrong with a path or with rights does not pass.
 _PASSING_ERRNOS = frozenset(
@@ -50,6 +50,10 @@ class DataDirectoryInUseError(StoreUnavailableError):
 
 class DatabaseInUseError(StoreUnavailableError):
     """Another service works on this database."""
+
+
+class NotOwnerError(StoreError, CellUnavailableError):
+    """Another cell owns the asset: what this one knows of it must not be written any more."""
 
 
 class StoreDamagedError(StoreUnavailableError):

@@ -54,6 +54,8 @@ class Jobs(StorePart):
         ------
         ActiveJobError
             If another job of the asset is queued or running.
+        NotOwnerError
+            If another cell owns the asset.
         """
         job = Job(
             id=uuid4().hex,
@@ -72,6 +74,7 @@ class Jobs(StorePart):
             attempts=0,
         )
         with self._database.writing() as connection:
+            self._require(connection, asset)
             if idempotency_key is not None:
                 known = connection.execute(
                     select(*_COLUMNS).where(
@@ -128,6 +131,8 @@ class Jobs(StorePart):
                 .values(**changes)
                 .returning(*_COLUMNS)
             ).one_or_none()
+            if row is not None:
+                self._require(connection, row.asset)
             add_line(connection, line if row else None)
         return Job(**row._mapping) if row else None
 

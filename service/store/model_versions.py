@@ -57,8 +57,11 @@ class ModelVersions(StorePart):
         ------
         ValueError
             If the status is "active" or "retired".
+        NotOwnerError
+            If another cell owns the asset.
         """
         with self._database.writing() as connection:
+            self._require(connection, asset)
             return add_version(connection, asset, status, reason, document, created_at_us)
 
     def versions(self, asset: str) -> list[ModelVersion]:
@@ -151,6 +154,8 @@ class ModelVersions(StorePart):
             Process time, UTC microseconds.
         """
         with self._database.writing() as connection:
+            for asset in models if self._database.fence is not None else ():
+                self._require(connection, asset)
             newest = select(
                 ModelVersionRow.asset, func.max(ModelVersionRow.version).label("version")
             ).group_by(ModelVersionRow.asset)
@@ -220,8 +225,11 @@ class ModelVersions(StorePart):
         ------
         KeyError
             If there is no such version.
+        NotOwnerError
+            If another cell owns the asset.
         """
         with self._database.writing() as connection:
+            self._require(connection, asset)
             add_line(connection, line)
             activate_version(connection, asset, version, who, comment, at_us)
             active = _one(connection, asset, version)

@@ -14,7 +14,7 @@ from service.store.sqlite import open_sqlite
 FILE_NAME = "bearing-twin.db"
 
 
-def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Database:
+def open_database(database_url: str, data_dir: Path, *, migrate: bool, run: str = "") -> Database:
     """Open the database; see `Store.open`.
 
     Raises
@@ -30,7 +30,7 @@ def open_database(database_url: str, data_dir: Path, *, migrate: bool) -> Databa
             f"data directory {error.filename}: cannot be made ({error.strerror})", error
         ) from error
     if url.get_backend_name() == "postgresql":
-        return open_postgresql(url, migrate=migrate)
+        return open_postgresql(url, migrate=migrate, run=run)
     return open_sqlite(url)
 
 

@@ -73,6 +73,8 @@ class Outbox(Closable):
         Where changes wait.
     store : Store
         Where they go.
+    run : str
+        Name of this run, where cells of a fleet share the store.
 
     Attributes
     ----------
@@ -82,7 +84,7 @@ class Outbox(Closable):
         Why the disk takes nothing: changes wait in memory only. None while it does.
     """
 
-    def __init__(self, queue: DurableQueue, store: Store) -> None:
+    def __init__(self, queue: DurableQueue, store: Store, run: str = "") -> None:
         self._queue = queue
         self._store = store
         self._condition = threading.Condition()
@@ -94,7 +96,8 @@ class Outbox(Closable):
         self.disk_problem: str | None = None
         # Each run is a sender of its own: the numbers of a file that was restored from a copy
         # begin again where the store has gone on from.
-        self._sender = uuid4().hex
+        self._run = run
+        self._sender = self._new_sender()
         queue.on_mended(self._note_mended)
         self._threads = [
             threading.Thread(target=self._repeat, args=(has_work, work), name=name, daemon=True)
@@ -107,7 +110,7 @@ class Outbox(Closable):
             thread.start()
 
     @classmethod
-    def open(cls, data_dir: Path, store: Store, file_name: str = FILE_NAME) -> Self:
+    def open(cls, data_dir: Path, store: Store, file_name: str = FILE_NAME, run: str = "") -> Self:
         """Open an outbox of a data directory and begin to send what is in it.
 
         Each process has a file of its own.
@@ -118,7 +121,7 @@ class Outbox(Closable):
             If its file can be neither opened nor made; one line that names it.
         """
         path = data_dir / file_name
-        return cls(DurableQueue(QueueFile.open(path, _LAYOUT)), store)
+        return cls(DurableQueue(QueueFile.open(path, _LAYOUT)), store, run)
 
     @property
     def mended(self) -> Mended | None:
@@ -286,11 +289,14 @@ class Outbox(Closable):
             for number, row in self._queue.first(limit, self._taken)
         ]
 
+    def _new_sender(self) -> str:
+        return f"{self._run}/{uuid4().hex}" if self._run else uuid4().hex
+
     def _note_mended(self) -> None:
         with self._condition:
             self._kept = len(self._queue)
             # The numbers may begin again: what the store has already it knows by its sender.
-            self._sender, self._taken = uuid4().hex, 0
+            self._sender, self._taken = self._new_sender(), 0
 
 
 def _document(change: Change) -> str:

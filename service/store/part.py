@@ -9,6 +9,7 @@ from sqlalchemy.orm import InstrumentedAttribute
 
 from service.store.database import PATIENCE_S, Database
 from service.store.deliveries import Delivery, is_first
+from service.store.errors import NotOwnerError
 from service.store.tables import AlarmTransitionRow, AuditRow
 
 #: Wall seconds for a change that can wait in its outbox.
@@ -51,6 +52,18 @@ class StorePart:
         with self._database.writing(patience_s) as connection:
             first = delivery is None or is_first(connection, delivery)
             yield connection if first else None
+
+    def _require(self, connection: Connection, asset: str) -> None:
+        """Refuse to write what was derived for an asset that another cell owns.
+
+        Raises
+        ------
+        NotOwnerError
+            If it does; the transaction is to be rolled back.
+        """
+        fence = self._database.fence
+        if fence is not None and not fence.held(connection, (asset,)):
+            raise NotOwnerError(f"asset {asset}: another cell owns it")
 
     def _expire(self, row: type[AlarmTransitionRow | AuditRow], before_us: int) -> int:
         """Remove lines from before a time, in portions; returns how many."""

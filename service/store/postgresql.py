@@ -36,6 +36,7 @@ PARTITION_US = 2**41
 
 #: Wall seconds beyond the patience of a transaction in which the server must answer.
 _ANSWER_MARGIN_S = 2.0
+_IDLE_MS = 15_000
 _PATIENCE = "bearing_twin_patience_s"
 #: Number of the advisory lock that a writing transaction holds; any that no one else uses.
 _WRITERS_LOCK = 0x42545772
@@ -77,7 +78,7 @@ ON CONFLICT DO NOTHING
 """
 
 
-def open_postgresql(url: URL, *, migrate: bool) -> Database:
+def open_postgresql(url: URL, *, migrate: bool, run: str = "") -> Database:
     """Connect to the database.
 
     Parameters
@@ -86,6 +87,8 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
         Its address.
     migrate : bool
         Bring the tables up to date first; otherwise they must be.
+    run : str
+        What the server calls the connections; empty for the name of the product.
 
     Raises
     ------
@@ -96,7 +99,7 @@ def open_postgresql(url: URL, *, migrate: bool) -> Database:
     """
     name = f"service.database_url = {shown(url)!r}"
     # A migration may take its time.
-    engine = _engine(url, None if migrate else ANSWER_S)
+    engine = _engine(url, None if migrate else ANSWER_S, run)
     try:
         if not is_current(engine):
             if not migrate:
@@ -229,10 +232,10 @@ def _with_patience(connection: Connection, patience_s: float) -> Iterator[None]:
         connection.info.pop(_PATIENCE, None)
 
 
-def _engine(url: URL, answer_s: float | None) -> Engine:
+def _engine(url: URL, answer_s: float | None, run: str) -> Engine:
     engine = create_engine(
         url.set(drivername="postgresql+psycopg"),
-        connect_args=CONNECT_ARGS,
+        connect_args=CONNECT_ARGS | ({"application_name": run} if run else {}),
         pool_size=8,
         max_overflow=16,
         pool_timeout=PATIENCE_S,
@@ -256,6 +259,8 @@ def _engine(url: URL, answer_s: float | None) -> Engine:
         if writes:
             connection.exec_driver_sql(
                 f"SET LOCAL lock_timeout = {round(patience_s * 1000)};"
+                # A process that is stopped in the middle must not hold up the others.
+                f"SET LOCAL idle_in_transaction_session_timeout = {_IDLE_MS};"
                 f"SET LOCAL statement_timeout = {limit_ms}"
             )
             # Writers of all programs take turns, as with SQLite: what one reads before it writes

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Collection, Iterable, Sequence
 from operator import itemgetter
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from sqlalchemy import Connection, func, insert, select
+from sqlalchemy import Connection, Row, func, insert, select
 
 from adapters.samples import Quality, Sample, is_bad, is_good
 from service.clock import HOUR_US
@@ -14,7 +14,7 @@ from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
 from service.store.packing import make_room
-from service.store.part import StorePart
+from service.store.part import StorePart, rows_of
 from service.store.records import StoredSample, WriteCounts
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
@@ -234,16 +234,20 @@ class Samples(StorePart):
                 counts[asset, name] = min(total, count_max)
         return counts
 
-    def open_ends(self) -> dict[tuple[str, str], int]:
-        """Find the channels, of all assets, whose newest sample is not bad, and its time.
+    def open_ends(self, assets: Collection[str] | None = None) -> dict[tuple[str, str], int]:
+        """Find the channels, of some assets or all, whose newest sample is not bad, and its time.
 
         At the start of a service these are the channels that were recorded when the last run
         ended.
         """
         ends = {}
         with self._database.reading() as connection:
-            channels = connection.execute(select(ChannelRow.asset, ChannelRow.name, ChannelRow.id))
-            for asset, name, channel_id in channels.all():
+            query = select(ChannelRow.asset, ChannelRow.name, ChannelRow.id)
+            if assets is None:
+                channels: Sequence[Row[*tuple[Any, ...]]] = connection.execute(query).all()
+            else:
+                channels = rows_of(connection, ChannelRow.asset, query, assets)
+            for asset, name, channel_id in channels:
                 newest = _newest(connection, channel_id)
                 if newest is not None and not is_bad(newest[2]):
                     ends[asset, name] = newest[0]

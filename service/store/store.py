@@ -8,7 +8,7 @@ from service.store.alarm_journal import AlarmJournal
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
-from service.store.database import Database, damaged
+from service.store.database import Database, Fence, damaged
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
@@ -75,7 +75,9 @@ class Store(Closable):
         self.assets = ProvisionedAssets(database)
 
     @classmethod
-    def open(cls, database_url: str, data_dir: Path, *, migrate: bool = False) -> Self:
+    def open(
+        cls, database_url: str, data_dir: Path, *, migrate: bool = False, run: str = ""
+    ) -> Self:
         """Open the store.
 
         A new SQLite file is made, an older one is brought up to date. The tables of a PostgreSQL
@@ -90,13 +92,19 @@ class Store(Closable):
             The service's directory; made when it does not exist.
         migrate : bool
             Bring the tables of a PostgreSQL database up to date.
+        run : str
+            Name of this run of a cell, which the server shows; see `service.store.ownership`.
 
         Raises
         ------
         StoreError
             If the store cannot be used; one line that names it.
         """
-        return cls(open_database(database_url, data_dir, migrate=migrate))
+        return cls(open_database(database_url, data_dir, migrate=migrate, run=run))
+
+    def write_only_what(self, fence: Fence) -> None:
+        """Have a fence asked before anything is written that was derived from measurements."""
+        self._database.fence = fence
 
     def find_damage(self) -> str | None:
         """Look for damage, of an SQLite file and of blocks; one line that says what to do, or None.

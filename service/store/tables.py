@@ -1,10 +1,12 @@
 """The tables. Types are those that SQLite and PostgreSQL share."""
 
+from datetime import datetime
 from typing import Any, ClassVar
 
 from sqlalchemy import (
     JSON,
     BigInteger,
+    DateTime,
     Double,
     ForeignKey,
     Index,
@@ -300,6 +302,27 @@ class DeliveryRow(Base):
 
     sender: Mapped[str] = mapped_column(primary_key=True)
     number: Mapped[int]
+
+
+class CellRow(Base):
+    """A cell of a fleet that runs, or died a moment ago; see `service.store.ownership`."""
+
+    __tablename__ = "cells"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    beat_at: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    #: Of the assets that it has taken up.
+    assets_revision: Mapped[int]
+
+
+class PartitionRow(Base):
+    """A part of a fleet's assets; each new owner counts its epoch up. Empty owner: none."""
+
+    __tablename__ = "partitions"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    epoch: Mapped[int]
+    owner: Mapped[str]
 
 
 class ProvisionedAssetRow(Base):

@@ -11,12 +11,16 @@ from typing import Final
 import structlog
 
 from service.bus.commands import ApplyAssets
+from service.bus.directory import Directory
+from service.bus.fleet import Fleet
+from service.bus.fleet_connection import fleet_of
+from service.bus.fleet_following import FleetFollowing
 from service.bus.following import Following
-from service.bus.interface import AWAY_AFTER_S
+from service.bus.interface import AWAY_AFTER_S, ReaderBus
 from service.bus.local import LocalReaderBus
 from service.bus.presence import tell_presence
 from service.bus.replicas import Replicas
-from service.bus.stream import Bus
+from service.bus.stream import Bus, heartbeats
 from service.clock import ProcessClock, wall_us
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
@@ -102,14 +106,26 @@ class _Start:
         settings, stop = self._settings, self._stop
         async with contextlib.AsyncExitStack() as stack:
             await stack.enter_async_context(background(self._web.run(listener, tls), "web", stop))
-            reader = LocalReaderBus(settings.data_dir)
-            stack.callback(reader.close)
-            await stack.enter_async_context(background(reader.run(), "bus", stop))
-            await self._until_cell(reader)
             until = self._waiting.until
             url, data_dir = settings.service.database_url, settings.data_dir
-            store = await until("the store", partial(Store.open, url, data_dir))
-            stack.callback(store.close)
+            open_store = partial(Store.open, url, data_dir)
+            reader: LocalReaderBus | Fleet
+            if settings.is_fleet:
+                store = await until("the store", open_store)
+                stack.callback(store.close)
+                directory = Directory(settings, store)
+                await until("the store", directory.look)
+                await stack.enter_async_context(background(directory.follow(), "directory", stop))
+                reader = fleet_of(settings, store, directory, "web")
+                await stack.enter_async_context(background(reader.run(), "bus", stop))
+                await self._until_cell(reader)
+            else:
+                reader = LocalReaderBus(settings.data_dir)
+                stack.callback(reader.close)
+                await stack.enter_async_context(background(reader.run(), "bus", stop))
+                await self._until_cell(reader)
+                store = await until("the store", open_store)
+                stack.callback(store.close)
             if not is_loopback(settings.service.host):
                 await until("the store", partial(check_key, store, settings.service.host))
             outbox = await until(
@@ -120,7 +136,14 @@ class _Start:
             await stack.enter_async_context(background(questions.run(), "questions", stop))
             clock = ProcessClock.resume(settings.clock.rate, data_dir)
             bus = Bus(clock)
-            following = Following(reader, bus)
+            following: Following | FleetFollowing
+            is_unowned: Callable[[str], bool] = frozenset[str]().__contains__
+            if isinstance(reader, Fleet):
+                following = FleetFollowing(reader, bus, clock)
+                await stack.enter_async_context(background(heartbeats(bus), "heartbeat", stop))
+                is_unowned = reader.is_unowned
+            else:
+                following = Following(reader, bus)
             await stack.enter_async_context(background(following.run(), "live messages", stop))
             replicas = Replicas(reader, questions)
             await self._until_known(replicas, following)
@@ -149,6 +172,7 @@ class _Start:
                     changed=changed,
                     follow=following.follow,
                     apply_assets=partial(_apply_assets, reader, replicas),
+                    is_unowned=is_unowned,
                 )
             )
             for name, work in (
@@ -168,14 +192,14 @@ class _Start:
         bus.close("the service stops")
         await self._web.stop()
 
-    async def _until_cell(self, reader: LocalReaderBus) -> None:
+    async def _until_cell(self, reader: ReaderBus) -> None:
         """Wait for a cell that takes commands."""
         while not (reader.state.ready and reader.away_s < AWAY_AFTER_S):
             there = reader.away_s < AWAY_AFTER_S
             self._web.waits_for = (reader.state.waits_for if there else "") or "the cell"
             await self._pause()
 
-    async def _until_known(self, replicas: Replicas, following: Following) -> None:
+    async def _until_known(self, replicas: Replicas, following: Following | FleetFollowing) -> None:
         """Wait until every asset and the latest live messages are known."""
         while True:
             try:
@@ -195,16 +219,14 @@ class _Start:
             raise StoppedError
 
 
-async def _apply_assets(reader: LocalReaderBus, replicas: Replicas) -> dict[str, str]:
+async def _apply_assets(reader: ReaderBus, replicas: Replicas) -> dict[str, str]:
     """Have the cell take up what the store holds now, and know it here too."""
     wrong = await reader.ask(ApplyAssets(), WHILE_S)
     await replicas.load()
     return wrong
 
 
-async def _tell_absence(
-    reader: LocalReaderBus, replicas: Replicas, bus: Bus, clock_rate: float
-) -> None:
+async def _tell_absence(reader: ReaderBus, replicas: Replicas, bus: Bus, clock_rate: float) -> None:
     """Tell those who follow when the cell is away: nothing that they see is live then."""
     told = False
     while True:

@@ -11,6 +11,7 @@ from adapters.configuration import listed
 from service.bus.replica import AssetReplica
 from service.documents.base import Document
 from service.documents.interfaces import DocumentKind
+from service.domain.errors import CellUnavailableError
 from service.security.audit_trail import AuditTrail
 from service.security.authenticator import Authenticator
 from service.web.api.context import ServiceContext
@@ -48,6 +49,8 @@ async def get_asset(
 ) -> AssetReplica:
     """Give the asset that the path names."""
     asset = context.assets.get(asset_id)
+    if asset is None and context.is_unowned(asset_id):
+        raise CellUnavailableError(f"no cell follows asset {asset_id!r} at the moment")
     if asset is None:
         known = listed(context.assets) or "none"
         raise parameter_problem("asset_id", f"no asset {asset_id!r}; there is: {known}", 404)
