@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from collections.abc import Collection
 from typing import Final
 
 from anyio import to_thread
@@ -26,13 +27,13 @@ class Directory:
 
     def __init__(self, settings: Settings, store: Store) -> None:
         self._store = store
-        self._ids = {asset.id for asset in settings.assets}
+        self._ids = dict.fromkeys(asset.id for asset in settings.assets)
         self._of_file = frozenset(self._ids)
         self._revision = 0
 
-    def ids(self) -> set[str]:
-        """Ids of all assets, as they were known at the last look."""
-        return self._ids
+    def ids(self) -> Collection[str]:
+        """Ids of all assets as they were known at the last look: first those of the file."""
+        return self._ids.keys()
 
     def look(self) -> None:
         """Learn of changes; reads from the store.
@@ -44,8 +45,13 @@ class Directory:
         """
         changed = self._store.assets.changed_since(self._revision)
         if changed:
-            gone = {one.id for one in changed if one.table is None} - self._of_file
-            self._ids = (self._ids - gone) | {one.id for one in changed if one.table is not None}
+            ids = dict(self._ids)
+            for one in changed:
+                if one.table is not None:
+                    ids[one.id] = None
+                elif one.id not in self._of_file:
+                    ids.pop(one.id, None)
+            self._ids = ids
             self._revision = max(one.revision for one in changed)
 
     async def follow(self) -> None:

@@ -82,7 +82,8 @@ class Fleet:
         self._names: dict[str, dict[str, int]] = {}
         self._named: dict[str, tuple[int, int]] = {}
         self._last_names: dict[str, int] = {}
-        self._owners: dict[str, str] = {}
+        # Cells that claim an asset, the one that has it last.
+        self._owners: dict[str, list[str]] = {}
         self._revision = 0
         self._whole_s = -math.inf
         self._change = msgspec.msgpack.Decoder(Change)
@@ -131,8 +132,19 @@ class Fleet:
 
     def _owner(self, asset: str) -> CellLink | None:
         """The cell that follows an asset."""
-        found = self.cells.get(self._owners.get(asset, ""))
-        return found if found is not None and found.alive else None
+        for token in reversed(self._owners.get(asset, ())):
+            cell = self.cells.get(token)
+            if cell is not None and cell.alive:
+                return cell
+        return None
+
+    def _is_replaced(self, cell: CellLink) -> bool:
+        """Whether another cell has taken over what this one still takes for its own."""
+        return any(
+            other.state.partitions.get(partition, epoch) > epoch
+            for other in self.alive()
+            for partition, epoch in cell.state.partitions.items()
+        )
 
     def of_cell(self, token: str, assets: Collection[str] | None) -> Collection[str] | None:
         """Those of some assets that a cell follows; None for all."""
@@ -160,6 +172,8 @@ class Fleet:
             names = await cell.ask(commands.AssetNames(), _NAMES_S)
         except CellUnavailableError:
             return
+        # Last in order: of two that claim an asset, the one that said so later has it.
+        self._names.pop(cell.epoch, None)
         self._names[cell.epoch], self._named[cell.epoch] = names, kind
         self._count_assets()
 
@@ -172,20 +186,21 @@ class Fleet:
 
     def _count_assets(self) -> None:
         """Note who follows what now."""
-        owners: dict[str, str] = {}
-        numbers: dict[str, int] = {}
-        for token, names in self._names.items():
-            alive = token in self.cells and self.cells[token].alive
-            for name, number in names.items():
-                if alive or name not in owners:
-                    owners[name] = token
-                    # Of another cell it is another object, whatever its number there.
-                    numbers[name] = zlib.crc32(f"{token} {number}".encode())
-        known = self._known()
+        owners: dict[str, list[str]] = {}
+        found: dict[str, int] = {}
+        replaced = {token for token, cell in self.cells.items() if self._is_replaced(cell)}
+        for token in sorted(self._names, key=lambda one: one not in replaced):
+            for name, number in self._names[token].items():
+                owners.setdefault(name, []).append(token)
+                # Of another cell it is another object, whatever its number there.
+                found[name] = zlib.crc32(f"{token} {number}".encode())
         # What nobody follows at the moment stays as it was: its cell is being replaced.
-        for name, number in self._last_names.items():
-            if name in known:
-                numbers.setdefault(name, number)
+        everything = {
+            name: number for name, number in self._last_names.items() if name in self._known()
+        } | found
+        known = {name: place for place, name in enumerate(self._known())}
+        ordered = sorted(everything, key=lambda name: (known.get(name, len(known)), name))
+        numbers = {name: everything[name] for name in ordered}
         self._owners = owners
         if numbers != self._last_names:
             self._last_names = numbers
