@@ -97,6 +97,7 @@ class Fleet:
         """Wall seconds since every partition had an owner that lives."""
         if not self.missing():
             self._whole_s = time.monotonic()
+            return 0.0
         return time.monotonic() - self._whole_s
 
     @property

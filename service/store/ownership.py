@@ -132,11 +132,14 @@ class Ownership(Closable):
         self._leaving: frozenset[int] = frozenset()
         self._left: set[int] = set()
         self._ended = threading.Event()
-        try:
-            self._connection = self._connect()
-            self._make_rows()
-        except psycopg.Error as error:
-            raise connection_error(self._name, error, url) from error
+        with contextlib.ExitStack() as failing:
+            try:
+                self._connection = self._connect()
+                failing.callback(self._connection.close)
+                self._make_rows()
+            except psycopg.Error as error:
+                raise connection_error(self._name, error, url) from error
+            failing.pop_all()
         self._thread = threading.Thread(target=self._keep, name="ownership", daemon=True)
         self._thread.start()
 
