@@ -10,10 +10,10 @@ from typing import Any, cast
 
 import structlog
 from anyio import to_thread
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+from prometheus_client import CollectorRegistry, Gauge, Histogram
 
 from adapters.samples import Batch, PlannedProfile, Sample
-from service.alarms import AlarmBook, AlarmCondition
+from service.alarms import AlarmBook
 from service.bus.following import packed
 from service.bus.interface import STREAM_TOPIC, CellBus
 from service.bus.messages import State
@@ -23,11 +23,11 @@ from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
 from service.cell.provisioning import Provisioning, Site
+from service.cell.reports import Reports, report_unconfigured
 from service.cell.retention import StoreMaintenance
 from service.cell.share import Share
-from service.clock import ClockWatch, ProcessClock
+from service.clock import ProcessClock
 from service.documents.alarms import alarm_document
-from service.documents.messages import ServiceHealth, SourceDocument
 from service.ingest.metrics import watch_damage, watch_forecasts, watch_late
 from service.jobs.automatic import identify_by_itself
 from service.jobs.executor import make_executor
@@ -52,9 +52,6 @@ from service.store import (
 )
 from service.tasks import background
 
-#: Samples of a channel are counted up to this number where it is only a hint.
-_COUNTED_MAX = 100_000
-HEALTH_EVERY_WALL_S = 1.0
 STORE_RETRY_WALL_S = 2.0
 STATE_EVERY_S = 0.25
 #: Twins that are begun or ended in one go.
@@ -129,11 +126,6 @@ class Cell:
         self.alarms = AlarmBook(
             self.outbox, clock, self._alarm_changed, begins_empty=share is not None
         )
-        self._clock_steps = Counter(
-            "bearing_twin_clock_steps",
-            "Times that the process clock was set.",
-            registry=self.registry,
-        )
         watch_late(
             lambda: {asset.id: asset.readings.late for asset in list(self.assets.values())},
             self.registry,
@@ -161,7 +153,7 @@ class Cell:
         if share is None:
             self._kept_states = cast(dict[str, KeptState], store.states.load_all())
             left = [alarm for alarm in self.alarms.active() if alarm.asset not in self.assets]
-            self._report_unconfigured(left)
+            report_unconfigured(store, self.assets, left)
             for alarm in left:
                 self.alarms.withdraw(alarm.asset, ())
         job_seconds = Histogram(
@@ -189,6 +181,18 @@ class Cell:
             Retention(**settings.retention.model_dump()),
             is_ours=lambda: share is None or share.keeps_house,
         )
+        self._reports = Reports(
+            clock,
+            self.bus,
+            self.alarms,
+            self.assets,
+            outbox,
+            acquisition,
+            self.maintenance,
+            self.provisioning,
+            share,
+            self.registry,
+        )
         self.answers = Answers(
             Parts(
                 clock=clock,
@@ -201,7 +205,7 @@ class Cell:
                 jobs=self.jobs,
                 registry=self.registry,
                 sources=acquisition.health,
-                problems=self._problems,
+                problems=self._reports.problems,
                 apply_assets=self.provisioning.apply,
                 is_fleet=share is not None,
             )
@@ -350,87 +354,6 @@ class Cell:
         facts = self.assets[asset].facts.get(channel)
         return "" if facts is None else self.acquisition.problem(facts.source, asset, channel)
 
-    def _report_unconfigured(self, alarms: Sequence[Alarm]) -> None:
-        """Warn once of what the store holds and the configuration names no more."""
-        samples: dict[str, int] = {}
-        for (asset, channel), count in self.store.samples.counts(_COUNTED_MAX).items():
-            if asset not in self.assets or channel not in self.assets[asset].documents.channels:
-                name = f"{asset}/{channel}" if asset in self.assets else asset
-                samples[name] = samples.get(name, 0) + count
-        if samples or alarms:
-            _log.warning(
-                "not_configured",
-                samples=samples,
-                alarms_withdrawn=len(alarms),
-                hint="'bearing-twin export --asset NAME' exports its stored data",
-            )
-
-    def _problems(self) -> dict[str, str | None]:
-        """What is wrong with history and with the files, by check; None where all is well."""
-        spool, ingest = self.acquisition.spool, self.acquisition.ingest
-        mended = (
-            f"{name} was damaged: {one.salvaged} rows salvaged, {one.lost} lost; kept as "
-            f"{one.kept_as.name}"
-            for name, one in (("spool", spool.mended), ("outbox", self.outbox.mended))
-            if one is not None
-        )
-        files = [*([self.maintenance.damage] if self.maintenance.damage else []), *mended]
-        return {
-            "assets": self.provisioning.problem or self._refused_sources(),
-            **({} if self._share is None else {"clock": self._share.ownership.clock_problem}),
-            "history": ingest.too_old_problem or self.maintenance.problem,
-            "files": "; ".join(files) or None,
-        }
-
-    def _refused_sources(self) -> str | None:
-        refused = self.acquisition.refused
-        return "; ".join(f"source {name}: {why}" for name, why in refused.items()) or None
-
-    def _report_too_old(self) -> None:
-        """Raise an alarm for the assets whose samples are not stored because they are too old."""
-        for asset in self.assets:
-            problem = self.acquisition.ingest.too_old(asset)
-            if problem is not None:
-                self.alarms.evaluate(
-                    AlarmCondition(
-                        asset=asset,
-                        kind="history not kept",
-                        channel="",
-                        level="",
-                        active=bool(problem),
-                        value=None,
-                        message=problem or "Samples are stored again",
-                        priority=2,
-                    )
-                )
-
-    async def _tell_health(self) -> None:
-        watch = ClockWatch(self.clock)
-        while True:
-            await asyncio.sleep(HEALTH_EVERY_WALL_S)
-            step_s = watch.step_s()
-            if step_s:
-                self._clock_steps.inc()
-                _log.warning("clock_set", by_s=round(step_s, 3))
-            self._report_too_old()
-            now_us = self.clock.now_us()
-            sources = [
-                SourceDocument(
-                    name=health.name,
-                    driver=health.driver,
-                    up=health.up,
-                    detail=health.detail,
-                    age_s=(now_us - health.last_good_us) / 1e6 if health.last_good_us else None,
-                )
-                for health in self.acquisition.health()
-            ]
-            degraded = not all(source.up for source in sources)
-            self.bus.publish(
-                "health",
-                None,
-                ServiceHealth(sources=sources, degraded=degraded, clock_rate=self.clock.rate),
-            )
-
     # ------------------------------------------------------------------ life
     async def run(self, stop: asyncio.Event, ready: Callable[[], None] = lambda: None) -> None:
         """Work until ``stop`` is set, then stop cleanly; acquisition ends after that.
@@ -450,7 +373,7 @@ class Cell:
                 for name, task in (
                     ("jobs", self._take_up_jobs()),
                     ("models", self.jobs.runner.activations.follow()),
-                    ("health", self._tell_health()),
+                    ("health", self._reports.tell()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
                     ("check of the store", self.maintenance.check()),

@@ -46,7 +46,9 @@ class Hall:
             self.fails.remove(what)
             raise StoreUnavailableError("the disk is away")
 
-    async def follow(self, gone: Sequence[str], given: Sequence[CheckedAsset]) -> None:
+    async def follow(
+        self, gone: Sequence[str], left: Sequence[str], given: Sequence[CheckedAsset]
+    ) -> None:
         if gone or given:
             self._may_fail("follow")
         for name in gone:
