@@ -86,7 +86,23 @@ def environment_errors(settings: Settings) -> list[str]:
         check_extras(settings)
     except SettingsError as error:
         errors += error.lines
+    if settings.is_fleet:
+        errors += _fleet_errors(settings)
     return errors
+
+
+def _fleet_errors(settings: Settings) -> list[str]:
+    """Say what the cells of a fleet would not find, one line each."""
+    from service.bus.fleet_connection import connection_problem
+    from service.store import Store, StoreError
+
+    errors = []
+    try:
+        Store.open(settings.service.database_url, settings.data_dir).close()
+    except StoreError as error:
+        errors.append(str(error))
+    problem = connection_problem(settings)
+    return errors if problem is None else [*errors, problem]
 
 
 def ports_in_use(settings: Settings) -> list[str]:

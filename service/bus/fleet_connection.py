@@ -1,10 +1,13 @@
 """The connection of a process to the bus of a fleet, as the configuration says."""
 
+import asyncio
 import importlib.util
 import os
 import socket
 import ssl
 from functools import partial
+from typing import Final
+from urllib.parse import urlsplit
 
 from anyio import to_thread
 
@@ -15,6 +18,8 @@ from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.store import Store
 
+_TRY_S: Final = 5
+
 
 def connection_of(settings: Settings, what: str) -> NatsConnection:
     """Make the connection of a process; it connects when it is run.
@@ -24,10 +29,7 @@ def connection_of(settings: Settings, what: str) -> NatsConnection:
     SettingsError
         If the extra is not installed, or a certificate cannot be read.
     """
-    if importlib.util.find_spec("nats") is None:
-        raise SettingsError(
-            "fleet.nats_url: needs the extra 'fleet'; pip install 'bearing-twin[fleet]'"
-        )
+    _require_extra()
     name = f"bearing-twin {what} {socket.gethostname()} {os.getpid()}"
     return NatsConnection(settings.fleet.nats_url, _tls(settings), name)
 
@@ -40,6 +42,47 @@ def fleet_of(settings: Settings, store: Store, directory: Directory, what: str) 
         directory.ids,
         partial(to_thread.run_sync, store.alarms.load, abandon_on_cancel=True),
     )
+
+
+def connection_problem(settings: Settings) -> str | None:
+    """Try to reach the server; say in one line why it cannot be, or None."""
+    from nats.aio.client import Client
+    from nats.errors import Error
+
+    async def connect() -> None:
+        client = Client()
+
+        async def quiet(error: Exception) -> None:
+            pass
+
+        try:
+            await client.connect(
+                settings.fleet.nats_url,
+                tls=_tls(settings),
+                allow_reconnect=False,
+                connect_timeout=_TRY_S,
+                error_cb=quiet,
+            )
+        finally:
+            await client.close()
+
+    try:
+        _require_extra()
+        asyncio.run(connect())
+    except SettingsError as error:
+        return str(error)
+    except (Error, OSError, TimeoutError) as error:
+        place = urlsplit(settings.fleet.nats_url)
+        why = " ".join(str(error).split()) or type(error).__name__
+        return f"fleet.nats_url ({place.hostname}:{place.port or 4222}): {why}"
+    return None
+
+
+def _require_extra() -> None:
+    if importlib.util.find_spec("nats") is None:
+        raise SettingsError(
+            "fleet.nats_url: needs the extra 'fleet'; pip install 'bearing-twin[fleet]'"
+        )
 
 
 def _tls(settings: Settings) -> ssl.SSLContext | None:

@@ -19,7 +19,7 @@ PARTITIONS = 4
 GATEWAYS = 5
 CONFIGURATION = (
     "\n".join(
-        f'[[sources]]\nname = "gateway-{number}"\ndriver = "modbus-tcp"\nhost = "127.0.0.1"\nport = 502'
+        f'[[sources]]\nname = "gateway-{number}"\ndriver = "modbus-tcp"\nhost = "127.0.0.1"'
         for number in range(GATEWAYS)
     )
     + """

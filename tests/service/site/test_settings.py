@@ -2,11 +2,13 @@
 
 import traceback
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
-from service.site.configuration import SettingsError
-from service.site.settings import load_settings
+from service.site.configuration import SettingsError, describe_all
+from service.site.settings import Settings, load_settings
 from service.site.wiring import wire
 
 DBC = """\
@@ -266,3 +268,40 @@ def test_settings_are_printed_without_their_passwords(tmp_path: Path) -> None:
         f'[service]\ndatabase_url = "postgresql://u:{SECRET}@h/d"\n[mqtt]\npassword = "{SECRET}"'
     )
     assert SECRET not in f"{load_settings(path)!r} {load_settings(path)}"
+
+
+FLEET = {
+    "database_url": "postgresql://twin:hidden@db/twin",
+    "nats_url": "nats://hidden@bus:4222",
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"nats_url": ""}, "fleet.nats_url: missing"),
+        ({"database_url": ""}, "fleet.database_url: missing"),
+        ({"nats_url": "nats://bus:4222"}, "expected a token"),
+        ({"nats_url": "http://hidden@bus:4222"}, "expected nats://TOKEN@HOST:PORT"),
+        ({"database_url": "sqlite:///hidden.db"}, "expected postgresql://"),
+        ({"partitions": 0}, "fleet.partitions"),
+    ],
+)
+def test_a_fleet_that_is_not_whole_is_refused(changes: dict[str, Any], expected: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        Settings(fleet=FLEET | changes)
+    said = describe_all(refused.value)
+    assert expected in said[0]
+    assert "hidden" not in said[0]
+
+
+def test_a_fleet_keeps_everything_in_its_database() -> None:
+    settings = Settings(fleet=FLEET)
+    assert settings.is_fleet
+    assert settings.service.database_url == FLEET["database_url"]
+    assert "hidden" not in repr(settings)
+    assert not Settings().is_fleet
+    with pytest.raises(ValidationError, match="expected 1 with"):
+        Settings(fleet=FLEET, clock={"rate": 2.0})
+    with pytest.raises(ValidationError, match="expected one of them"):
+        Settings(fleet=FLEET, service={"database_url": "postgresql://other/db"})
