@@ -242,7 +242,11 @@ class Ownership(Closable):
                     _log.info("partitions_owned_again", count=len(self._owned))
                     away = False
                 self._look()
-            except (psycopg.Error, DatabaseInUseError) as error:
+            except DatabaseInUseError as error:
+                self.lost = str(error)
+                _log.error("database_taken_over", error=self.lost)
+                self._on_lost()
+            except psycopg.Error as error:
                 if self._connection.closed or self._connection.broken or away:
                     # No one else can take anything while the server is away.
                     away = True
