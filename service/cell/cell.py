@@ -18,6 +18,7 @@ from service.bus.following import packed
 from service.bus.interface import STREAM_TOPIC, CellBus
 from service.bus.messages import State
 from service.bus.stream import Bus, Message, heartbeats
+from service.cell.absences import Absences
 from service.cell.acquisition import Acquisition
 from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
@@ -137,9 +138,8 @@ class Cell:
         self._states = StateKeeper(store.states.save_all)
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
-        self.provisioning = Provisioning(
-            settings, store, Site(self._change_assets, acquisition.change)
-        )
+        self.provisioning = Provisioning(settings, store, Site(self._change_assets, self._read_for))
+        self._absences = Absences(store, acquisition.ingest, self.alarms)
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets]
         self._take_in(self._made([*of_file, *self.provisioning.first().values()]))
         self._kept_states = cast(dict[str, KeptState], store.states.load_all())
@@ -208,6 +208,7 @@ class Cell:
         Whatever needs the store comes first: where it fails, all are followed as before.
         """
         changed = {one.section.id: one for one in given if one.section.id in self.assets}
+        followed = [name for name in gone if name in self.assets]
         new = [one.section.id for one in given if one.section.id not in self.assets]
         await self.jobs.end(
             [*gone, *(name for name, one in changed.items() if self._is_another(name, one))]
@@ -217,14 +218,16 @@ class Cell:
             runtimes = await to_thread.run_sync(self._made, given)
             load = partial(self.store.states.load_all, new)
             kept = cast(dict[str, KeptState | None], await to_thread.run_sync(load))
+            again = await to_thread.run_sync(self._absences.known, new)
             await self._stop([*gone, *changed])
             for runtime in runtimes:
                 if runtime.id in changed:
                     kept[runtime.id] = await runtime.take_over(self.assets[runtime.id])
-            for name in gone:
-                self.assets.pop(name, None)
+            left = {name: self.assets.pop(name).readings.latest for name in followed}
+            for name in followed:
                 self.histories.pop(name, None)
             self.alarms.forget(gone)
+            self._absences.note(left, again)
             self.answers.forget([*gone, *changed])
             self._take_in(runtimes)
         for number, runtime in enumerate(runtimes):
@@ -232,6 +235,11 @@ class Cell:
             if number % _AT_ONCE == _AT_ONCE - 1:
                 await asyncio.sleep(0)
         await self.jobs.resume(new)
+
+    async def _read_for(self, assets: Mapping[str, Wiring | None]) -> None:
+        await self.acquisition.change(assets)
+        gone = [name for name, wiring in assets.items() if wiring is None]
+        self._absences.mark(gone, self.clock.now_us())
 
     async def _stop(self, assets: Sequence[str]) -> None:
         for begin in range(0, len(assets), _AT_ONCE):

@@ -14,7 +14,7 @@ from service.store.database import PATIENCE_S, Database, SampleColumns, chosen
 from service.store.errors import StoreUnavailableError
 from service.store.merging import merged
 from service.store.packing import make_room
-from service.store.part import StorePart
+from service.store.part import StorePart, rows_of
 from service.store.records import StoredSample, WriteCounts
 from service.store.tables import ChannelRow, RawHorizonRow, SampleRow
 
@@ -248,6 +248,12 @@ class Samples(StorePart):
                 if newest is not None and not is_bad(newest[2]):
                     ends[asset, name] = newest[0]
         return ends
+
+    def with_history(self, assets: Collection[str]) -> set[str]:
+        """Those of some assets of which any sample was ever stored."""
+        with self._database.reading() as connection:
+            key = ChannelRow.asset
+            return {row[0] for row in rows_of(connection, key, select(key).distinct(), assets)}
 
     def first_time_us(self, asset: str) -> int | None:
         """Time of the oldest sample of an asset, UTC microseconds; None when there is none."""

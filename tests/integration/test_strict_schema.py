@@ -276,8 +276,14 @@ def provision(published: Published) -> None:
     call("PATCH", spare, 200, json={"group": "spare parts"})
     call("DELETE", spare, 204)
     call("PATCH", A, 409, json={"group": "spare parts"})
+    only_new = {"If-None-Match": "*"}
+    call("PUT", A, 409, json=SPARE_TABLE, headers=only_new)
     listed = [{"id": SPARE} | SPARE_TABLE, {"id": "spare-2"}]
     call("POST", "/api/v1/assets:import", 200, json={"assets": listed}, params={"partial": True})
+    call("PUT", spare, 412, json=SPARE_TABLE, headers=only_new)
+    call("POST", "/api/v1/assets:remove", 200, json={"ids": [SPARE]})
+    call("POST", "/api/v1/assets:remove", 422, json={"ids": [SPARE]})
+    call("PUT", spare, 201, json=SPARE_TABLE, headers=only_new)
     call("GET", f"{A}/configuration", 200)
     call("GET", f"{spare}/configuration", 200)
     call("GET", "/api/v1/provisioning", 200)

@@ -29,6 +29,7 @@ LEAST = {
     ("PATCH", "/api/v1/assets/{asset_id}"): "admin",
     ("DELETE", "/api/v1/assets/{asset_id}"): "admin",
     ("POST", "/api/v1/assets:import"): "admin",
+    ("POST", "/api/v1/assets:remove"): "admin",
     ("GET", "/api/v1/assets/{asset_id}/configuration"): "engineer",
     ("GET", "/api/v1/provisioning"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/snapshot"): "viewer",
