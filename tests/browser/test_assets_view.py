@@ -2,7 +2,9 @@
 
 import json
 import re
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,9 +12,12 @@ import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
 from processes import wait_until
 
+from service.site.settings import load_settings
+from service.store import Store
 from tests.browser.conftest import WAIT_MS
 from tests.browser.plant import Plant
 from tests.browser.test_page_quality import violations
+from tests.service.store.test_fleet_runs import RUN
 
 pytestmark = pytest.mark.browser
 
@@ -426,6 +431,35 @@ def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Pat
     expect(page.get_by_role("dialog")).to_be_visible()
     found += violations(page, "question")
     assert not found, "\n".join(found)
+
+
+def test_nights_show_how_far_they_are_and_what_they_cost(screen: Screen, hall: Hall) -> None:
+    page = screen("assets", "engineer")
+    expect(row(page, IN_FILE)).to_be_visible()
+    panel = page.locator(".p-nights")
+    expect(panel).to_be_hidden()
+    settings = load_settings(hall.configuration)
+    now_us = time.time_ns() // 1000
+    before = replace(RUN, id="1", night="2026-11-21", began_us=now_us - 10, ended_us=now_us)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        for run in (before, replace(RUN, id="2", began_us=now_us, told_us=now_us)):
+            store.fleet_runs.tell(run)
+    page.reload()
+    expect(panel.locator("tbody tr")).to_have_count(2)
+    expect(panel.get_by_role("status")).to_have_text(
+        "The night of 2026-11-22 is running (all assets): 52 of 100 assets, on 2 workers."
+    )
+    expect(panel.get_by_role("progressbar")).to_have_js_property("value", 0.52)
+    cells = panel.locator("tbody tr").first.locator("td")
+    expect(cells.nth(2)).to_have_text("Done: 40 of 100")
+    expect(cells.nth(5)).to_have_text("Skipped: 10 (4 without new data)")
+    expect(cells.nth(8)).to_have_text("Per machine: 0.50 s")
+    expect(panel.locator("tbody tr").last).to_contain_text("stopped before the end")
+    expect(panel.get_by_role("listitem")).to_have_text("m-1: 3 workers died of it")
+    page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
+    assert not violations(page, "nights")
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    assert overflow_px(page) <= 0
 
 
 def test_the_view_fits_a_phone(context: BrowserContext, screen: Screen, hall: Hall) -> None:

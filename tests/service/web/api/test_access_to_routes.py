@@ -54,6 +54,7 @@ LEAST = {
     ("GET", "/api/v1/assets/{asset_id}/drift"): "engineer",
     ("GET", "/api/v1/fleet"): "viewer",
     ("GET", "/api/v1/fleet/map"): "viewer",
+    ("GET", "/api/v1/fleet/nights"): "engineer",
     ("GET", "/api/v1/alarms"): "viewer",
     ("GET", "/api/v1/alarms/journal"): "viewer",
     ("GET", "/api/v1/alarms/statistics"): "viewer",

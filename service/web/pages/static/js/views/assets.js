@@ -4,6 +4,7 @@ import { AssetForm } from '../asset_form.js';
 import { AssetImport } from '../asset_import.js';
 import { openDialog } from '../dialogs.js';
 import { h, put, scrollable, setText } from '../dom.js';
+import { NightsPanel } from '../nights_panel.js';
 import { assetRows, loadConfiguration, loadProvisioning, plural, removeAssets } from '../provisioning.js';
 import { assetHash } from '../route.js';
 
@@ -43,6 +44,7 @@ export class AssetsView {
     this.file = new AssetImport({
       done: (answer) => this.done(importedText(answer)), cancel: () => this.close(),
     });
+    this.nights = new NightsPanel();
     this.status = h('p', { class: 'pad', role: 'status' });
     this.problem = h('p', { class: 'problem pad', role: 'alert', hidden: true });
     this.body = h('tbody', {});
@@ -55,7 +57,7 @@ export class AssetsView {
         this.status, this.problem,
         scrollable('scroll', 'All assets', h('table', { class: 'at' },
           h('thead', {}, h('tr', {}, h('th', { class: 'tick' }, this.all), HEAD.map((text) => h('th', { scope: 'col' }, text)))),
-          this.body), this.more)));
+          this.body), this.more)), this.nights.element);
     this.timer = setInterval(() => this.load(), REFRESH_MS);
     this.show();
     this.first = this.load();
@@ -106,6 +108,7 @@ export class AssetsView {
   async load() {
     try {
       this.known = await loadProvisioning();
+      await this.nights.load();
       this.problem.hidden = true;
     } catch (error) {
       setText(this.problem, `Loading failed: ${error.message}.`);
