@@ -1,7 +1,7 @@
 """The alarm book: which alarms there are now, and what became of each."""
 
 import threading
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 from adapters.protocol import Clock
@@ -25,6 +25,7 @@ from service.store import Alarm, AlarmChange, AuditEntry, Outbox
 SERVICE = "service"
 #: No alarm may be shelved for longer at a time, in process seconds.
 LONGEST_SHELVING_S = 8 * 3600.0
+_EVENTS_OF_A_CHANGE = 500
 _NOT_CONFIGURED = "no longer configured"
 _TIME_IS_OVER = "the shelving time has expired"
 # What is said to the alarm of a source counts for these of its channels, too.
@@ -154,6 +155,14 @@ class AlarmBook:
         """Write an event into the journal: worth knowing, but no alarm."""
         event = event_line(asset, kind, message, self._clock.now_us(), who, comment)
         self._outbox.record(AlarmChange(None, (event,)))
+
+    def record_events(self, assets: Sequence[str], kind: EventKind, message: str) -> None:
+        """Write the same event of many assets into the journal."""
+        now_us = self._clock.now_us()
+        for begin in range(0, len(assets), _EVENTS_OF_A_CHANGE):
+            portion = assets[begin : begin + _EVENTS_OF_A_CHANGE]
+            lines = tuple(event_line(one, kind, message, now_us, SERVICE) for one in portion)
+            self._outbox.record(AlarmChange(None, lines))
 
     # ------------------------------------------------------------------ what people say
     def acknowledge(

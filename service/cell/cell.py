@@ -18,6 +18,7 @@ from service.bus.following import packed
 from service.bus.interface import STREAM_TOPIC, CellBus
 from service.bus.messages import State
 from service.bus.stream import Bus, Message, heartbeats
+from service.cell.absences import Absences
 from service.cell.acquisition import Acquisition
 from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
@@ -139,8 +140,9 @@ class Cell:
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
-            settings, store, Site(self._change_assets, acquisition.change), share
+            settings, store, Site(self._change_assets, self._read_for), share
         )
+        self._absences = Absences(store, acquisition.ingest, self.alarms)
         of_store = self.provisioning.first().values()
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets] if not share else []
         self._take_in(self._made([*of_file, *of_store]))
@@ -233,6 +235,7 @@ class Cell:
         """
         await self._leave(left)
         changed = {one.section.id: one for one in given if one.section.id in self.assets}
+        followed = [name for name in gone if name in self.assets]
         new = [one.section.id for one in given if one.section.id not in self.assets]
         await self.jobs.end(
             [*gone, *(name for name, one in changed.items() if self._is_another(name, one))]
@@ -242,16 +245,20 @@ class Cell:
             runtimes = await to_thread.run_sync(self._made, given)
             load = partial(self.store.states.load_all, new)
             kept = cast(dict[str, KeptState | None], await to_thread.run_sync(load))
-            if self._share is not None and new:
+            again: set[str] = set()
+            if self._share is None:
+                again = await to_thread.run_sync(self._absences.known, new)
+            elif new:
                 await to_thread.run_sync(self._take_over, new)
             await self._stop([*gone, *changed])
             for runtime in runtimes:
                 if runtime.id in changed:
                     kept[runtime.id] = await runtime.take_over(self.assets[runtime.id])
-            for name in gone:
-                self.assets.pop(name, None)
+            latest = {name: self.assets.pop(name).readings.latest for name in followed}
+            for name in followed:
                 self.histories.pop(name, None)
             self.alarms.forget(gone)
+            self._absences.note(latest, again)
             self.answers.forget([*gone, *changed])
             self._take_in(runtimes)
             self._followed += 1
@@ -282,6 +289,11 @@ class Cell:
             self._followed += 1
         if not await to_thread.run_sync(self.outbox.flush, _HANDED_OVER_S):
             raise StoreUnavailableError(self.outbox.problem or "changes of alarms wait")
+
+    async def _read_for(self, assets: Mapping[str, Wiring | None]) -> None:
+        await self.acquisition.change(assets)
+        gone = [name for name, wiring in assets.items() if wiring is None]
+        self._absences.mark(gone, self.clock.now_us())
 
     async def _stop(self, assets: Sequence[str]) -> None:
         for begin in range(0, len(assets), _AT_ONCE):

@@ -175,19 +175,14 @@ def remove(
     as_json: AsJson = False,
 ) -> None:
     """Follow assets no longer; their history stays."""
+    from service.site.asset_lists import judge_removal
+
     settings = load_settings(config)
     with _store(settings) as store:
-        present = {one.id for one in store.assets.present()}
-        in_file = {one.id for one in settings.assets} - present
-        wrong = [
-            f"{one}: stands in the configuration file; expected a change there"
-            if one in in_file
-            else f"{one}: no such asset is provisioned; 'bearing-twin assets list' shows them"
-            for one in ids
-            if one not in present
-        ]
+        wrong = judge_removal(settings, ids, {one.id for one in store.assets.present()})
         if wrong:
-            raise SettingsError(*wrong)
+            hint = "'bearing-twin assets list' shows them"
+            raise SettingsError(*(f"{row.id}: {row.lines[0]}; {hint}" for row in wrong))
         names = list(dict.fromkeys(ids))
         line = _line("assets.remove", ", ".join(f"asset {name}" for name in names), "")
         store.assets.change(dict.fromkeys(names), line.time_us, line)

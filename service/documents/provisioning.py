@@ -101,6 +101,12 @@ class RejectedAsset(Document):
     )
 
 
+class RemovedAssets(Document):
+    """What became of a list of assets that were to be removed."""
+
+    removed: int = Field(examples=[2])
+
+
 class ImportedAssets(Document):
     """What became of a list of assets."""
 

@@ -10,6 +10,8 @@ EventKind = Literal[
     "model activated",
     "model rolled back",
     "grease renewed",
+    "asset not followed",
+    "asset followed again",
 ]
 """What is worth a line in the journal, but needs no response of an operator."""
 Priority = Literal[1, 2, 3]

@@ -186,6 +186,14 @@ class AssetToImport(BaseModel):
     id: str = Field(examples=["axle-1"])
 
 
+class AssetsToRemove(RequestBody):
+    """Ids of assets."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"ids": ["axle-1", "axle-2"]}]})
+
+    ids: list[Annotated[str, Field(max_length=200)]] = Field(min_length=1, max_length=100_000)
+
+
 class AssetsToImport(RequestBody):
     """A list of assets."""
 

@@ -19,7 +19,7 @@ from anyio.to_thread import run_sync as in_thread
 
 from adapters.protocol import Clock
 from service.alarms.records import event_line
-from service.clock import rfc3339
+from service.clock import rfc3339, wall_us
 from service.documents.fleet_identification import (
     FleetIdentification,
     IdentifiedAsset,
@@ -38,6 +38,7 @@ from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of, prior, why_not_of_this_asset
 from service.site.asset_section import AssetSection
 from service.store import AuditEntry, Store
+from service.store.fleet_runs import MOST_PROBLEMS, FleetRun
 from service.store.nights import NightModel
 from service.store.records import Job, ModelVersion
 from twin_core.identification.posterior import Posterior
@@ -48,6 +49,8 @@ MOST_ATTEMPTS: Final = 3
 #: worker is busy for longer than it takes to hand it the next one.
 FEWEST, MOST = 4, 16
 _BATCHES_PER_WORKER = 8
+#: Wall seconds between two words on how far a run is.
+TELL_EVERY_S: Final = 5.0
 
 _log = structlog.get_logger(__name__)
 
@@ -130,10 +133,14 @@ async def identify_fleet(
         If store or workers are away; what was identified until then is stored.
     """
     run = _Run(night, executor, tell)
+    telling = asyncio.create_task(run.tell_how_far())
     try:
         await run.run(assets, wrong)
     finally:
+        telling.cancel()
+        await asyncio.wait({telling})
         found = run.report()
+        run.tell_end()
         if found.machines:
             with contextlib.suppress(ServiceError):  # the store may be what is away
                 night.store.audit.add(night.audit("fleet.identify", night.chosen, summary(found)))
@@ -153,6 +160,8 @@ class _Run:
         self._waiting: deque[Sequence[AssetSection]] = deque()
         self._items: dict[str, IdentifiedAsset] = {}
         self._worker_s = 0.0
+        self._refused = self._without_new_data = 0
+        self._id, self._began_us = uuid4().hex, wall_us()
         self._names: list[str] = []
         self._began_s, self._began_processor_s = time.monotonic(), time.process_time()
 
@@ -199,6 +208,44 @@ class _Run:
             items=items,
         )
 
+    async def tell_how_far(self) -> None:
+        """Keep in the store how far the run is, until cancelled."""
+        while True:
+            # A store that is away ends the run by itself.
+            with contextlib.suppress(ServiceError):
+                await in_thread(self._night.store.fleet_runs.tell, self._how_far(None))
+            await asyncio.sleep(TELL_EVERY_S)
+
+    def tell_end(self) -> None:
+        """Keep in the store how the run has ended."""
+        with contextlib.suppress(ServiceError):
+            self._night.store.fleet_runs.tell(self._how_far(wall_us()))
+
+    def _how_far(self, ended_us: int | None) -> FleetRun:
+        found = self.report()
+        failed = [one for one in found.items if one.status == "failed"]
+        return FleetRun(
+            id=self._id,
+            night=found.night,
+            chosen=self._night.chosen,
+            executor=found.executor,
+            workers=found.workers,
+            workers_lost=found.workers_lost,
+            asked=len(self._names),
+            identified=found.machines,
+            warm_starts=found.warm_starts,
+            refused=self._refused,
+            done_before=found.done_before,
+            skipped=found.skipped,
+            without_new_data=self._without_new_data,
+            failed=found.failed,
+            processor_s=found.processor_seconds,
+            began_us=self._began_us,
+            told_us=wall_us(),
+            ended_us=ended_us,
+            problems={one.asset: one.reason for one in failed[:MOST_PROBLEMS]},
+        )
+
     async def _work(self) -> None:
         while self._waiting:
             batch = self._waiting.popleft()
@@ -234,6 +281,7 @@ class _Run:
         # Asked again: the first look may be hours ago.
         done = await in_thread(nights.done, self._night.name, names)
         busy = await in_thread(nights.busy, names)
+        latest = await in_thread(nights.latest, names)
         prepared = {}
         for asset in batch:
             if asset.id in done:
@@ -243,12 +291,12 @@ class _Run:
                 self._note(_skipped(asset.id, f"identification {job.id} is {job.status}"))
             else:
                 with self._guarding(asset.id):
-                    one = await self._order(asset)
+                    one = await self._order(asset, latest.get(asset.id))
                     if one is not None:
                         prepared[asset.id] = one
         return prepared
 
-    async def _order(self, asset: AssetSection) -> _Prepared | None:
+    async def _order(self, asset: AssetSection, latest: Job | None) -> _Prepared | None:
         store, clock = self._night.store, self._night.clock
         history = AssetHistory(asset, store, clock)
         windows = await history.windows()
@@ -256,17 +304,23 @@ class _Run:
             self._note(_skipped(asset.id, "no low-risk window in the store"))
             return None
         spans_us = [history.span_us(window) for window in windows]
+        versions = await in_thread(comparable_versions, store, asset.id)
+        active = next((one for one in versions if one.status == "active"), None)
+        if active is None:  # it may be older
+            active = await in_thread(store.models.active, asset.id)
+        is_of_another = active is not None and why_not_of_this_asset(asset, active) is not None
+        if latest is not None and not is_of_another and not _has_news(latest, spans_us, active):
+            self._without_new_data += 1
+            night = (latest.idempotency_key or "").partition(" ")[2]
+            self._note(_skipped(asset.id, f"no new low-risk data since the night of {night}"))
+            return None
         try:
             data = await history.identification_data(spans_us)
         except ValueError as error:
             self._note(_skipped(asset.id, str(error)))
             return None
-        versions = await in_thread(comparable_versions, store, asset.id)
-        active = next((one for one in versions if one.status == "active"), None)
-        if active is None:  # it may be older
-            active = await in_thread(store.models.active, asset.id)
         posterior = prior(asset)
-        if active is not None and why_not_of_this_asset(asset, active) is None:
+        if active is not None and not is_of_another:
             posterior = Posterior.from_dict(active.document["posterior"])
         # Without its samples, which no gate asks for and which are most of it.
         posterior = replace(posterior, samples=posterior.samples[:0])
@@ -303,6 +357,7 @@ class _Run:
             done = await in_thread(self._night.store.nights.done, self._night.name, names)
             self._note(_done_before(done[result.asset]))
             return
+        self._refused += result.found is not None and not result.found.gates.accepted
         self._note(
             IdentifiedAsset(
                 asset=result.asset,
@@ -366,6 +421,19 @@ class _Run:
             else None,
         )
         return night.store.nights.keep(night.name, job, model)
+
+
+def _has_news(
+    latest: Job, spans_us: Sequence[tuple[int, int]], active: ModelVersion | None
+) -> bool:
+    """Whether an asset is worth another identification after its last night."""
+    if latest.status != "succeeded":
+        return True
+    # A version that became active later says that something else has changed.
+    if active is not None and active.version > (latest.model_version or 0):
+        return True
+    before_us = max(int(end_us) for _, end_us in latest.request["windows_us"])
+    return max(end_us for _, end_us in spans_us) > before_us
 
 
 def _done_before(job: Job) -> IdentifiedAsset:

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -145,6 +145,37 @@ def judge_list(
     }
     unchanged = len(right) - len(created) - len(changed)
     return JudgedList(created, changed, unchanged, sorted(wrong, key=lambda row: row.entry))
+
+
+def judge_removal(
+    settings: Settings, ids: Sequence[str], present: Collection[str]
+) -> list[WrongRow]:
+    """Say which assets of a list of ids cannot be removed, and why.
+
+    Parameters
+    ----------
+    settings
+        The configuration.
+    ids
+        The list; an id may stand in it more than once.
+    present
+        Ids of the provisioned assets.
+    """
+    in_file = {one.id for one in settings.assets}
+    return [
+        WrongRow(
+            entry,
+            entry + 1,
+            name,
+            (
+                "stands in the configuration file; expected a change there"
+                if name in in_file
+                else "no such asset is provisioned",
+            ),
+        )
+        for entry, name in enumerate(ids)
+        if name not in present
+    ]
 
 
 def key_line(asset_id: str, line: str) -> str:

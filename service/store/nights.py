@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields, replace
 
-from sqlalchemy import Connection, insert, select
+from sqlalchemy import Connection, func, insert, select
 
 from service.domain.job_states import UNFINISHED
 from service.store.alarm_records import AlarmTransition
@@ -56,6 +56,25 @@ class Nights(StorePart):
         with self._database.reading() as connection:
             rows = rows_of(connection, JobRow.asset, query, assets)
         return {row.asset: Job(**row._mapping) for row in rows}
+
+    def latest(self, assets: Collection[str]) -> dict[str, Job]:
+        """Give the results of the last night that each of these assets has one of."""
+        key, asset = JobRow.idempotency_key, JobRow.asset
+        # A night is a date: the greatest is the last one. "!" comes right after the space.
+        newest = (
+            select(asset, func.max(key).label("key"))
+            .where(key >= key_of(""), key < "fleet!")
+            .group_by(asset)
+            .subquery()
+        )
+        of_assets = select(newest.c.asset, newest.c.key)
+        with self._database.reading() as connection:
+            keys = rows_of(connection, newest.c.asset, of_assets, assets)
+            query = select(*_COLUMNS).where(key.in_({row.key for row in keys}))
+            rows = rows_of(connection, asset, query, [row.asset for row in keys])
+        last = {row.asset: row.key for row in keys}
+        found = (Job(**row._mapping) for row in rows)
+        return {job.asset: job for job in found if job.idempotency_key == last[job.asset]}
 
     def busy(self, assets: Collection[str]) -> dict[str, Job]:
         """Give the jobs of these assets that are queued or running in a service."""

@@ -56,7 +56,7 @@ class ProvisionedAssets(StorePart):
         changes: Mapping[str, Mapping[str, Any] | None],
         at_us: int,
         line: AuditEntry | None = None,
-        based_on: Mapping[str, int] | None = None,
+        based_on: Mapping[str, int | None] | None = None,
     ) -> int:
         """Write all changes and the line of the audit trail in one transaction.
 
@@ -69,7 +69,8 @@ class ProvisionedAssets(StorePart):
         line
             Who changes it.
         based_on
-            Revisions, by id, of the tables that the changes were made of.
+            Revisions, by id, of the tables that the changes were made of; None for one that there
+            must not be.
 
         Returns
         -------
@@ -116,9 +117,11 @@ class ProvisionedAssets(StorePart):
             return [_asset(row) for row in connection.execute(query)]
 
 
-def _compare(connection: Connection, based_on: Mapping[str, int]) -> None:
+def _compare(connection: Connection, based_on: Mapping[str, int | None]) -> None:
     for asset_id, revision in based_on.items():
-        query = select(ProvisionedAssetRow.revision).where(ProvisionedAssetRow.id == asset_id)
+        query = select(ProvisionedAssetRow.revision).where(
+            ProvisionedAssetRow.id == asset_id, ProvisionedAssetRow.document.is_not(None)
+        )
         if connection.scalar(query) != revision:
             raise ChangedMeanwhileError(
                 f"asset {asset_id!r} was changed meanwhile; read it again, then change it"

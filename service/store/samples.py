@@ -253,6 +253,12 @@ class Samples(StorePart):
                     ends[asset, name] = newest[0]
         return ends
 
+    def with_history(self, assets: Collection[str]) -> set[str]:
+        """Those of some assets of which any sample was ever stored."""
+        with self._database.reading() as connection:
+            key = ChannelRow.asset
+            return {row[0] for row in rows_of(connection, key, select(key).distinct(), assets)}
+
     def first_time_us(self, asset: str) -> int | None:
         """Time of the oldest sample of an asset, UTC microseconds; None when there is none."""
         with self._database.reading() as connection:

@@ -9,6 +9,7 @@ from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
 from service.store.database import Database, Fence, damaged
+from service.store.fleet_runs import FleetRuns
 from service.store.history import History
 from service.store.jobs import Jobs
 from service.store.model_versions import ModelVersions
@@ -47,6 +48,8 @@ class Store(Closable):
         Identification jobs.
     nights : Nights
         What came of identifying a fleet.
+    fleet_runs : FleetRuns
+        Runs that identify a fleet, their progress and cost.
     states : AssetStates
         The latest state of each twin.
     alarms : AlarmJournal
@@ -68,6 +71,7 @@ class Store(Closable):
         self.models = ModelVersions(database)
         self.jobs = Jobs(database)
         self.nights = Nights(database)
+        self.fleet_runs = FleetRuns(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
         self.access = Access(database)

@@ -210,6 +210,17 @@ class JobRow(Base):
     attempts: Mapped[int]
 
 
+class FleetRunRow(Base):
+    """One run over a fleet, with how far it is and what it costs."""
+
+    __tablename__ = "fleet_runs"
+    __table_args__ = (Index("ix_fleet_runs_began_us", "began_us"),)
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    began_us: Mapped[int]
+    document: Mapped[JsonDocument]
+
+
 class AssetStateRow(Base):
     """What the live twin of an asset needs to go on after a restart."""
 

@@ -2,7 +2,9 @@
 
 import json
 import re
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,9 +12,12 @@ import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
 from processes import wait_until
 
+from service.site.settings import load_settings
+from service.store import Store
 from tests.browser.conftest import WAIT_MS
 from tests.browser.plant import Plant
 from tests.browser.test_page_quality import violations
+from tests.service.store.test_fleet_runs import RUN
 
 pytestmark = pytest.mark.browser
 
@@ -170,6 +175,81 @@ def test_an_asset_is_added_from_a_template_and_removed_again(
     assert all("422" in one for one in problems)
 
 
+def test_an_asset_is_edited_and_what_others_changed_stays(
+    screen: Screen, hall: Hall, problems: list[str]
+) -> None:
+    hall.put("axle-1", "First")
+    table = {"template": "axle", "name": "First", "values": {"warning": 70, "line": "007"}}
+    assert hall.client.put("/api/v1/assets/axle-1", json=table).is_success
+    page = screen("assets")
+    row(page, "axle-1").get_by_role("button", name="Edit First").click()
+    expect(page.get_by_role("heading", name="Edit the asset axle-1")).to_be_visible()
+    expect(page.get_by_label("Id", exact=True)).to_have_count(0)
+    expect(page.get_by_label("warning", exact=True)).to_have_value("70")
+    expect(page.get_by_label("line", exact=True)).to_have_value("007")
+    hall.client.patch("/api/v1/assets/axle-1", json={"group": "North"})  # somebody else
+    page.get_by_label("Name (optional)").fill("Other")
+    page.get_by_label("warning", exact=True).fill("71.5")
+    page.get_by_role("button", name="Save asset").click()
+    expect(page.get_by_text("Asset axle-1 changed.")).to_be_visible()
+    expect(row(page, "axle-1")).to_contain_text("Other")
+    assert hall.provisioned()["axle-1"] == {
+        "template": "axle",
+        "name": "Other",
+        "group": "North",
+        "values": {"warning": 71.5, "line": "007"},
+    }
+    row(page, "axle-1").get_by_role("button", name="Edit Other").click()
+    page.get_by_label("Template", exact=True).select_option("whole configuration as JSON")
+    configuration = page.get_by_label("Configuration", exact=True)
+    changed = json.loads(configuration.input_value())
+    del changed["group"]
+    configuration.fill(json.dumps(changed | {"limits": {"t_inner_ring_c": {"alarm": 60}}}))
+    page.get_by_role("button", name="Save asset").click()
+    expect(page.get_by_text("The asset was not changed.")).to_be_visible()
+    configuration.fill(json.dumps(changed | {"limits": {"t_inner_ring_c": {"alarm": 90}}}))
+    page.get_by_role("button", name="Save asset").click()
+    expect(page.get_by_text("Asset axle-1 changed.")).to_be_visible()
+    kept = hall.provisioned()["axle-1"]
+    assert ("group" in kept, kept["limits"]) == (False, {"t_inner_ring_c": {"alarm": 90}})
+    assert all("422" in one for one in problems)
+
+
+def test_adding_overwrites_no_asset_that_does_not_run(screen: Screen, hall: Hall) -> None:
+    page = screen("assets")
+    page.get_by_role("button", name="Add asset…").click()
+    hall.put("axle-1", "Made elsewhere")  # the page does not know it yet
+    page.get_by_label("Id", exact=True).fill("axle-1")
+    page.get_by_label("warning", exact=True).fill("60")
+    page.get_by_role("button", name="Add asset", exact=True).click()
+    expect(page.get_by_text("There is an asset axle-1 already.")).to_be_visible()
+    expect(page.get_by_label("Id", exact=True)).to_be_focused()
+    assert hall.provisioned()["axle-1"]["name"] == "Made elsewhere"
+
+
+def test_many_are_removed_at_once(screen: Screen, hall: Hall, problems: list[str]) -> None:
+    for number in range(1, 5):
+        hall.put(f"axle-{number}")
+    page = screen("assets")
+    expect(page.get_by_role("button", name=re.compile("^Remove .* selected"))).to_be_hidden()
+    expect(row(page, IN_FILE).get_by_role("checkbox")).to_have_count(0)
+    row(page, "axle-1").get_by_role("checkbox").check()
+    page.get_by_label("Search assets").fill("axle-3")
+    everything = page.get_by_role("checkbox", name="Select all assets found")
+    everything.check()
+    page.get_by_label("Search assets").fill("")
+    expect(row(page, "axle-1").get_by_role("checkbox")).to_be_checked()
+    expect(row(page, "axle-2").get_by_role("checkbox")).not_to_be_checked()
+    page.get_by_role("button", name="Remove 2 selected…").click()
+    question = page.get_by_role("dialog")
+    expect(question.get_by_role("listitem")).to_have_text(["axle-1", "axle-3"])
+    question.get_by_role("button", name="Remove 2 assets").click()
+    expect(page.get_by_text("2 assets removed. Their history is kept.")).to_be_visible()
+    expect(row(page, "axle-3")).to_have_count(0)
+    assert sorted(hall.provisioned()) == ["axle-2", "axle-4"]
+    assert problems == []
+
+
 def test_an_asset_without_a_template_is_given_as_json(screen: Screen, hall: Hall) -> None:
     page = screen("assets")
     page.get_by_role("button", name="Add asset…").click()
@@ -289,7 +369,7 @@ def test_what_was_refused_of_an_asset_is_asked_for_again(screen: Screen, hall: H
 def test_who_may_change_nothing_sees_why(screen: Screen, hall: Hall) -> None:
     hall.put("axle-1")
     page = screen("assets", "engineer")
-    for name in ("Add asset…", "Import CSV…", "Remove axle-1"):
+    for name in ("Add asset…", "Import CSV…", "Edit axle-1", "Remove axle-1"):
         button = page.get_by_role("button", name=name)
         expect(button).to_be_disabled()
         expect(button).to_have_attribute("title", re.compile("Needs the role admin"))
@@ -344,10 +424,42 @@ def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Pat
     expect(page.locator("table.ft")).to_be_visible()
     found += violations(page, "import")
     page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Edit axle-1").click()
+    expect(page.get_by_label("warning", exact=True)).to_have_value("70")
+    found += violations(page, "edit")
     page.get_by_role("button", name="Remove axle-1").click()
     expect(page.get_by_role("dialog")).to_be_visible()
     found += violations(page, "question")
     assert not found, "\n".join(found)
+
+
+def test_nights_show_how_far_they_are_and_what_they_cost(screen: Screen, hall: Hall) -> None:
+    page = screen("assets", "engineer")
+    expect(row(page, IN_FILE)).to_be_visible()
+    panel = page.locator(".p-nights")
+    expect(panel).to_be_hidden()
+    settings = load_settings(hall.configuration)
+    now_us = time.time_ns() // 1000
+    before = replace(RUN, id="1", night="2026-11-21", began_us=now_us - 10, ended_us=now_us)
+    with Store.open(settings.service.database_url, settings.data_dir) as store:
+        for run in (before, replace(RUN, id="2", began_us=now_us, told_us=now_us)):
+            store.fleet_runs.tell(run)
+    page.reload()
+    expect(panel.locator("tbody tr")).to_have_count(2)
+    expect(panel.get_by_role("status")).to_have_text(
+        "The night of 2026-11-22 is running (all assets): 52 of 100 assets, on 2 workers."
+    )
+    expect(panel.get_by_role("progressbar")).to_have_js_property("value", 0.52)
+    cells = panel.locator("tbody tr").first.locator("td")
+    expect(cells.nth(2)).to_have_text("Done: 40 of 100")
+    expect(cells.nth(5)).to_have_text("Skipped: 10 (4 without new data)")
+    expect(cells.nth(8)).to_have_text("Per machine: 0.50 s")
+    expect(panel.locator("tbody tr").last).to_contain_text("stopped before the end")
+    expect(panel.get_by_role("listitem")).to_have_text("m-1: 3 workers died of it")
+    page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
+    assert not violations(page, "nights")
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    assert overflow_px(page) <= 0
 
 
 def test_the_view_fits_a_phone(context: BrowserContext, screen: Screen, hall: Hall) -> None:

@@ -8,6 +8,7 @@ whatever they do not name. A route or a kind of message that nothing here calls 
 import asyncio
 import json
 import re
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,7 @@ import websockets
 from processes import Site, wait_until
 
 from service.lab.demo.configuration import ASSET
+from service.store.fleet_runs import FleetRun
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
@@ -218,6 +220,10 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("GET", "/api/v1/fleet", 200)
     call("GET", "/api/v1/fleet", 200, params={"sort": "id", "attention": "true"})
     call("GET", "/api/v1/fleet/map", 200)
+    with site.open_store() as store:
+        store.fleet_runs.tell(a_night())
+    (night,) = call("GET", "/api/v1/fleet/nights", 200)["items"]
+    assert (night["state"], night["left"]) == ("running", 6)
     for part in ("", "/snapshot", "/state", "/verdict", "/forecast", "/envelope", "/windows"):
         call("GET", A + part, 200)
     call("GET", f"{A}/advice", 200, params={"speed_rpm": 6200, "load_n": 5500})
@@ -268,6 +274,31 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
         published.check("DELETE", "/api/v1/session", 204, answer)
 
 
+def a_night() -> FleetRun:
+    now_us = time.time_ns() // 1000
+    return FleetRun(
+        id="run",
+        night="2026-11-22",
+        chosen="all assets",
+        executor="process",
+        workers=2,
+        workers_lost=0,
+        asked=10,
+        identified=1,
+        warm_starts=1,
+        refused=0,
+        done_before=0,
+        skipped=2,
+        without_new_data=1,
+        failed=1,
+        processor_s=0.4,
+        began_us=now_us,
+        told_us=now_us,
+        ended_us=None,
+        problems={ASSET: "3 workers died of it"},
+    )
+
+
 def provision(published: Published) -> None:
     call, spare = published.call, f"/api/v1/assets/{SPARE}"
     call("PUT", spare, 201, json=SPARE_TABLE)
@@ -276,8 +307,14 @@ def provision(published: Published) -> None:
     call("PATCH", spare, 200, json={"group": "spare parts"})
     call("DELETE", spare, 204)
     call("PATCH", A, 409, json={"group": "spare parts"})
+    only_new = {"If-None-Match": "*"}
+    call("PUT", A, 409, json=SPARE_TABLE, headers=only_new)
     listed = [{"id": SPARE} | SPARE_TABLE, {"id": "spare-2"}]
     call("POST", "/api/v1/assets:import", 200, json={"assets": listed}, params={"partial": True})
+    call("PUT", spare, 412, json=SPARE_TABLE, headers=only_new)
+    call("POST", "/api/v1/assets:remove", 200, json={"ids": [SPARE]})
+    call("POST", "/api/v1/assets:remove", 422, json={"ids": [SPARE]})
+    call("PUT", spare, 201, json=SPARE_TABLE, headers=only_new)
     call("GET", f"{A}/configuration", 200)
     call("GET", f"{spare}/configuration", 200)
     call("GET", "/api/v1/provisioning", 200)

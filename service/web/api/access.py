@@ -56,6 +56,7 @@ _DESCRIPTIONS: Final = {
     403: "The role of this key is not sufficient.",
     404: "Not found.",
     409: "In conflict with the present state.",
+    412: "A condition in a header does not hold.",
     413: "The body is too long.",
     415: "The body is of another media type, or compressed by another method than gzip.",
     422: "A field is wrong; `errors` names it.",

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from job_shop import WHO, Shop
 
-from service.documents.fleet_identification import ExecutorName
+from adapters.protocol import Clock
+from service.documents.fleet_identification import ExecutorName, FleetIdentification
 from service.jobs.batch_executors import BatchFailedError, WorkerLostError
 from service.jobs.batches import OtherSoftwareError, packed_orders, run_batch
 from service.jobs.fleet import MOST_ATTEMPTS, Night, batches_of, identify_fleet, night_of
@@ -77,6 +78,60 @@ async def test_a_machine_that_kills_or_stops_workers_does_not_stop_the_others(
     assert told == sorted(told)
     assert told[-1] == 1.0
     assert set(shop.store.nights.done("2026-11-22", ASSETS)) == {"bench-1", "bench-4"}
+    (kept,) = shop.store.fleet_runs.all()
+    assert kept.ended_us is not None
+    assert (kept.asked, kept.identified, kept.skipped, kept.failed) == (6, 2, 2, 2)
+    assert kept.problems == {DEADLY: reason, "bench-6": "model: wrong"}
+    assert kept.processor_s == pytest.approx(found.processor_seconds, abs=0.1)
+
+
+class Earlier:
+    """The clock of a night before."""
+
+    def __init__(self, clock: Clock, by_us: int) -> None:
+        self._clock, self._by_us, self.rate = clock, by_us, clock.rate
+
+    def now_us(self) -> int:
+        return self._clock.now_us() - self._by_us
+
+    async def sleep(self, process_seconds: float) -> None:
+        await self._clock.sleep(process_seconds)
+
+
+async def test_an_asset_without_new_data_is_left_out_until_there_are_some(
+    shop: Shop, make_section: Callable[..., Any]
+) -> None:
+    class Here(Workers):
+        async def compute(self, content: bytes) -> bytes:
+            return run_batch(content)
+
+    section = make_section(id=ASSETS[0])
+
+    async def night(name: str, minutes_ago: int) -> FleetIdentification:
+        def audit(action: str, target: str, detail: str) -> AuditEntry:
+            return AuditEntry(1, "night shift", "", action, target, detail)
+
+        clock = Earlier(shop.clock, minutes_ago * 60_000_000)
+        of_night = Night(name, shop.store, clock, "night shift", audit)
+        workers = Here(RuntimeError())
+        return await identify_fleet(of_night, [section], workers, lambda *_: None, {})
+
+    assert (await night("2026-11-20", 30)).machines == 1
+    # A pause between two nights: a look at the night before is one at the last that there was.
+    for name in ("2026-11-21", "2026-11-23"):
+        nothing_new = await night(name, 30)
+        (item,) = nothing_new.items
+        assert item.status == "skipped"
+        assert item.reason == "no new low-risk data since the night of 2026-11-20"
+    assert shop.store.fleet_runs.all()[0].without_new_data == 1
+    assert (await night("2026-11-24", 0)).machines == 1
+    latest = shop.store.nights.latest(ASSETS)[ASSETS[0]]
+    assert latest.idempotency_key == "fleet 2026-11-24"
+    # Somebody made the priors active: there is something to find again.
+    document = shop.store.models.versions(ASSETS[0])[0].document
+    number = shop.store.models.add(ASSETS[0], "candidate", "again", document, 1)
+    shop.store.models.activate(ASSETS[0], number, "eva", "", 1)
+    assert (await night("2026-11-25", 0)).machines == 1
 
 
 def test_a_worker_with_other_software_refuses_the_work() -> None:

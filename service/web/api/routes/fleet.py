@@ -5,10 +5,20 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
+from service.clock import wall_us
 from service.documents.fleet import STATES, FleetMap, FleetPage, FleetState
-from service.domain.roles import VIEWER
+from service.documents.fleet_nights import NightDocument, NightsPage, nights_of
+from service.domain.roles import ENGINEER, VIEWER
 from service.web.api.access import secured
-from service.web.api.cursors import LIMIT, Cursor, Limit, decode_cursor, encode_cursor, next_link
+from service.web.api.cursors import (
+    LIMIT,
+    Cursor,
+    Limit,
+    decode_cursor,
+    encode_cursor,
+    next_link,
+    page_of,
+)
 from service.web.api.deps import Context, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
 from service.web.api.problems import parameter_problem
@@ -71,3 +81,21 @@ async def list_fleet(
 async def get_fleet_map(context: Context, if_none_match: IfNoneMatch = None) -> Response:
     """Give the states in the order of the ids, as `GET /fleet?sort=id` lists the assets."""
     return conditional_response(context.fleet.map(), if_none_match)
+
+
+@router.get(
+    "/nights",
+    response_model=NightsPage,
+    summary="Identification of the fleet, night by night: progress and cost",
+    **secured(ENGINEER),
+)
+def list_nights(
+    request: Request, context: Context, limit: Limit = LIMIT, cursor: Cursor = None
+) -> Response:
+    """Give what `bearing-twin fleet identify` did in the last 400 days, and does now."""
+    nights = nights_of(context.store.fleet_runs.all())
+    # By its first run, which stays: another one may begin between two pages.
+    page, following = page_of(nights, limit, cursor, lambda runs: runs[-1].id)
+    now_us = wall_us()
+    answer = NightsPage(items=[NightDocument.of(runs, now_us) for runs in page], next=following)
+    return json_response(answer, headers=next_link(request, following))

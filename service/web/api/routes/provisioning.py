@@ -1,35 +1,25 @@
 """Provisioning: assets that are made, changed and removed while the service runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, Final
 
 from anyio import to_thread
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Header, Path
 from starlette.requests import Request
 from starlette.responses import Response
 
 from service.clock import wall_us
-from service.documents.problems import FieldError
 from service.documents.provisioning import (
     AssetConfiguration,
-    ImportedAssets,
     ProvisioningDocument,
-    RejectedAsset,
     TemplateDocument,
 )
 from service.domain.errors import CellUnavailableError, ChangedMeanwhileError
-from service.domain.requests import AssetsToImport, AssetTable
+from service.domain.requests import AssetTable
 from service.domain.roles import ADMIN, ENGINEER
 from service.site.asset_lists import (
-    AssetListError,
-    JudgedList,
-    WrongRow,
-    judge_list,
     key_line,
-    read_csv,
-    read_json,
 )
 from service.site.asset_section import ASSET_ID
 from service.site.configuration import SettingsError, TomlTable
@@ -40,10 +30,8 @@ from service.web.api.access import LOCATION, secured
 from service.web.api.context import ServiceContext
 from service.web.api.cursors import LIMIT, Cursor, Limit, next_link, page_of
 from service.web.api.deps import Context, json_response
-from service.web.api.middleware import CSV
-from service.web.api.problems import Problem, line_error, parameter_problem, pointer_problem
+from service.web.api.problems import Problem, line_error, parameter_problem
 from service.web.api.trail import ChangeLine
-from service.web.api.turns import caller_of, turns_of
 
 _AWAY: Final = "the cell has not answered yet; it takes the asset up by itself"
 _NOT_TAKEN_UP: Final = "the cell has not taken it up"
@@ -53,6 +41,15 @@ _TRIES = 5
 router = APIRouter(tags=["provisioning"])
 
 NewId = Annotated[str, Path(pattern=ASSET_ID, description="The asset's id.", examples=["axle-1"])]
+OnlyNew = Annotated[
+    str | None,
+    Header(
+        alias="If-None-Match",
+        pattern=r"^\*$",
+        description="`*`: only make it; an asset that there is, running or not, is left as it is "
+        "(412).",
+    ),
+]
 KnownId = Annotated[str, Path(max_length=200, description="The asset's id.", examples=["axle-1"])]
 
 _KEPT: dict[str, Any] = {
@@ -83,6 +80,7 @@ def get_configuration(context: Context, asset_id: KnownId) -> Response:
     **secured(
         ADMIN,
         409,
+        412,
         audit="asset.put",
         responses={
             201: {"model": AssetConfiguration, "description": "Made.", "headers": LOCATION},
@@ -91,7 +89,12 @@ def get_configuration(context: Context, asset_id: KnownId) -> Response:
     ),
 )
 async def put_asset(
-    context: Context, asset_id: NewId, line: ChangeLine, table: AssetTable, request: Request
+    context: Context,
+    asset_id: NewId,
+    line: ChangeLine,
+    table: AssetTable,
+    request: Request,
+    if_none_match: OnlyNew = None,
 ) -> Response:
     """Check the table as one of the configuration file, keep it, and follow the asset by it.
 
@@ -99,7 +102,7 @@ async def put_asset(
     asset of the configuration file.
     """
     before, asset, changed = await to_thread.run_sync(
-        partial(_put, context, asset_id, table.root, line)
+        partial(_put, context, asset_id, table.root, line, only_new=if_none_match is not None)
     )
     headers = {"Location": request.url.path} if before is None else {}
     return await _answer(context, asset, changed, 201 if before is None else 200, headers)
@@ -135,7 +138,7 @@ async def patch_asset(
 async def delete_asset(context: Context, asset_id: KnownId, line: ChangeLine) -> Response:
     """Follow an asset no longer; its history stays. 409 for an asset of the configuration file."""
     await to_thread.run_sync(partial(_delete, context, asset_id, line))
-    return Response(status_code=202 if await _take_up(context) is None else 204)
+    return Response(status_code=202 if await take_up(context) is None else 204)
 
 
 @router.get(
@@ -162,83 +165,27 @@ def get_provisioning(
     return json_response(answer, headers=next_link(request, following))
 
 
-_importing = secured(
-    ADMIN,
-    audit="assets.import",
-    responses={
-        202: {
-            "model": ImportedAssets,
-            "description": "Kept, but the cell does not answer now.",
-        }
-    },
-)
-_importing["openapi_extra"]["requestBody"] = {
-    "required": True,
-    "content": {
-        "application/json": {"schema": {"$ref": f"#/components/schemas/{AssetsToImport.__name__}"}},
-        CSV: {
-            "schema": {"type": "string"},
-            "example": 'id,template,name,unit\naxle-1,axle,"Car 3, axle 1",11\n',
-        },
-    },
-}
-
-
-@router.post(
-    "/assets:import",
-    response_model=ImportedAssets,
-    summary="Make and change many assets",
-    **_importing,
-)
-async def import_assets(
-    context: Context,
-    request: Request,
-    line: ChangeLine,
-    partial_: Annotated[
-        bool, Query(alias="partial", description="Take the good rows where others are wrong.")
-    ] = False,
-    dry_run: Annotated[bool, Query(description="Judge the list, write nothing.")] = False,
-) -> Response:
-    """Take a list of assets in one transaction, JSON or CSV.
-
-    CSV: columns `id`, `template`, `name`, `group`, `family`, `bearing`, `model`, `network`; every
-    other column is a value for the holes of the template. Without `partial` one wrong row refuses
-    all, and `errors` names every wrong row.
-    """
-    content = await request.body()
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    async with turns_of(request).imports.turn(caller_of(request)):
-        judged = await to_thread.run_sync(
-            partial(_import, context, content, kind == CSV, partial_, dry_run, line)
-        )
-        away = False
-        not_running: Mapping[str, str] = {}
-        if judged.changes and not dry_run:
-            taken_up = await _take_up(context)
-            away = taken_up is None
-            not_running = {
-                name: why for name, why in (taken_up or {}).items() if name in judged.changes
-            }
-    answer = ImportedAssets(
-        created=len(judged.created),
-        changed=len(judged.changed),
-        unchanged=judged.unchanged,
-        rejected=[_rejected(row) for row in judged.wrong],
-        not_running=not_running,
-    )
-    return json_response(answer, 202 if away else 200)
-
-
 def _put(
-    context: ServiceContext, asset_id: str, table: TomlTable, line: AuditEntry
+    context: ServiceContext,
+    asset_id: str,
+    table: TomlTable,
+    line: AuditEntry,
+    *,
+    only_new: bool = False,
 ) -> tuple[ProvisionedAsset | None, ProvisionedAsset, bool]:
     """Write a table; returns what there was, what there is, and whether they differ."""
     _check(context, asset_id, table)
     whole = _without_id(table)
     before = context.store.assets.get(asset_id)
+    if only_new and before is not None:
+        raise _exists(asset_id)
     if before is not None and before.table == whole:
         return before, before, False
-    return before, _written(context, asset_id, whole, line), True
+    try:
+        based_on = {asset_id: None} if only_new else None
+        return before, _written(context, asset_id, whole, line, based_on), True
+    except ChangedMeanwhileError as error:  # somebody else was quicker
+        raise _exists(asset_id) from error
 
 
 def _patch(
@@ -266,7 +213,7 @@ def _written(
     asset_id: str,
     table: TomlTable,
     line: AuditEntry,
-    based_on: Mapping[str, int] | None = None,
+    based_on: Mapping[str, int | None] | None = None,
 ) -> ProvisionedAsset:
     at_us = wall_us()
     revision = context.store.assets.change({asset_id: table}, at_us, line, based_on)
@@ -281,28 +228,6 @@ def _delete(context: ServiceContext, asset_id: str, line: AuditEntry) -> None:
     context.store.assets.change({asset_id: None}, wall_us(), line)
 
 
-def _import(
-    context: ServiceContext,
-    content: bytes,
-    is_csv: bool,
-    partial_: bool,
-    dry_run: bool,
-    line: AuditEntry,
-) -> JudgedList:
-    """Read and judge a list, and write what it changes."""
-    try:
-        listed = read_csv(content) if is_csv else read_json(content)
-    except AssetListError as error:
-        raise pointer_problem("", str(error)) from error
-    present = {one.id: one.table for one in context.store.assets.present()}
-    judged = judge_list(context.settings, listed, present)
-    if judged.wrong and not partial_:
-        raise _refused(judged.wrong)
-    if judged.changes and not dry_run:
-        context.store.assets.change(judged.changes, wall_us(), replace(line, detail=judged.summary))
-    return judged
-
-
 def _check(context: ServiceContext, asset_id: str, table: TomlTable) -> None:
     try:
         check_asset(context.settings, asset_id, table)
@@ -310,7 +235,7 @@ def _check(context: ServiceContext, asset_id: str, table: TomlTable) -> None:
         raise _in_file(asset_id) from error
     except SettingsError as error:
         lines = [key_line(asset_id, line) for line in error.lines]
-        raise Problem(422, _first_of(lines), errors=[line_error(one) for one in lines]) from error
+        raise Problem(422, first_of(lines), errors=[line_error(one) for one in lines]) from error
 
 
 def _in_file(asset_id: str) -> Problem:
@@ -318,6 +243,12 @@ def _in_file(asset_id: str) -> Problem:
         "asset_id",
         f"asset {asset_id!r} stands in the configuration file; expected a change there",
         409,
+    )
+
+
+def _exists(asset_id: str) -> Problem:
+    return parameter_problem(
+        "asset_id", f"there is an asset {asset_id!r} already; it is left as it is", 412
     )
 
 
@@ -345,29 +276,12 @@ def merge_patch(target: Any, patch: Any) -> Any:
     return merged
 
 
-def _refused(wrong: Sequence[WrongRow]) -> Problem:
-    rejected = [_rejected(row) for row in wrong]
-    errors: list[FieldError] = [error for one in rejected for error in one.errors]
-    rows = "1 row is" if len(rejected) == 1 else f"{len(rejected)} rows are"
-    return Problem(422, f"{rows} wrong, nothing is changed; {errors[0].detail}", errors=errors)
-
-
-def _rejected(row: WrongRow) -> RejectedAsset:
-    named = "" if row.id is None else f" ({row.id})"
-    below, prefix = f"/assets/{row.entry}", f"row {row.row}{named}: "
-    return RejectedAsset(
-        row=row.row,
-        id=row.id,
-        detail=_first_of(row.lines),
-        errors=[line_error(line, below, prefix) for line in row.lines],
-    )
-
-
-def _first_of(lines: Sequence[str]) -> str:
+def first_of(lines: Sequence[str]) -> str:
+    """Give the first of some lines, and how many more there are."""
     return f"{lines[0]} (and {len(lines) - 1} more)" if len(lines) > 1 else lines[0]
 
 
-async def _take_up(context: ServiceContext) -> Mapping[str, str] | None:
+async def take_up(context: ServiceContext) -> Mapping[str, str] | None:
     """Have the cell follow what the store holds; None when it cannot now, and does so later."""
     try:
         return await context.apply_assets()
@@ -386,7 +300,7 @@ async def _answer(
     if not changed:
         why = None if asset.id in context.assets else _NOT_TAKEN_UP
     else:
-        taken_up = await _take_up(context)
+        taken_up = await take_up(context)
         why = _AWAY if taken_up is None else taken_up.get(asset.id)
     document = AssetConfiguration.of(asset, why)
     return json_response(document, status if why is None else 202, headers)

@@ -42,6 +42,8 @@ CONFIGURATION = {
 AXLE = {"template": "axle", "values": {"unit": 11}}
 ASSETS = "/api/v1/assets"
 IMPORT = "/api/v1/assets:import"
+REMOVE = "/api/v1/assets:remove"
+ONLY_NEW = {"If-None-Match": "*"}
 CSV = {"Content-Type": "text/csv; charset=utf-8"}
 
 
@@ -252,6 +254,68 @@ async def test_two_who_merge_at_once_lose_nothing(world: Any, cell: Cell) -> Non
     assert get("axle-1").revision > found.revision + 1
 
 
+async def test_who_only_adds_overwrites_nothing(world: Any, cell: Cell) -> None:
+    admin = world.client("admin")
+    # It is kept, and does not run: the boundary to the cell follows nothing.
+    world.store.assets.change({"axle-1": AXLE | {"name": "kept"}}, 1)
+    for table in (AXLE, AXLE | {"name": "kept"}):
+        refused = await admin.put(f"{ASSETS}/axle-1", json=table, headers=ONLY_NEW)
+        assert refused.status_code == 412
+        assert refused.json()["errors"][0]["parameter"] == "asset_id"
+    assert world.store.assets.get("axle-1").table["name"] == "kept"
+    assert (audit(world), cell.asked) == ([], 0)
+    other = {"If-None-Match": '"7"'}
+    assert (await admin.put(f"{ASSETS}/axle-1", json=AXLE, headers=other)).status_code == 422
+    # One that was removed is no more in the way.
+    world.store.assets.change({"axle-1": None}, 2)
+    made = await admin.put(f"{ASSETS}/axle-1", json=AXLE, headers=ONLY_NEW)
+    assert made.status_code == 201
+
+
+async def test_of_two_who_add_the_same_at_once_one_is_told(world: Any, cell: Cell) -> None:
+    store, get = world.store.assets, world.store.assets.get
+
+    def get_and_be_overtaken(asset_id: str) -> Any:
+        before = get(asset_id)
+        store.change({asset_id: AXLE | {"name": "first"}}, 2)
+        return before
+
+    store.get = get_and_be_overtaken
+    try:
+        late = await world.client("admin").put(f"{ASSETS}/axle-1", json=AXLE, headers=ONLY_NEW)
+    finally:
+        del store.get
+    assert late.status_code == 412
+    assert get("axle-1").table["name"] == "first"
+
+
+async def test_many_are_removed_in_one_transaction_or_none(world: Any, cell: Cell) -> None:
+    admin = world.client("admin")
+    names = [f"axle-{n}" for n in range(30)]
+    revision = world.store.assets.change(dict.fromkeys(names, AXLE), 1)
+    wrong = await admin.post(REMOVE, json={"ids": ["axle-1", "bench-1", "axle-x"]})
+    assert wrong.status_code == 422
+    assert {one["pointer"]: one["detail"] for one in wrong.json()["errors"]} == {
+        "/ids/1": "bench-1: stands in the configuration file; expected a change there",
+        "/ids/2": "axle-x: no such asset is provisioned",
+    }
+    for refused in ({"ids": []}, {"ids": [1]}, {}):
+        assert (await admin.post(REMOVE, json=refused)).status_code == 422
+    assert (len(world.store.assets.present()), cell.asked) == (30, 0)
+
+    done = await admin.post(REMOVE, json={"ids": [*names[:25], "axle-1"]})
+    assert (done.status_code, done.json()) == (200, {"removed": 25})
+    assert [one.id for one in world.store.assets.present()] == sorted(names[25:])
+    assert len({one.revision for one in world.store.assets.changed_since(revision)}) == 1
+    (line,) = audit(world)
+    assert (line.action, cell.asked) == ("assets.remove", 1)
+    assert line.detail.startswith("removed: 25; assets: axle-0, axle-1, ")
+    assert line.detail.endswith(" and 5 more")
+    cell.away = CellUnavailableError("it is being started")
+    later = await admin.post(REMOVE, json={"ids": names[25:]})
+    assert (later.status_code, later.json()) == (202, {"removed": 5})
+
+
 # RFC 7396, appendix A.
 @pytest.mark.parametrize(
     ("target", "patch", "result"),
@@ -405,6 +469,7 @@ async def test_every_answer_is_as_published(world: Any, cell: Cell) -> None:
         ("put", "/assets/{asset_id}", await admin.put(f"{ASSETS}/axle-1", json=AXLE)),
         ("patch", "/assets/{asset_id}", await admin.patch(f"{ASSETS}/axle-1", json={"name": "A"})),
         ("post", "/assets:import", await admin.post(f"{IMPORT}?partial=true", json=mixed)),
+        ("post", "/assets:remove", await admin.post(REMOVE, json={"ids": ["axle-1"]})),
         ("get", "/assets/{asset_id}/configuration", await admin.get(f"{ASSETS}/b/configuration")),
         ("get", "/provisioning", await admin.get("/api/v1/provisioning")),
     ]

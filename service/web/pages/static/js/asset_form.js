@@ -1,6 +1,6 @@
-// Make one asset: from a template, whose holes become fields, or from its configuration as JSON.
+// Make or change one asset: by the holes of its template as fields, or by its configuration as JSON.
 import { h, put, setText } from './dom.js';
-import { holeValue, putAsset, wrongField } from './provisioning.js';
+import { addAsset, holeValue, patchAsset, wrongField } from './provisioning.js';
 
 const ID = '[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}';
 const ID_HINT = 'Letters, digits, dot, hyphen, underscore; at most 64. It cannot be changed later.';
@@ -13,20 +13,25 @@ const EXAMPLE = `{
   }
 }`;
 
+/** A value in a field, as `holeValue` reads it. */
+const holeText = (value) => (typeof value === 'string' ? value : JSON.stringify(value));
+
 export class AssetForm {
-  /** actions: { done(id, answer), cancel() } */
+  /** actions: { done(id, answer, isNew), cancel() } */
   constructor(page, actions) {
     this.page = page;
     this.actions = actions;
     this.templates = [];
+    this.asset = null; // { id, table } of the one that is changed
     this.fields = new Map(); // by what the service calls them
     this.choice = h('select', { id: 'asset-template', onchange: () => this.showFields() });
     this.body = h('div', { class: 'fields' });
     this.problem = h('div', { class: 'problem', role: 'alert' });
     this.send = h('button', { class: 'btn pri' }, 'Add asset');
+    this.title = h('h2', { id: 'add-title' });
     this.element = h('form', { class: 'panel p-add', 'aria-labelledby': 'add-title', hidden: true,
       onsubmit: (event) => { event.preventDefault(); this.submit(); } },
-    h('header', {}, h('h2', { id: 'add-title' }, 'Add an asset')),
+    h('header', {}, this.title),
     h('div', { class: 'fields' }, h('div', { class: 'field' },
       h('label', { for: 'asset-template' }, 'Template'), this.choice)),
     this.body, this.problem,
@@ -34,11 +39,15 @@ export class AssetForm {
       h('button', { class: 'btn', type: 'button', onclick: () => actions.cancel() }, 'Cancel')));
   }
 
-  /** templates: [{ name, asks_for, values }] */
-  open(templates) {
-    this.templates = templates;
-    put(this.choice, templates.map(({ name }) => h('option', { value: name }, name)),
-      h('option', { value: '' }, 'none (configuration as JSON)'));
+  /** templates: [{ name, asks_for, values }]; asset: { id, table } to be changed, absent for a new one */
+  open(templates, asset = null) {
+    this.asset = asset;
+    // An asset keeps its template here; as JSON everything can be changed.
+    this.templates = asset ? templates.filter(({ name }) => name === asset.table.template) : templates;
+    setText(this.title, asset ? `Edit the asset ${asset.id}` : 'Add an asset');
+    setText(this.send, asset ? 'Save asset' : 'Add asset');
+    put(this.choice, this.templates.map(({ name }) => h('option', { value: name }, name)),
+      h('option', { value: '' }, asset ? 'whole configuration as JSON' : 'none (configuration as JSON)'));
     this.element.reset();
     this.showFields();
     this.element.hidden = false;
@@ -50,23 +59,27 @@ export class AssetForm {
   }
 
   showFields() {
-    const { template } = this;
+    const { template, asset } = this;
+    const table = asset?.table ?? {};
     this.fields.clear();
     put(this.problem);
-    put(this.body, this.field('id', 'Id', h('input', { required: true, pattern: ID, title: ID_HINT }), ID_HINT),
-      template ? [
-        this.field('name', 'Name (optional)', h('input', { maxlength: 200 })),
-        this.field('group', 'Group (optional)', h('input', { maxlength: 200 })),
-        template.asks_for.map((name) => this.hole(name, template.values[name])),
-      ] : this.field('json', 'Configuration', h('textarea', {
-        rows: 9, required: true, spellcheck: 'false', placeholder: EXAMPLE,
-      }), JSON_HINT));
+    put(this.body, !asset && this.field('id', 'Id',
+      h('input', { required: true, pattern: ID, title: ID_HINT }), ID_HINT),
+    template ? [
+      this.field('name', 'Name (optional)', h('input', { maxlength: 200, value: table.name ?? '' })),
+      this.field('group', 'Group (optional)', h('input', { maxlength: 200, value: table.group ?? '' })),
+      template.asks_for.map((name) => this.hole(name, template.values[name], table.values?.[name])),
+    ] : this.field('json', 'Configuration', h('textarea', {
+      rows: asset ? 18 : 9, required: true, spellcheck: 'false', placeholder: EXAMPLE,
+    }, asset ? JSON.stringify(table, null, 2) : ''), JSON_HINT));
   }
 
-  hole(name, value) {
+  /** value: what the template gives; own: what the asset itself does */
+  hole(name, value, own) {
     const given = value !== undefined;
-    return this.field(`values.${name}`, name, h('input', { required: !given }),
-      given ? `Empty: ${JSON.stringify(value)}, from the template.` : '');
+    return this.field(`values.${name}`, name, h('input', {
+      required: !given, value: own === undefined ? '' : holeText(own),
+    }), given ? `Empty: ${JSON.stringify(value)}, from the template.` : '');
   }
 
   /** A label, its control, a hint, and a place for what is wrong with it. */
@@ -94,17 +107,24 @@ export class AssetForm {
       }
       return table;
     }
-    const table = { template: template.name };
+    const { name, group, values: before = {}, ...others } = this.asset?.table ?? {};
+    const table = { ...others, template: template.name };
     for (const key of ['name', 'group']) if (this.text(key)) table[key] = this.text(key);
-    const values = template.asks_for.map((name) => [name, this.text(`values.${name}`)])
-      .filter(([, text]) => text).map(([name, text]) => [name, holeValue(text)]);
-    if (values.length) table.values = Object.fromEntries(values);
+    const values = { ...before };
+    for (const hole of template.asks_for) {
+      const text = this.text(`values.${hole}`);
+      if (!text) delete values[hole];
+      // What was not touched stays what it was, also a text of digits alone.
+      else if (!(hole in before) || text !== holeText(before[hole])) values[hole] = holeValue(text);
+    }
+    if (Object.keys(values).length) table.values = values;
     return table;
   }
 
   async submit() {
     this.showWrong([]);
-    const id = this.text('id');
+    const { asset } = this;
+    const id = asset?.id ?? this.text('id');
     let table;
     try {
       table = this.table();
@@ -112,15 +132,14 @@ export class AssetForm {
       this.showWrong([{ field: 'json', reason: `Not valid JSON: ${error.message}` }]);
       return;
     }
-    if (this.page.assets.some((asset) => asset.id === id)) {
-      this.showWrong([{ field: 'id', reason: `There is an asset ${id} already.` }]);
-      return;
-    }
     this.send.disabled = true;
     try {
-      await this.actions.done(id, await putAsset(id, table));
+      const answer = await (asset ? patchAsset(id, asset.table, table) : addAsset(id, table));
+      await this.actions.done(id, answer, !asset);
     } catch (error) {
-      const wrong = error.errors?.map(wrongField) ?? [];
+      const wrong = error.status === 412
+        ? [{ field: 'id', reason: `There is an asset ${id} already. “Edit…” in its row changes it.` }]
+        : error.errors?.map(wrongField) ?? [];
       this.showWrong(wrong.length ? wrong : [{ field: '', reason: error.message }]);
     } finally {
       this.send.disabled = false;
@@ -144,7 +163,7 @@ export class AssetForm {
       known.wrong.hidden = false;
       known.control.setAttribute('aria-invalid', 'true');
     }
-    put(this.problem, faults.length > 0 && h('p', {}, 'The asset was not added.'),
+    put(this.problem, faults.length > 0 && h('p', {}, this.asset ? 'The asset was not changed.' : 'The asset was not added.'),
       others.map((line) => h('p', {}, line)));
     this.element.querySelector('[aria-invalid]')?.focus();
   }

@@ -13,8 +13,18 @@ export async function loadProvisioning() {
   return { templates, items };
 }
 
-export const putAsset = (id, table) => call(assetPath(id), { method: 'PUT', body: table });
+/** Make an asset; one that there is already is left as it is (ApiError 412). */
+export const addAsset = (id, table) =>
+  call(assetPath(id), { method: 'PUT', body: table, headers: { 'If-None-Match': '*' } });
+export const loadConfiguration = (id) => call(assetPath(id, '/configuration'));
+/** Change what differs between two tables, and leave what somebody else has changed meanwhile. */
+export const patchAsset = (id, before, after) =>
+  call(assetPath(id), { method: 'PATCH', body: mergePatch(before, after) });
 export const deleteAsset = (id) => call(assetPath(id), { method: 'DELETE' });
+
+/** Remove many assets, all or none. */
+export const removeAssets = (ids) =>
+  call('/assets:remove', { method: 'POST', body: { ids }, timeoutMs: IMPORT_MS });
 
 /** Judge (`dry_run`) or take a CSV file of assets. */
 export const importCsv = (file, query) => call('/assets:import', {
@@ -26,6 +36,21 @@ export function holeValue(text) {
   const number = Number(text);
   const inexact = WHOLE.test(text) && !Number.isSafeInteger(number);
   return DECIMAL.test(text) && !inexact ? number : text;
+}
+
+const isTable = (value) => value !== null && typeof value === 'object' && !Array.isArray(value);
+
+/** The merge patch (RFC 7396) that makes one table of another. */
+export function mergePatch(before, after) {
+  const patch = {};
+  for (const key of Object.keys(before)) if (!(key in after)) patch[key] = null;
+  for (const [key, value] of Object.entries(after)) {
+    if (isTable(value) && isTable(before[key])) {
+      const part = mergePatch(before[key], value);
+      if (Object.keys(part).length) patch[key] = part;
+    } else if (JSON.stringify(value) !== JSON.stringify(before[key])) patch[key] = value;
+  }
+  return patch;
 }
 
 /** One thing that is wrong, as { field, reason }; the field is '' where it is about the whole. */
