@@ -66,9 +66,9 @@ def export_model(identified: IdentifiedModel, fmi: int, path: Path) -> Exported:
     token = f"{{{digest.hexdigest()}}}"
     sources["model.h"] = tables.header(identified, token).encode()
     files = sorted(name for name in sources if name.endswith(".c"))
-    name = f"{identified.model.name} {identified.model.machine}"
+    known_by = dict.fromkeys((identified.model.name, identified.model.machine))
     parts = {
-        "modelDescription.xml": description(fmi, name, token, variables, files),
+        "modelDescription.xml": description(fmi, " ".join(known_by), token, variables, files),
         f"binaries/{_PLATFORMS[fmi]}/{IDENTIFIER}.so": compile_library(sources),
         _LICENCES: _licences(sources),
         **{f"sources/{name}": content for name, content in sources.items()},
