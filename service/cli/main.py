@@ -16,6 +16,7 @@ from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
 from service.cli.drift import drift
+from service.cli.export_fmu import export_fmu
 from service.cli.fleet import fleet
 from service.cli.fleet_bench import virtual_fleet
 from service.cli.forecast import forecast
@@ -23,6 +24,7 @@ from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.serve import serve
+from service.cli.simulate import simulate
 from service.cli.study import study
 from service.cli.transfer import export, import_
 from service.cli.warm_up import warm_up
@@ -41,6 +43,8 @@ app.command("virtual-bench")(virtual_bench)
 app.command("virtual-fleet")(virtual_fleet)
 app.command()(identify)
 app.command()(forecast)
+app.command()(simulate)
+app.command("export-fmu")(export_fmu)
 app.command()(drift)
 app.command()(study)
 app.command()(benchmark)

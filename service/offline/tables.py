@@ -215,6 +215,23 @@ def write_forecast(
             writer.writerow([f"{time:.10g}", *(f"{value:.4f}" for value in row)])
 
 
+def write_simulation(
+    path: Path, time_s: FloatArray, names: Sequence[str], temperatures_c: FloatArray
+) -> None:
+    """Write simulated temperatures (n, names), one row per time.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    with replacing(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["time_s", *(text_cell(name) for name in names)])
+        for time, row in zip(time_s, temperatures_c, strict=True):
+            writer.writerow([f"{time:.10g}", *(f"{value:.9f}" for value in row)])
+
+
 def check_writable(path: Path) -> None:
     """Complain before a long computation, not after it, about a place that takes no file.
 
