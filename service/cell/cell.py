@@ -22,6 +22,7 @@ from service.cell.acquisition import Acquisition
 from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
+from service.cell.ledger import ForecastLedger
 from service.cell.provisioning import Provisioning, Site
 from service.cell.retention import StoreMaintenance
 from service.clock import ClockWatch, ProcessClock
@@ -42,13 +43,7 @@ from service.site.asset_section import AssetSection
 from service.site.provisioning import CheckedAsset
 from service.site.settings import Settings
 from service.site.wiring import ChannelFacts, Wiring
-from service.store import (
-    Alarm,
-    Outbox,
-    Retention,
-    Store,
-    StoreUnavailableError,
-)
+from service.store import Alarm, Outbox, Retention, Store, StoreUnavailableError
 from service.tasks import background
 
 #: Samples of a channel are counted up to this number where it is only a hint.
@@ -135,6 +130,7 @@ class Cell:
         )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self._states = StateKeeper(store.states.save_all)
+        self._ledger = ForecastLedger(store, self.outbox, clock, self.registry)
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
@@ -268,6 +264,7 @@ class Cell:
             executor=self._executor,
             store_samples=self._store_derived,
             save_state=partial(self._states.save, asset.id),
+            keep_forecast=self._ledger.take,
             doubt=partial(self._doubt, asset.id),
         )
 
@@ -406,6 +403,7 @@ class Cell:
                     ("health", self._tell_health()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
+                    ("forecast ledger", self._ledger.run()),
                     ("check of the store", self.maintenance.check()),
                     ("bus", self._others.serve(self.answers.handlers())),
                     ("state", self._report()),

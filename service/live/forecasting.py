@@ -24,6 +24,7 @@ from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
+from service.live.ledger import LiveIssue
 from service.live.outlook import Outlook, StepOutlook, step_outlooks
 from service.live.presentation import ForecastSummary
 from service.live.profiles import Step, held, operating_profile, planned
@@ -91,6 +92,8 @@ class Forecasting:
         What tags show of it, and when it exceeds which limit.
     outlook : Outlook or None
         The same for every step of it; None before the first.
+    issue : LiveIssue or None
+        The latest forecast as the ledger may keep it; None where the operation was not known.
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class Forecasting:
         self._carried_on = False
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
+        self.issue: LiveIssue | None = None
         self._ensemble: Ensemble | None = None
         self._looked_us: int | None = None
 
@@ -175,8 +179,10 @@ class Forecasting:
         self._latest = _Latest(
             live.result, summary, steps, version, missing, live.intervals_us, has_plan
         )
-        self.summary, self.outlook = summary, None
+        self.summary, self.outlook, self.issue = summary, None, None
         if not missing:
+            plan = self.plan if has_plan else None
+            self.issue = LiveIssue(state, steps, live.result, plan)
             self.outlook = Outlook(made_us, version, live.steps, summary.crossings)
         return True
 

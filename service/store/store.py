@@ -11,6 +11,7 @@ from service.store.closable import Closable
 from service.store.database import Database, damaged
 from service.store.history import History
 from service.store.jobs import Jobs
+from service.store.kept_forecasts import KeptForecasts
 from service.store.model_versions import ModelVersions
 from service.store.nights import Nights
 from service.store.opening import open_database
@@ -51,6 +52,8 @@ class Store(Closable):
         The latest state of each twin.
     alarms : AlarmJournal
         Alarms and their journal.
+    forecasts : KeptForecasts
+        The forecast ledger.
     access : Access
         API keys and browser sessions.
     audit : Audit
@@ -70,6 +73,7 @@ class Store(Closable):
         self.nights = Nights(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
+        self.forecasts = KeptForecasts(database)
         self.access = Access(database)
         self.audit = Audit(database)
         self.assets = ProvisionedAssets(database)
