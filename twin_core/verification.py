@@ -145,6 +145,8 @@ class ForecastScores:
         Continuous ranked probability score, from the quantiles.
     interval_score_k
         Of the 95 % band.
+    below
+        (5,) shares of the measurements at or below each quantile: those of a reliability diagram.
     """
 
     n: int
@@ -154,6 +156,7 @@ class ForecastScores:
     mae_k: float
     crps_k: float
     interval_score_k: float
+    below: tuple[float, ...]
 
 
 def verify(quantiles_c: ArrayLike, measured_c: ArrayLike) -> ForecastScores:
@@ -185,4 +188,5 @@ def verify(quantiles_c: ArrayLike, measured_c: ArrayLike) -> ForecastScores:
         mae_k=mean_absolute_error(median, measured),
         crps_k=crps_from_quantiles(quantiles.T, QUANTILE_LEVELS, measured),
         interval_score_k=interval_score(low, high, measured),
+        below=tuple(coverage(np.full(edge.shape, -np.inf), edge, measured) for edge in quantiles.T),
     )

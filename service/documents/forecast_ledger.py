@@ -43,6 +43,16 @@ class SetAside(Document):
     model: int = Field(description="The model version is not in the store any more.")
 
 
+class SharesBelow(Document):
+    """Shares of the measurements at or below each quantile, 0 to 1."""
+
+    q025: Number
+    q25: Number
+    q50: Number
+    q75: Number
+    q975: Number
+
+
 class ForecastScore(Document):
     """How good the forecasts of one channel, lead time, risk, label and model version were."""
 
@@ -64,6 +74,7 @@ class ForecastScore(Document):
     mae_k: Number = Field(description="Mean absolute error of the median, K.")
     crps_k: Number = Field(description="Continuous ranked probability score, K.")
     interval_score_k: Number = Field(description="Interval score of the 95 % band, K.")
+    below: SharesBelow = Field(description="For a reliability diagram; null without any reading.")
     naive: dict[Naive, NaiveScore]
 
 
@@ -252,6 +263,7 @@ def _score(key: _Key, group: _Group) -> ForecastScore:
     measured_c = np.array(group.measured_c, np.float64)
     known = ~np.isnan(quantiles_c).any(axis=1)
     scores = asdict(verify(quantiles_c[known], measured_c[known]))
+    below = zip(SharesBelow.model_fields, scores.pop("below"), strict=True)
     by: Mapping[PointState, int] = group.states
     aside = SetAside(plan=by.get("plan", 0), data=by.get("data", 0), model=by.get("model", 0))
     return ForecastScore(
@@ -265,6 +277,7 @@ def _score(key: _Key, group: _Group) -> ForecastScore:
         set_aside_by=aside,
         waiting=by.get("waiting", 0),
         **{name: _rounded(value) for name, value in scores.items()},
+        below=SharesBelow(**{name: _rounded(share) for name, share in below}),
         naive={
             kind: _naive_score(np.array(values_c, np.float64), measured_c)
             for kind, values_c in group.naive_c.items()

@@ -143,7 +143,7 @@ def issued_forecast(
         np.float64,
     )
     content = IssuedContent(
-        steps=[(one.duration_s, one.speed_rpm, one.load_n, one.ambient_c) for one in steps],
+        steps=[_kept_step(step) for step in steps],
         planned=issue.plan is not None,
         labels=list(result.labels),
         channels=channels,
@@ -170,6 +170,15 @@ def _merged(steps: Sequence[Step]) -> list[Step]:
 
 def _level(step: Step) -> tuple[float, float, float]:
     return step.speed_rpm, step.load_n, step.ambient_c
+
+
+def _kept_step(step: Step) -> tuple[float, float, float, float]:
+    return (
+        round(step.duration_s, 3),
+        round(step.speed_rpm, 3),
+        round(step.load_n, 3),
+        round(step.ambient_c, 3),
+    )
 
 
 def _high_risk(steps: Sequence[Step], leads: Sequence[int], region: LowRiskRegion) -> list[bool]:
