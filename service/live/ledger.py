@@ -13,6 +13,7 @@ from service.live.profiles import Step, operating_profile
 from service.store.forecast_records import IssuedContent, IssuedForecast, Reason, hundredths
 from twin_core.forecasting import Forecast
 from twin_core.naive import NaiveForecasts
+from twin_core.operating_points import STANDING_RPM
 from twin_core.simulation import OperatingProfile
 from twin_core.verification import LEAD_TIMES_S
 from twin_core.windows import MEASURED_TOLERANCE, LowRiskRegion
@@ -54,7 +55,8 @@ class LedgerRule:
     """Says which live forecasts of an asset are kept.
 
     The first of each step of the controller's plan, the first of each model version, and one every
-    ten minutes.
+    ten minutes. None of a machine that stands and is going to: that it cools is no merit, and
+    thousands of such forecasts would hide the others.
     """
 
     def __init__(self) -> None:
@@ -64,6 +66,8 @@ class LedgerRule:
 
     def reason(self, issue: LiveIssue) -> Reason | None:
         """Say why a forecast is to be kept; None where it is not. It then counts as kept."""
+        if all(abs(step.speed_rpm) < STANDING_RPM for step in issue.steps):
+            return None
         time_us, version = issue.state.time_us, issue.state.active.version
         step = None if issue.plan is None else _under_way(issue.plan, time_us)
         found: Reason | None = None

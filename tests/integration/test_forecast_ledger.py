@@ -8,7 +8,6 @@ import bisect
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -242,8 +241,9 @@ def test_the_service_answers_for_its_forecasts_as_they_were(site: Site) -> None:
 
     # And what the service reports of them is so.
     told = {
-        tuple(item[name] for name in ("channel", "lead_time_s", "risk", "label", "model_version")):
-        item
+        tuple(
+            item[name] for name in ("channel", "lead_time_s", "risk", "label", "model_version")
+        ): item
         for item in performance["items"]
     }
     assert told.keys() == counts.keys()

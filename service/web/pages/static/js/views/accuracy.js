@@ -237,7 +237,7 @@ export class AccuracyView {
     put(this.table, scrollable('wide', 'Scores by lead time', h('table', {},
       h('thead', {}, h('tr', {}, heading('Lead time', ''), heading('Readings'), heading('Set aside'),
         heading('50 % band'), heading('95 % band'), KELVIN.map(([, text]) => heading(`${text}, K`)),
-        Object.values(NAIVE).map((name) => heading(`${name}, K`)))),
+        Object.values(NAIVE).map((name) => heading(`${name[0].toUpperCase()}${name.slice(1)}, K`)))),
       h('tbody', {}, rows.map((row) => h('tr', {},
         h('th', { scope: 'row' }, leadText(row.lead)), cell(row.n), cell(row.setAside),
         cell(row.n ? percent(row.coverage_50) : '–'), cell(row.n ? percent(row.coverage_95) : '–'),
