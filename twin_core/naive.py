@@ -18,6 +18,7 @@ forecast, not against a careless one.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,39 @@ class NaiveForecasts:
             kind: {name: table[:, column].copy() for column, name in enumerate(self.sensors)}
             for kind, table in tables.items()
         }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types."""
+        return {
+            "sensors": list(self.sensors),
+            "static": self.static.tolist(),
+            "transition": self.transition.tolist(),
+            "drive": self.drive.tolist(),
+            "spacing_s": self.spacing_s,
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> "NaiveForecasts":
+        """Take back what `to_dict` gave.
+
+        Raises
+        ------
+        ValueError
+            If something is missing or does not belong together.
+        """
+        try:
+            sensors = tuple(str(name) for name in document["sensors"])
+            static, transition, drive = (
+                np.array(document[name], np.float64) for name in ("static", "transition", "drive")
+            )
+            spacing_s = float(document["spacing_s"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"naive forecasts: {error!r}") from error
+        count = len(sensors)
+        shapes = (static.shape, transition.shape, drive.shape)
+        if shapes != ((3, count), (count, count), (3, count)) or not spacing_s > 0.0:
+            raise ValueError(f"naive forecasts: shapes {shapes} of {count} sensors")
+        return cls(sensors, static, transition, drive, spacing_s)
 
     def _run_on(
         self, profile: OperatingProfile, inputs: FloatArray, now_c: FloatArray

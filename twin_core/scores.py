@@ -17,6 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
+QUANTILE_LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
+"""At which forecasts give quantiles."""
+
 
 def _errors(forecast_c: ArrayLike, measured_c: ArrayLike) -> FloatArray:
     forecast, measured = np.asarray(forecast_c, float), np.asarray(measured_c, float)
@@ -29,6 +32,15 @@ def bias(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
     """Return the mean of forecast minus measured, NaN without a measurement."""
     errors = _errors(forecast_c, measured_c)
     return float(np.mean(errors)) if errors.size else float("nan")
+
+
+def mean_absolute_error(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:
+    """Return the mean absolute error, NaN without a measurement.
+
+    Of a forecast without a spread it is the CRPS as well.
+    """
+    errors = _errors(forecast_c, measured_c)
+    return float(np.mean(np.abs(errors))) if errors.size else float("nan")
 
 
 def rms(forecast_c: ArrayLike, measured_c: ArrayLike) -> float:

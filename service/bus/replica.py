@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol
 
 from pydantic_core import from_json, to_json
 
+from adapters.configuration import listed
 from adapters.samples import Quality, is_good
 from service.bus.commands import Document, GetDocuments, RenewGrease, Wanted
 from service.bus.interface import ReaderBus
@@ -26,6 +27,7 @@ from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.errors import CellUnavailableError, NotReadyError
 from service.domain.requests import ProfileStep
 from service.store import AuditEntry
+from service.store.forecast_records import IssuedForecast
 
 #: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
 FRESH_S: Final = 0.1
@@ -52,6 +54,16 @@ class Questions(Protocol):
         nodes: Collection[str] | None,
     ) -> WhatIf:
         """Forecast a profile from the state of a machine."""
+
+    async def what_if_to_keep(
+        self,
+        asset: str,
+        machine: PresentMachine,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> tuple[WhatIf, IssuedForecast | None]:
+        """Forecast a profile, and give what is kept of the forecast."""
 
     async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         """Give the safe operating envelope."""
@@ -306,6 +318,27 @@ class AssetReplica:
         """
         machine = await self._machine()
         return await self._asked().what_if(self.id, machine, profile, step_s, nodes)
+
+    async def what_if_to_keep(
+        self,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> tuple[WhatIf, IssuedForecast | None]:
+        """Forecast a profile from the present state, and give what is kept of the forecast.
+
+        Raises
+        ------
+        NotReadyError
+            While the twin has no state yet, or does not know what the machine runs at.
+        """
+        machine = await self._machine()
+        if machine.missing:
+            raise NotReadyError(
+                "a forecast to keep needs the present operation; missing: "
+                + listed(machine.missing)
+            )
+        return await self._asked().what_if_to_keep(self.id, machine, profile, step_s, nodes)
 
     async def envelope(self) -> EnvelopeDocument:
         """Give the safe operating envelope.

@@ -23,6 +23,7 @@ from service.cell.acquisition import Acquisition
 from service.cell.active_models import active_models
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
+from service.cell.ledger import ForecastLedger
 from service.cell.provisioning import Provisioning, Site
 from service.cell.reports import Reports, report_unconfigured
 from service.cell.retention import StoreMaintenance
@@ -44,13 +45,7 @@ from service.site.asset_section import AssetSection
 from service.site.provisioning import CheckedAsset
 from service.site.settings import Settings
 from service.site.wiring import ChannelFacts, Wiring
-from service.store import (
-    Alarm,
-    Outbox,
-    Retention,
-    Store,
-    StoreUnavailableError,
-)
+from service.store import Alarm, Outbox, Retention, Store, StoreUnavailableError
 from service.tasks import background
 
 STORE_RETRY_WALL_S = 2.0
@@ -135,8 +130,13 @@ class Cell:
             lambda: {asset.id: asset.forecast_age_s() for asset in list(self.assets.values())},
             self.registry,
         )
+
+        def keeps_house() -> bool:
+            return share is None or share.keeps_house
+
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self._states = StateKeeper(store.states.save_all)
+        self._ledger = ForecastLedger(store, self.outbox, clock, self.registry, keeps_house)
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
@@ -181,7 +181,7 @@ class Cell:
             store,
             clock,
             Retention(**settings.retention.model_dump()),
-            is_ours=lambda: share is None or share.keeps_house,
+            is_ours=keeps_house,
         )
         self._reports = Reports(
             clock,
@@ -330,6 +330,7 @@ class Cell:
             executor=self._executor,
             store_samples=self._store_derived,
             save_state=partial(self._states.save, asset.id),
+            keep_forecast=self._ledger.take,
             doubt=partial(self._doubt, asset.id),
         )
 
@@ -388,6 +389,7 @@ class Cell:
                     ("health", self._reports.tell()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
+                    ("forecast ledger", self._ledger.run()),
                     ("check of the store", self.maintenance.check()),
                     ("bus", self._others.serve(self.answers.handlers())),
                     ("state", self._report()),

@@ -147,6 +147,9 @@ class StoreMaintenance:
         if self._retention.journal_days:
             before_us = process.at_us - round(self._retention.journal_days * DAY_US)
             removed += self._store.alarms.expire(before_us)
+        if self._retention.forecast_days:
+            before_us = process.at_us - round(self._retention.forecast_days * DAY_US)
+            removed += self._store.forecasts.expire(before_us)
         if self._retention.audit_days:  # the trail goes by the wall clock
             before_us = wall.at_us - round(self._retention.audit_days * DAY_US)
             removed += self._store.audit.expire(before_us)

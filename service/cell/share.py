@@ -83,6 +83,10 @@ class Share:
         held = self.ownership.held(connection, set(partitions.values()))
         return [asset for asset, partition in partitions.items() if partition in held]
 
-    def may_deliver(self, connection: Connection, asset: str, run: str) -> bool:
-        """See `service.store.database.Fence.may_deliver`."""
-        return self.ownership.is_owner(connection, self.partition(asset), run)
+    def deliverable(
+        self, connection: Connection, assets: Collection[str], run: str
+    ) -> Collection[str]:
+        """See `service.store.database.Fence.deliverable`."""
+        partitions = {asset: self.partition(asset) for asset in assets}
+        owned = self.ownership.owned_by(connection, set(partitions.values()), run)
+        return [asset for asset, partition in partitions.items() if partition in owned]

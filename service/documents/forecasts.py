@@ -59,6 +59,14 @@ class WhatIf(ForecastDocument):
     )
 
 
+class WhatIfAnswer(WhatIf):
+    """A what-if, and whether it was kept."""
+
+    kept_at: Time | None = Field(
+        description="Process time of the state that it begins from, where it is kept; else null."
+    )
+
+
 class LiveForecast(WhatIf):
     """The latest live forecast: of the controller's plan, else of the present point held."""
 

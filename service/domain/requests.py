@@ -97,6 +97,10 @@ class ForecastRequest(RequestBody):
     nodes: list[NodeName] | None = Field(
         None, min_length=1, description="Sensors and nodes to be answered; absent: all."
     )
+    keep: bool = Field(
+        False,
+        description="Keep it, and hold it against what comes if the machine does this from now on.",
+    )
 
     @field_validator("profile")
     @classmethod

@@ -3,6 +3,8 @@
 import functools
 import json
 
+import structlog
+
 from service.jobs.worker import JobResult
 from service.live.estimate import ActiveModel
 from service.site.asset_section import AssetSection
@@ -16,6 +18,9 @@ from service.store.records import Job, JsonDocument, ModelVersion
 from twin_core.identification.paper_view import paper_view
 from twin_core.identification.posterior import Posterior, prior_posterior
 from twin_core.models import ThermalModel
+from twin_core.naive import NaiveForecasts
+
+_log = structlog.get_logger(__name__)
 
 
 def machine_of(asset: AssetSection) -> Machine:
@@ -84,6 +89,7 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> Jso
         "window_records": [window.to_dict() for window in result.windows],
         "scores": dict(result.gates.scores),
         "naive": dict(result.gates.naive),
+        "naive_models": result.naive.to_dict(),
         "gates": result.gates.to_dict(),
         "drift": result.drift.model_dump(),
         "job": job.id,
@@ -105,7 +111,23 @@ def active_model(asset: AssetSection, version: ModelVersion) -> ActiveModel:
         posterior=posterior,
         identified_at_us=version.created_at_us if posterior.identified else None,
         drifted=bool((version.document.get("drift") or {}).get("changed")),
+        naive=naive_of(version.document),
     )
+
+
+def naive_of(document: JsonDocument) -> NaiveForecasts | None:
+    """Simple forecasts of a stored version; None where none are kept, as of the priors.
+
+    Earlier releases kept none. What cannot be read takes nothing from the version itself.
+    """
+    stored = document.get("naive_models")
+    if stored is None:
+        return None
+    try:
+        return NaiveForecasts.from_dict(stored)
+    except ValueError as error:
+        _log.warning("naive_forecasts_not_read", reason=str(error))
+        return None
 
 
 def why_not_of_this_asset(asset: AssetSection, version: ModelVersion) -> str | None:

@@ -26,6 +26,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
+from twin_core.naive import NaiveForecasts, fit_naive
 from twin_core.windows import Window, window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
@@ -87,6 +88,8 @@ class JobResult:
         Whether it may become the active model, and why.
     drift : DriftDocument
         Comparison with earlier versions.
+    naive : NaiveForecasts
+        The simple forecasts that its own must beat, fitted to the same windows.
     """
 
     posterior: Posterior
@@ -97,6 +100,7 @@ class JobResult:
     windows: Sequence[Window]
     gates: GateReport
     drift: DriftDocument
+    naive: NaiveForecasts
 
 
 def run_identification(order: JobOrder) -> JobResult | None:
@@ -165,6 +169,7 @@ def assessed(
         windows=windows,
         gates=report,
         drift=drift_document(model, fit.posterior, windows, earlier),
+        naive=fit_naive([window.minutes for window in data.windows]),
     )
 
 

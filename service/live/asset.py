@@ -28,12 +28,14 @@ from service.live.forecasting import Forecasting
 from service.live.guard import Guard
 from service.live.judgement import Judgement
 from service.live.kept import KeptState, KeptWatch
+from service.live.ledger import LedgerRule, issued_forecast
 from service.live.readings import Readings, allowed_age_s
 from service.live.watch import AlarmWatch
 from service.site.asset_section import AssetSection
 from service.site.machines.operating_ranges import operating_ranges, refused_beyond
 from service.site.wiring import ChannelFacts
 from service.store import AuditEntry
+from service.store.forecast_records import IssuedForecast
 
 STEP_S = 5.0
 # With the step of the twin and the time that computing takes a forecast is never a minute old.
@@ -73,6 +75,8 @@ class AssetRuntime:
         Takes the twin's own estimates for the store.
     save_state : callable
         Keeps the estimate, so that a restart goes on from it.
+    keep_forecast : callable
+        Takes forecasts that are to be held against what comes.
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source can tell.
 
@@ -96,6 +100,7 @@ class AssetRuntime:
         executor: Executor,
         store_samples: Store,
         save_state: SaveState,
+        keep_forecast: Callable[[IssuedForecast], None] = lambda issued: None,
         doubt: Callable[[str], str] = lambda channel: "",
     ) -> None:
         self.settings = settings
@@ -122,6 +127,8 @@ class AssetRuntime:
         self._alarms = alarms
         self._store_samples = store_samples
         self._save_state = save_state
+        self._keep_forecast = keep_forecast
+        self._ledger_rule = LedgerRule()
         self._keeping = asyncio.Lock()
         self._audit: list[AuditEntry] = []
         self._forecasting = Forecasting(settings, self.estimate, self.readings, clock, executor)
@@ -143,6 +150,7 @@ class AssetRuntime:
         self._estimating = Guard("estimate", settings.id)
         self._guarding_forecasts = Guard("forecast", settings.id)
         self._watching = Guard("watch", settings.id)
+        self._noting = Guard("forecast_ledger", settings.id)
         self._saving = Guard("saving_the_estimate", settings.id)
         self.documents = AssetDocuments(
             settings,
@@ -264,6 +272,8 @@ class AssetRuntime:
     def _restore(self, kept_state: KeptState) -> None:
         watched: KeptWatch = kept_state.get("watch") or {}
         self._watch.restore_sources(watched)
+        if ledger := kept_state.get("ledger"):
+            self._ledger_rule.restore(ledger)
         try:
             self.estimate.restore(kept_state)
             self.documents.changed()
@@ -346,8 +356,25 @@ class AssetRuntime:
             latest = self._forecasting.latest if self._bus.is_followed(self.id) else None
             if latest is not None:
                 self._bus.publish("forecast", self.id, latest)
+            with self._noting():
+                self._note_forecast()
             summary = self._forecasting.summary
             self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
+
+    def _note_forecast(self) -> None:
+        """Keep the latest forecast where it is one that is held against what comes."""
+        issue = self._forecasting.issue
+        reason = None if issue is None else self._ledger_rule.reason(issue)
+        if issue is None or reason is None:
+            return
+        sensors, at_us = issue.result.sensors, self._clock.now_us()
+        readings_c = {
+            name: self.readings.good_value(name, at_us) for name in sensors if name in self.facts
+        }
+        region = self.settings.low_risk.region
+        issued = issued_forecast(self.id, issue, reason, region, self.facts, readings_c)
+        if issued is not None:
+            self._keep_forecast(issued)
 
     def tell(self, now_us: int) -> None:
         """Send what is new to those who follow: the latest samples, and the verdict.
@@ -412,4 +439,8 @@ class AssetRuntime:
         return before._kept() if before.estimate.started else None
 
     def _kept(self) -> KeptState:
-        return {**(self.estimate.to_dict() or {}), "watch": self._watch.to_dict()}
+        return {
+            **(self.estimate.to_dict() or {}),
+            "watch": self._watch.to_dict(),
+            "ledger": self._ledger_rule.to_dict(),
+        }

@@ -15,6 +15,7 @@ from twin_core.filtering import begin
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import FOLLOWED_S, MachineState
 from twin_core.models import ThermalModel
+from twin_core.naive import NaiveForecasts
 from twin_core.observer import Innovation, Observer, Step, advance, not_colder_than
 from twin_core.operating_points import usual_levels
 from twin_core.profiles import OperatingPoint
@@ -32,13 +33,17 @@ _LONGEST_SEEN_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class ActiveModel:
-    """A model version that the live twin runs on; ``drifted``: its drift report says *changed*."""
+    """A model version that the live twin runs on.
+
+    ``drifted``: its drift report says *changed*. ``naive``: simple forecasts fitted to its data.
+    """
 
     version: int
     model: ThermalModel
     posterior: Posterior
     identified_at_us: int | None
     drifted: bool = False
+    naive: NaiveForecasts | None = None
 
     @property
     def values(self) -> NDArray[np.float64]:

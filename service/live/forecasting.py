@@ -24,11 +24,13 @@ from service.domain.requests import ProfileStep
 from service.live import presentation
 from service.live.carrying import Ensemble, carried, is_like, keep_ensemble
 from service.live.estimate import EstimatedState, LiveEstimate
+from service.live.ledger import LiveIssue, issued_forecast
 from service.live.outlook import Outlook, StepOutlook, step_outlooks
 from service.live.presentation import ForecastSummary
 from service.live.profiles import Step, held, operating_profile, planned
 from service.live.readings import Readings, allowed_age_s
 from service.site.asset_section import AssetSection, Limits
+from service.store.forecast_records import IssuedForecast
 from twin_core.forecasting import Forecast, forecast
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile
@@ -91,6 +93,8 @@ class Forecasting:
         What tags show of it, and when it exceeds which limit.
     outlook : Outlook or None
         The same for every step of it; None before the first.
+    issue : LiveIssue or None
+        The latest forecast as the ledger may keep it; None where the operation was not known.
     """
 
     def __init__(
@@ -111,6 +115,7 @@ class Forecasting:
         self._carried_on = False
         self.summary: ForecastSummary | None = None
         self.outlook: Outlook | None = None
+        self.issue: LiveIssue | None = None
         self._ensemble: Ensemble | None = None
         self._looked_us: int | None = None
 
@@ -175,8 +180,10 @@ class Forecasting:
         self._latest = _Latest(
             live.result, summary, steps, version, missing, live.intervals_us, has_plan
         )
-        self.summary, self.outlook = summary, None
+        self.summary, self.outlook, self.issue = summary, None, None
         if not missing:
+            plan = self.plan if has_plan else None
+            self.issue = LiveIssue(state, steps, live.result, plan)
             self.outlook = Outlook(made_us, version, live.steps, summary.crossings)
         return True
 
@@ -281,7 +288,45 @@ def what_if_document(
     missing : sequence of str
         Operating channels without a usable value.
     """
-    steps = [
+    steps = _steps(state, profile)
+    result = _what_if(state, steps, step_s)
+    return _what_if_answer(state, limits, steps, result, nodes, missing)
+
+
+def what_if_to_keep(
+    settings: AssetSection,
+    state: EstimatedState,
+    profile: Sequence[ProfileStep],
+    step_s: float | None,
+    nodes: Sequence[str] | None,
+    readings_c: Mapping[str, float | None],
+) -> tuple[WhatIf, IssuedForecast | None]:
+    """Forecast a profile as `what_if_document` does, and give what is kept of it.
+
+    Nothing is where the profile is shorter than the shortest lead time.
+
+    Parameters
+    ----------
+    settings, state, profile, step_s, nodes
+        The asset, where the forecast starts from, and what is asked for.
+    readings_c
+        What its sensors say now.
+    """
+    steps = _steps(state, profile)
+    result = _what_if(state, steps, step_s)
+    issued = issued_forecast(
+        settings.id,
+        LiveIssue(state, steps, result, None),
+        "asked",
+        settings.low_risk.region,
+        settings.channels,
+        readings_c,
+    )
+    return _what_if_answer(state, settings.limits, steps, result, nodes, ()), issued
+
+
+def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[Step]:
+    return [
         Step(
             step.duration_s,
             step.speed_rpm,
@@ -290,8 +335,21 @@ def what_if_document(
         )
         for step in profile
     ]
+
+
+def _what_if(state: EstimatedState, steps: Sequence[Step], step_s: float | None) -> Forecast:
     ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
-    result = _make(state, ahead)
+    return _make(state, ahead)
+
+
+def _what_if_answer(
+    state: EstimatedState,
+    limits: Mapping[str, Limits],
+    steps: Sequence[Step],
+    result: Forecast,
+    nodes: Sequence[str] | None,
+    missing: Sequence[str],
+) -> WhatIf:
     summary = presentation.summarize(result, limits, state.time_us)
     return WhatIf(
         **dict(_document(result, summary, limits, nodes)),

@@ -74,7 +74,8 @@ _TEN_YEARS_DAYS = 3652
 class RetentionSection(Section):
     """Days for which history is kept at each resolution, None for no limit.
 
-    Journal of the alarms (process time) and audit trail (wall clock): with 0 without limit.
+    Journal of the alarms and forecast ledger (process time), and audit trail (wall clock): with 0
+    without limit.
     """
 
     raw_days: Days | None = None
@@ -85,6 +86,7 @@ class RetentionSection(Section):
     audit_days: Annotated[float, AfterValidator(_kept_a_year)] = Field(
         _TEN_YEARS_DAYS, ge=0, le=100_000
     )
+    forecast_days: float = Field(30, ge=0, le=100_000)
 
 
 class ClockSection(Section):

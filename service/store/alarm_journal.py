@@ -67,7 +67,7 @@ class AlarmJournal(StorePart):
             if fence is not None and asset is not None:
                 if delivery is None:
                     self._require(connection, asset)
-                elif not fence.may_deliver(connection, asset, delivery.run):
+                elif not fence.deliverable(connection, (asset,), delivery.run):
                     raise NotOwnerError(f"asset {asset}: another cell has owned it since")
             if alarm is not None:
                 values = asdict(alarm)

@@ -71,8 +71,10 @@ class Fence(Protocol):
     def held(self, connection: Connection, assets: Collection[str]) -> Collection[str]:
         """Give those of some assets that stay this cell's until the transaction ends."""
 
-    def may_deliver(self, connection: Connection, asset: str, run: str) -> bool:
-        """Tell whether nobody has owned an asset since this run of a cell, until the commit."""
+    def deliverable(
+        self, connection: Connection, assets: Collection[str], run: str
+    ) -> Collection[str]:
+        """Give those of some assets that nobody has owned since this run of a cell."""
 
 
 class Turn:

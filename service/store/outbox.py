@@ -1,4 +1,4 @@
-"""Alarm changes and audit lines on their way to the store: in order, crash-safe, once."""
+"""Alarm changes, audit lines and forecasts on their way to the store: crash-safe, once."""
 
 import json
 import threading
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Self
 from uuid import uuid4
 
+import msgspec
 import structlog
 
 from service.store.alarm_records import Alarm, AlarmTransition
@@ -18,6 +19,7 @@ from service.store.closable import Closable
 from service.store.deliveries import Delivery
 from service.store.durable_queue import DurableQueue
 from service.store.errors import StoreUnavailableError
+from service.store.forecast_records import IssuedForecast
 from service.store.queue_file import Mended, QueueFile, QueueLayout, QueueUnavailableError, Row
 from service.store.records import AuditEntry
 from service.store.store import Store
@@ -56,7 +58,14 @@ class AlarmChange:
     audit: AuditEntry | None = None
 
 
-Change = AlarmChange | AuditEntry
+@dataclass(frozen=True, slots=True)
+class ForecastBatch:
+    """Forecasts of any number of assets that are to be kept together."""
+
+    forecasts: tuple[IssuedForecast, ...]
+
+
+Change = AlarmChange | AuditEntry | ForecastBatch
 
 
 class Outbox(Closable):
@@ -263,6 +272,8 @@ class Outbox(Closable):
         try:
             if isinstance(change, AuditEntry):
                 self._store.audit.add(change, delivery)
+            elif isinstance(change, ForecastBatch):
+                self._store.forecasts.add(change.forecasts, delivery)
             elif change is not None:
                 self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
             else:
@@ -300,6 +311,8 @@ class Outbox(Closable):
 
 
 def _document(change: Change) -> str:
+    if isinstance(change, ForecastBatch):
+        return json.dumps({"forecasts": msgspec.to_builtins(change.forecasts)})
     kind = "audit" if isinstance(change, AuditEntry) else "alarm"
     return json.dumps({kind: asdict(change)}, default=float)
 
@@ -310,11 +323,13 @@ def _change(document: str) -> Change | None:
         ((kind, given),) = json.loads(document).items()
         if kind == "audit":
             return AuditEntry(**given)
+        if kind == "forecasts":
+            return ForecastBatch(msgspec.convert(given, tuple[IssuedForecast, ...]))
         alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
         lines = tuple(AlarmTransition(**line) for line in given["lines"])
         audit = given.get("audit")  # earlier versions kept none
         return AlarmChange(alarm, lines, audit and AuditEntry(**audit))
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, msgspec.MsgspecError) as error:
         _log.error("change_refused", change=document, error=repr(error))
         return None
 

@@ -172,14 +172,14 @@ class Ownership(Closable):
         )
         return {id for id, epoch in connection.execute(query) if owned.get(id) == epoch}
 
-    def is_owner(self, connection: Connection, partition: int, run: str) -> bool:
-        """Tell whether a run, this one or an earlier one, owns a partition until the commit."""
+    def owned_by(self, connection: Connection, partitions: Collection[int], run: str) -> set[int]:
+        """Tell which partitions a run, this one or an earlier one, owns until the commit."""
         query = (
             select(PartitionRow.id)
-            .where(PartitionRow.id == partition, PartitionRow.owner == run)
+            .where(PartitionRow.id.in_(list(partitions)), PartitionRow.owner == run)
             .with_for_update(read=True)
         )
-        return connection.execute(query).first() is not None
+        return {id for (id,) in connection.execute(query)}
 
     def close(self) -> None:
         """Give everything up; the other cells take it at once."""

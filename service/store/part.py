@@ -10,7 +10,7 @@ from sqlalchemy.orm import InstrumentedAttribute
 from service.store.database import PATIENCE_S, Database
 from service.store.deliveries import Delivery, is_first
 from service.store.errors import NotOwnerError
-from service.store.tables import AlarmTransitionRow, AuditRow
+from service.store.tables import AlarmTransitionRow, AuditRow, KeptForecastRow
 
 #: Wall seconds for a change that can wait in its outbox.
 _DELIVERY_PATIENCE_S = 1.0
@@ -65,7 +65,9 @@ class StorePart:
         if fence is not None and not fence.held(connection, (asset,)):
             raise NotOwnerError(f"asset {asset}: another cell owns it")
 
-    def _expire(self, row: type[AlarmTransitionRow | AuditRow], before_us: int) -> int:
+    def _expire(
+        self, row: type[AlarmTransitionRow | AuditRow | KeptForecastRow], before_us: int
+    ) -> int:
         """Remove lines from before a time, in portions; returns how many."""
         oldest = select(row.id).where(row.time_us < before_us).order_by(row.id).limit(_PORTION)
         removed, count = 0, _PORTION
@@ -77,7 +79,7 @@ class StorePart:
 
     def _newest_first(
         self,
-        query: Select[tuple[Any, ...]],
+        query: Select[*tuple[Any, ...]],
         number: InstrumentedAttribute[int],
         limit: int,
         cursor: int | None,

@@ -31,7 +31,7 @@ _COLUMNS = ("channel_id", "resolution_s", "time_us", "mean", "low", "high", "goo
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Days for which each resolution is kept, None without limit; journal and audit trail: 0.
+    """Days for which each resolution is kept, None without limit; the others: 0.
 
     Raw samples that expire are condensed to seconds when those are kept longer.
     """
@@ -42,6 +42,7 @@ class Retention:
     hour_days: float | None = None
     journal_days: float = 0.0
     audit_days: float = 0.0
+    forecast_days: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

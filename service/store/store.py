@@ -12,6 +12,7 @@ from service.store.database import Database, Fence, damaged
 from service.store.fleet_runs import FleetRuns
 from service.store.history import History
 from service.store.jobs import Jobs
+from service.store.kept_forecasts import KeptForecasts
 from service.store.model_versions import ModelVersions
 from service.store.nights import Nights
 from service.store.opening import open_database
@@ -54,6 +55,8 @@ class Store(Closable):
         The latest state of each twin.
     alarms : AlarmJournal
         Alarms and their journal.
+    forecasts : KeptForecasts
+        The forecast ledger.
     access : Access
         API keys and browser sessions.
     audit : Audit
@@ -74,6 +77,7 @@ class Store(Closable):
         self.fleet_runs = FleetRuns(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
+        self.forecasts = KeptForecasts(database)
         self.access = Access(database)
         self.audit = Audit(database)
         self.assets = ProvisionedAssets(database)

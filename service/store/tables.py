@@ -336,6 +336,31 @@ class PartitionRow(Base):
     owner: Mapped[str]
 
 
+class KeptForecastRow(Base):
+    """A forecast and what came of it, packed; see `service.store.kept_forecasts`."""
+
+    __tablename__ = "kept_forecasts"
+    __table_args__ = (
+        Index("ix_kept_forecasts_asset_id", "asset", "id"),
+        Index("ix_kept_forecasts_time_us", "time_us"),
+        Index(
+            "ix_kept_forecasts_due_us",
+            "due_us",
+            sqlite_where=text("due_us IS NOT NULL"),
+            postgresql_where=text("due_us IS NOT NULL"),
+        ),
+    )
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    asset: Mapped[str]
+    time_us: Mapped[int]
+    model_version: Mapped[int]
+    reason: Mapped[str]
+    issued: Mapped[bytes] = mapped_column(LargeBinary)
+    outcome: Mapped[bytes | None] = mapped_column(LargeBinary)
+    due_us: Mapped[int | None]
+
+
 class ProvisionedAssetRow(Base):
     """The table of an asset that is not in the configuration file, as JSON; None: removed."""
 

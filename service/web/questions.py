@@ -22,6 +22,7 @@ from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
 from service.site.settings import Settings
 from service.store import Store
+from service.store.forecast_records import IssuedForecast
 from service.web import worker
 from service.web.what_if_worker import WhatIfWorker
 
@@ -94,6 +95,21 @@ class WorkerQuestions:
             self._what_ifs, worker.what_if, model, machine, steps, step_s, wanted
         )
 
+    async def what_if_to_keep(
+        self,
+        asset: str,
+        machine: PresentMachine,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> tuple[WhatIf, IssuedForecast | None]:
+        """Forecast a profile, and give what is kept of the forecast."""
+        model = await self._model(asset, machine.version)
+        steps, wanted = list(profile), list(nodes) if nodes else None
+        return await self._compute(
+            self._what_ifs, worker.what_if_to_keep, model, machine, steps, step_s, wanted
+        )
+
     async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         """Give the safe operating envelope."""
         model = await self._model(asset, machine.version)
@@ -117,7 +133,8 @@ class WorkerQuestions:
             if found is None:
                 raise NotReadyError(f"model version {version} is not in the store")
             posterior = to_json(found.document["posterior"])
-            known = worker.Model(asset, version, posterior, found.created_at_us)
+            naive = to_json(found.document.get("naive_models"))
+            known = worker.Model(asset, version, posterior, found.created_at_us, naive)
             self._models[asset] = known
         return known
 

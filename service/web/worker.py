@@ -26,16 +26,18 @@ if TYPE_CHECKING:
     from service.site.asset_section import AssetSection
     from service.site.settings import Settings
     from service.store import Store
+    from service.store.forecast_records import IssuedForecast
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A model version of an asset, its posterior as JSON text."""
+    """A model version of an asset, its posterior and its simple forecasts as JSON text."""
 
     asset: str
     version: int
     posterior: bytes
     created_at_us: int
+    naive: bytes = b"null"
 
 
 _settings: "Settings | None" = None
@@ -74,6 +76,20 @@ def what_if(
 
     limits = _asset(model.asset).limits
     return what_if_document(_state(model, machine), limits, profile, step_s, nodes, machine.missing)
+
+
+def what_if_to_keep(
+    model: Model,
+    machine: PresentMachine,
+    profile: Sequence[ProfileStep],
+    step_s: float | None,
+    nodes: Sequence[str] | None,
+) -> "tuple[WhatIf, IssuedForecast | None]":
+    """Forecast a profile, and give what is kept of the forecast."""
+    from service.live.forecasting import what_if_to_keep
+
+    section, state = _asset(model.asset), _state(model, machine)
+    return what_if_to_keep(section, state, profile, step_s, nodes, machine.measured_c)
 
 
 def envelope(model: Model, machine: PresentMachine) -> "EnvelopeDocument":
@@ -141,7 +157,7 @@ def _state(model: Model, machine: PresentMachine) -> "EstimatedState":
 
 def _active(model: Model) -> "ActiveModel":
     """The model of a version; the same object as long as the version is the same."""
-    from service.jobs.models import thermal_model
+    from service.jobs.models import naive_of, thermal_model
     from service.live.estimate import ActiveModel
     from twin_core.identification.posterior import Posterior
 
@@ -154,6 +170,7 @@ def _active(model: Model) -> "ActiveModel":
             thermal_model(section),
             posterior,
             model.created_at_us if posterior.identified else None,
+            naive=naive_of({"naive_models": from_json(model.naive)}),
         )
         known = _models[model.asset] = section, active
     return known[1]

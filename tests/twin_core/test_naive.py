@@ -1,9 +1,11 @@
 """Naive forecasts recover the laws that they are able to express."""
 
+import json
+
 import numpy as np
 import pytest
 
-from twin_core.naive import NAIVE_KINDS, fit_naive, naive_rms
+from twin_core.naive import NAIVE_KINDS, NaiveForecasts, fit_naive, naive_rms
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 
@@ -46,6 +48,25 @@ def test_arx_and_static_model_recover_a_first_order_machine() -> None:
     assert static[-1] == pytest.approx(truth[-1], abs=0.1)
     assert static[10] > truth[10] + 10.0  # it knows no inertia
     assert np.all(forecasts["persistence"]["t_outer_ring_c"] == 21.0)
+
+
+def test_what_is_kept_of_them_forecasts_the_same() -> None:
+    models = fit_naive([first_order_machine(STAGES)])
+    again = NaiveForecasts.from_dict(json.loads(json.dumps(models.to_dict())))
+    ahead = profile_of(first_order_machine([(60, 2400.0, 3300.0)]))
+    now_c = {"t_inner_ring_c": 25.0, "t_outer_ring_c": 24.0}
+    for kind, by_sensor in models.forecast(ahead, now_c).items():
+        for name, values in again.forecast(ahead, now_c)[kind].items():
+            np.testing.assert_array_equal(values, by_sensor[name])
+
+
+@pytest.mark.parametrize("damage", ["sensors", "static", "transition", "spacing_s"])
+def test_what_is_kept_of_them_is_read_with_care(damage: str) -> None:
+    document = fit_naive([first_order_machine(STAGES)]).to_dict()
+    with pytest.raises(ValueError, match=f"naive forecasts: KeyError.*{damage}"):
+        NaiveForecasts.from_dict({k: v for k, v in document.items() if k != damage})
+    with pytest.raises(ValueError, match="naive forecasts: shapes"):
+        NaiveForecasts.from_dict(document | {"static": [[1.0]]})
 
 
 def test_irregular_rows_ahead_are_interpolated() -> None:

@@ -1,7 +1,6 @@
 """Forecasts with honest intervals, and the naive ones that they must beat."""
 
 from twin_core.forecasting.ensemble import (
-    QUANTILE_LEVELS,
     Exceedance,
     Forecast,
     forecast,
@@ -14,6 +13,7 @@ from twin_core.forecasting.forecasters import (
     of_ensemble,
     with_normal_band,
 )
+from twin_core.scores import QUANTILE_LEVELS
 
 __all__ = [
     "QUANTILE_LEVELS",

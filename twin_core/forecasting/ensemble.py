@@ -34,6 +34,7 @@ from twin_core.models import ThermalModel
 from twin_core.operating_points import STANDING_RPM
 from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
 from twin_core.profiles import OperatingPoint
+from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation import (
     OperatingProfile,
     hold_operating_point,
@@ -41,7 +42,6 @@ from twin_core.simulation import (
 
 FloatArray = NDArray[np.float64]
 
-QUANTILE_LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 DEVIATION_K = 0.25
 LOAD_DEVIATION = 0.04
 """What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in

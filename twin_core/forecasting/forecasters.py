@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from twin_core.forecasting.ensemble import QUANTILE_LEVELS, Forecast
+from twin_core.forecasting.ensemble import Forecast
 from twin_core.naive import NAIVE_KINDS, fit_naive
+from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 

@@ -170,6 +170,7 @@ NOTHING_YET: Account = {
     "stages": [],
     "samples": {"modbus": 0, "can": 0},
     "complete": False,
+    "forecasts_kept": {},
 }
 
 

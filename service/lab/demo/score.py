@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.clock import from_rfc3339, rfc3339
+from service.documents.forecast_ledger import NAIVE, ForecastPerformance, ForecastScore
 from service.documents.forecasts import LiveForecast
 from service.domain.channels import RING_SENSORS
 
@@ -159,6 +160,16 @@ class SampleAccount(TypedDict):
     can: int
 
 
+class KeptAccount(TypedDict):
+    """What came of the forecasts of a risk that the service kept; errors in K."""
+
+    readings: int
+    inside_95: int
+    set_aside: int
+    mae_k: float | None
+    naive_mae_k: dict[str, float | None]
+
+
 class Account(TypedDict):
     """The demo's JSON document."""
 
@@ -166,6 +177,7 @@ class Account(TypedDict):
     stages: list[StageAccount]
     samples: SampleAccount
     complete: bool
+    forecasts_kept: dict[str, KeptAccount]
 
 
 def stage_account(
@@ -189,6 +201,32 @@ def stage_account(
         },
         "warning": warning,
     }
+
+
+def kept_account(performance: ForecastPerformance) -> dict[str, KeptAccount]:
+    """What came of the forecasts that the service kept, by risk."""
+    items = performance.items
+    risks = [risk for risk in ("low", "high") if any(item.risk == risk for item in items)]
+    return {risk: _of_risk([item for item in items if item.risk == risk]) for risk in risks}
+
+
+def _of_risk(items: Sequence[ForecastScore]) -> KeptAccount:
+    scored = [item for item in items if item.n]
+    return {
+        "readings": sum(item.n for item in scored),
+        "inside_95": round(sum(item.n * (item.coverage_95 or 0.0) for item in scored)),
+        "set_aside": sum(item.set_aside for item in items),
+        "mae_k": _mean([(item.n, item.mae_k) for item in scored]),
+        "naive_mae_k": {
+            kind: _mean([(item.n, item.naive[kind].mae_k) for item in scored]) for kind in NAIVE
+        },
+    }
+
+
+def _mean(weighted: Sequence[tuple[int, float | None]]) -> float | None:
+    known = [(count, value) for count, value in weighted if value is not None]
+    total = sum(count for count, _ in known)
+    return round(sum(count * value for count, value in known) / total, 3) if total else None
 
 
 def _sensor_account(

@@ -14,6 +14,7 @@ from service.alarms import SET_ASIDE_STATES
 from service.clock import from_rfc3339, rfc3339
 from service.documents.alarms import AlarmJournalLine, AlarmJournalList, AlarmList
 from service.documents.assets import AssetDocument
+from service.documents.forecast_ledger import ForecastPerformance
 from service.documents.forecasts import LiveForecast
 from service.documents.identification import JobList
 from service.documents.limits import Limits
@@ -32,6 +33,7 @@ from service.lab.demo.score import (
     VersionAccount,
     WarningAccount,
     ended,
+    kept_account,
     made_before,
     stage_account,
 )
@@ -250,6 +252,9 @@ class Story:
                 "can": await self._sample_count(CAN_CHANNELS),
             },
             "complete": self.complete,
+            "forecasts_kept": kept_account(
+                await self._get(f"{_ASSET_PATH}/forecast-performance", ForecastPerformance)
+            ),
         }
 
     async def _model_versions(self) -> list[VersionAccount]:

@@ -5,7 +5,7 @@ from datetime import datetime
 from rich.console import Console
 from rich.table import Table
 
-from service.lab.demo.score import Account
+from service.lab.demo.score import Account, KeptAccount
 
 
 def print_account(document: Account, console: Console) -> None:
@@ -40,8 +40,22 @@ def print_account(document: Account, console: Console) -> None:
                 f"{stage['name']}: limit announced at {_local(warning['forecast_limit_at'])}, "
                 + (f"reached at {_local(reached)}" if reached else "not reached")
             )
+    for risk, kept in document["forecasts_kept"].items():
+        console.print(_record(risk, kept))
     samples = document["samples"]
     console.print(f"Good samples stored: {samples['modbus']} by Modbus, {samples['can']} by CAN.")
+
+
+def _record(risk: str, kept: KeptAccount) -> str:
+    """One line: how many readings of the kept forecasts came as they were forecast."""
+    if not kept["readings"]:
+        return f"Kept forecasts, {risk} risk: none scored, {kept['set_aside']} set aside."
+    errors = ", ".join(f"{kind} {_figure(error)}" for kind, error in kept["naive_mae_k"].items())
+    return (
+        f"Kept forecasts, {risk} risk: {kept['inside_95']} of {kept['readings']} readings 5 min to "
+        f"4 h ahead inside the 95 % band ({kept['set_aside']} set aside); mean error "
+        f"{_figure(kept['mae_k'])} K ({errors} K)."
+    )
 
 
 def _local(time: str) -> str:

@@ -16,8 +16,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from service.lab.surrogates.gaussian_process import predicted, unsettled_fits
-from twin_core.forecasting.ensemble import QUANTILE_LEVELS
 from twin_core.forecasting.forecasters import SensorForecast
+from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation.profile import OperatingProfile
 from twin_core.windows import MinuteData
 

@@ -199,8 +199,8 @@ class _Fence:
     def held(self, connection: object, assets: object) -> object:
         return assets if self._ownership.held(connection, {0}) else ()  # type: ignore[arg-type]
 
-    def may_deliver(self, connection: object, asset: str, run: str) -> bool:
-        return self._ownership.is_owner(connection, 0, run)  # type: ignore[arg-type]
+    def deliverable(self, connection: object, assets: object, run: str) -> object:
+        return assets if self._ownership.owned_by(connection, {0}, run) else ()  # type: ignore[arg-type]
 
 
 def _alarm(id: str) -> Alarm:

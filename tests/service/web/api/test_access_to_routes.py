@@ -40,6 +40,8 @@ LEAST = {
     ("POST", "/api/v1/assets/{asset_id}/measurements"): "admin",
     ("GET", "/api/v1/assets/{asset_id}/forecast"): "viewer",
     ("POST", "/api/v1/assets/{asset_id}/forecasts"): "operator",
+    ("GET", "/api/v1/assets/{asset_id}/forecasts"): "viewer",
+    ("GET", "/api/v1/assets/{asset_id}/forecast-performance"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/envelope"): "viewer",
     ("GET", "/api/v1/assets/{asset_id}/advice"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/windows"): "engineer",

@@ -125,7 +125,7 @@ async def test_errors_of_the_framework_are_problems_too(world: Any) -> None:
     response = await viewer.patch("/api/v1/assets")
     problem_of(response, 405)
     assert response.headers["allow"] == "GET"
-    problem_of(await world.client("operator").get(FORECASTS), 405)
+    problem_of(await world.client("operator").patch(FORECASTS), 405)
 
 
 @pytest.mark.parametrize("body", [b"[" * 60_000, b'{"seed": ' + b"9" * 50_000 + b"}"])

@@ -41,6 +41,10 @@ const VIEWS = {
     title: 'History', from: 'viewer', load: async () => (await import('./views/history.js')).HistoryView,
     style: 'css/history.css',
   },
+  accuracy: {
+    title: 'Accuracy', from: 'viewer', load: async () => (await import('./views/accuracy.js')).AccuracyView,
+    style: 'css/accuracy.css',
+  },
   alarms: {
     title: 'Alarms', from: 'viewer', load: async () => (await import('./views/alarms.js')).AlarmsView,
   },

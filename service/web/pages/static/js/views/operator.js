@@ -3,6 +3,7 @@ import { AlarmList } from '../alarm_list.js';
 import { summary } from '../alarms.js';
 import { h, put, setText } from '../dom.js';
 import { FirstData } from '../first_data.js';
+import { ForecastRecord } from '../forecast_record.js';
 import { channelName, fixed, isNumber, labelText, NODE_NAMES } from '../format.js';
 import { LaneChart } from '../lane.js';
 import { listed } from '../live_verdict.js';
@@ -83,6 +84,7 @@ export class OperatorView {
     clearInterval(this.timer);
     clearInterval(this.flagTimer);
     this.endings.forEach((end) => end());
+    this.record.destroy();
     [this.trend, this.speed, this.load].forEach((chart) => chart.destroy());
   }
 
@@ -93,13 +95,15 @@ export class OperatorView {
       load: h('div', { class: 'plot ld1', role: 'img' }),
     };
     this.modelText = h('span', { class: 's mut' });
+    this.record = new ForecastRecord(this.page, this.hashAsset());
     this.labels = h('span', { class: 'labels' });
     this.spanButtons = SPANS.map(([hours, text]) => h('button', {
       type: 'button', 'aria-pressed': String(hours * HOUR_MS === this.span),
       onclick: () => this.choose(hours * HOUR_MS),
     }, text));
     return h('section', { class: 'panel p-trend' },
-      h('header', {}, h('h2', {}, 'Temperature, °C'), this.modelText, this.labels,
+      h('header', {}, h('h2', {}, 'Temperature, °C'), this.modelText, this.record.element,
+        this.labels,
         h('span', { class: 'keys' },
           key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'),
           key('f50', '50 %'), key('f95', '95 %'),

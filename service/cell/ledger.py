@@ -1,0 +1,130 @@
+"""The forecast ledger of a cell: keeps forecasts, and holds them against what comes."""
+
+import asyncio
+from collections.abc import Callable
+
+import structlog
+from anyio import to_thread
+from prometheus_client import CollectorRegistry, Counter
+
+from service.cell.settling import News, Settling
+from service.clock import ProcessClock
+from service.store import Outbox, Store, StoreError
+from service.store.forecast_records import IssuedForecast
+from service.store.outbox import ForecastBatch
+
+#: Wall seconds in which others may join a batch.
+GATHER_S = 1.0
+#: Process seconds between two looks at what is due, and at least so many wall seconds.
+LOOK_EVERY_S, LOOK_LEAST_WALL_S = 60.0, 1.0
+#: Batches that wait for a store that is away: beyond these alarms alone find room on the disk.
+MOST_WAITING = 50_000
+
+_log = structlog.get_logger(__name__)
+
+
+class ForecastLedger:
+    """Keeps the forecasts of all assets in common transactions; all methods in one event loop.
+
+    Parameters
+    ----------
+    store, outbox, clock
+        Where forecasts end up, where they wait for it, process time.
+    registry : prometheus_client.CollectorRegistry
+        Where its figures are shown.
+    is_ours : callable
+        Whether this cell looks at what is due, of several with one store.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        outbox: Outbox,
+        clock: ProcessClock,
+        registry: CollectorRegistry,
+        is_ours: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._is_ours = is_ours
+        self._outbox = outbox
+        self._clock = clock
+        self._settling = Settling(store, clock.rate)
+        self._new: list[IssuedForecast] = []
+        self._failing = False
+        self._kept = Counter(
+            "bearing_twin_forecasts_kept",
+            "Live forecasts that were kept, by why: a step, ten minutes, another model version.",
+            ["reason"],
+            registry=registry,
+        )
+        self._dropped = Counter(
+            "bearing_twin_forecasts_dropped",
+            "Live forecasts that were not kept, since too much waits for the store.",
+            registry=registry,
+        )
+        self._readings = Counter(
+            "bearing_twin_forecast_readings",
+            "Readings of kept forecasts whose time has come, by what came of them: inside or "
+            "outside of the 95 % band, or set aside.",
+            ["lead_time_s", "risk", "outcome"],
+            registry=registry,
+        )
+
+    def take(self, issued: IssuedForecast) -> None:
+        """Keep a forecast, with the next batch."""
+        self._new.append(issued)
+
+    async def run(self) -> None:
+        """Keep what is taken and look at what is due, until cancelled."""
+        wall_s = asyncio.get_running_loop().time
+        every_wall_s = max(LOOK_EVERY_S / self._clock.rate, LOOK_LEAST_WALL_S)
+        look_wall_s = wall_s() + every_wall_s
+        try:
+            while True:
+                await asyncio.sleep(GATHER_S)
+                self._hand_over()
+                if wall_s() >= look_wall_s and self._is_ours():
+                    await self._look()
+                    look_wall_s = wall_s() + every_wall_s
+        finally:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        batch, self._new = tuple(self._new), []
+        if not batch:
+            return
+        if self._outbox.waiting >= MOST_WAITING:
+            self._dropped.inc(len(batch))
+            return
+        self._outbox.record(ForecastBatch(batch))
+        for one in batch:
+            self._kept.labels(one.reason).inc()
+
+    async def _look(self) -> None:
+        more = True
+        while more:
+            try:
+                more, news = await to_thread.run_sync(
+                    self._settling.look,
+                    self._clock.now_us(),
+                    abandon_on_cancel=True,  # a store that hangs does not hold up the stop
+                )
+            except StoreError as error:
+                # Nothing is lost: what is due stays so.
+                if not self._failing:
+                    _log.warning("forecasts_wait_for_the_store", error=str(error))
+                self._failing = True
+                return
+            except Exception:
+                # Whatever it was: forecasts are made and shown without it.
+                if not self._failing:
+                    _log.exception("forecasts_not_verified")
+                self._failing = True
+                return
+            self._failing = False
+            for one in news:
+                self._count(one)
+
+    def _count(self, one: News) -> None:
+        words = {True: "inside", False: "outside", None: "set aside"}
+        risk = "high" if one.high_risk else "low"
+        self._readings.labels(str(one.lead_time_s), risk, words[one.inside]).inc()

@@ -1,0 +1,88 @@
+// How good kept forecasts were: scores of several kinds put together. Pure functions.
+import { channelName, isNumber, milliseconds, wholeSpan } from './format.js';
+
+export const NAIVE = { persistence: 'persistence', linear: 'linear', arx: 'ARX' };
+export const STATED = { q025: 2.5, q25: 25, q50: 50, q75: 75, q975: 97.5 };
+const MEANS = ['coverage_50', 'coverage_95', 'bias_k', 'mae_k', 'crps_k', 'interval_score_k'];
+const DAY_MS = 86400e3;
+export const RECORD_DAYS = 30;
+
+/** 5 min, 1 h: as a lead time is called. */
+export const leadText = (seconds) => wholeSpan(seconds).replace(/^60 min$/, '1 h');
+
+/** Mean of a figure over items, each weighted with its readings; null where none has it. */
+function mean(items, figure) {
+  const known = items.filter((item) => item.n && isNumber(figure(item)));
+  const count = known.reduce((sum, item) => sum + item.n, 0);
+  return count ? known.reduce((sum, item) => sum + item.n * figure(item), 0) / count : null;
+}
+
+const total = (items, figure) => items.reduce((sum, item) => sum + figure(item), 0);
+
+/** Items as one: counts are added, means weighted. */
+export function together(items) {
+  const by = (name) => total(items, (item) => item.set_aside_by[name]);
+  return {
+    n: total(items, (item) => item.n),
+    setAside: total(items, (item) => item.set_aside),
+    by: { plan: by('plan'), data: by('data'), model: by('model') },
+    waiting: total(items, (item) => item.waiting),
+    ...Object.fromEntries(MEANS.map((name) => [name, mean(items, (item) => item[name])])),
+    below: Object.fromEntries(
+      Object.keys(STATED).map((name) => [name, mean(items, (item) => item.below[name])])),
+    naive: Object.fromEntries(
+      Object.keys(NAIVE).map((kind) => [kind, mean(items, (item) => item.naive[kind].mae_k)])),
+  };
+}
+
+/** What of the items is asked for; a wish that is null asks for all. */
+export const chosen = (items, { channel = null, risk = null, version = null }) => items.filter(
+  (item) => (!channel || item.channel === channel) && (!risk || item.risk === risk)
+    && (!version || item.model_version === version));
+
+/** One row for each lead time, shortest first. */
+export function byLead(items) {
+  const leads = [...new Set(items.map((item) => item.lead_time_s))].sort((a, b) => a - b);
+  return leads.map((lead) =>
+    ({ lead, ...together(items.filter((item) => item.lead_time_s === lead)) }));
+}
+
+/** How many readings were inside the 95 % band. */
+export const inside = (items) =>
+  Math.round(total(items, (item) => (item.n ? item.n * item.coverage_95 : 0)));
+
+/** Whether a simple forecast was better than the twin at the same readings. */
+export const loses = (row) => Object.keys(NAIVE).some(
+  (kind) => isNumber(row.naive[kind]) && isNumber(row.mae_k) && row.naive[kind] < row.mae_k);
+
+const figure = (count) => count.toLocaleString('en').replaceAll(',', '\u202f');
+
+/** “Forecasts of the last 30 days: 94 of 97 inside the band”, or why there is no such figure. */
+export function recordText(items) {
+  const { n, setAside, waiting } = together(items);
+  const begin = `Forecasts of the last ${RECORD_DAYS} days: `;
+  if (n) return `${begin}${figure(inside(items))} of ${figure(n)} inside the band`;
+  if (setAside) return `${begin}none scored, ${figure(setAside)} set aside`;
+  return waiting ? `${begin}none due yet` : '';
+}
+
+/** From when on forecasts count as those of the last days. */
+export const recordStart = (nowMs) => new Date(nowMs - RECORD_DAYS * DAY_MS).toISOString();
+
+/**
+ * The kept forecasts of a channel at a lead time whose time has come, oldest first:
+ * [{ time, madeMs, state, reading, risk, reason, version }].
+ */
+export function pastPoints(forecasts, channel, lead, nowMs) {
+  const points = forecasts.flatMap((one) => one.points.filter(
+    (point) => point.lead_time_s === lead && milliseconds(point.time) <= nowMs,
+  ).flatMap((point) => point.readings.filter((reading) => reading.channel === channel)
+    .map((reading) => ({
+      time: milliseconds(point.time), madeMs: milliseconds(one.made_at), reading,
+      state: reading.state, risk: point.risk, reason: one.reason, version: one.model_version,
+    }))));
+  return points.sort((a, b) => a.time - b.time);
+}
+
+export const channelsOf = (items) => [...new Set(items.map((item) => item.channel))]
+  .sort((a, b) => channelName(a).localeCompare(channelName(b)));

@@ -1,0 +1,162 @@
+"""Whether a plan was followed, and how good a forecast was, against plain reckoning."""
+
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_core import scores
+from twin_core.verification import (
+    FOLLOWED_N,
+    FOLLOWED_PART,
+    FOLLOWED_RPM,
+    LEAD_TIMES_S,
+    SHIFT_S,
+    MinuteCourse,
+    minute_course,
+    verify,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+STEPS = st.lists(
+    st.tuples(st.floats(120, 7200), st.floats(0, 7000), st.floats(0, 6000)), min_size=1, max_size=6
+)
+
+
+def course_of(
+    steps: list[tuple[float, float, float]],
+    minutes: int,
+    shift_s: float = 0.0,
+    factor: float = 1.0,
+    offset_s: float = 0.0,
+) -> MinuteCourse:
+    """A machine that runs a plan, shifted by some seconds and by a factor off."""
+    duration_s, speed_rpm, load_n = np.array(steps).T
+    begin_s = offset_s + 60.0 * np.arange(minutes)
+    ends_s = np.cumsum(duration_s)[:-1] + shift_s
+    fine_s = begin_s[:, None] + np.linspace(0.0, 60.0, 120, endpoint=False)
+    index = np.searchsorted(ends_s, fine_s, side="right")
+    means = [factor * level[index].mean(axis=1) for level in (speed_rpm, load_n)]
+    return minute_course(duration_s, speed_rpm, load_n, begin_s, *means)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    STEPS,
+    st.floats(-SHIFT_S, SHIFT_S),
+    st.floats(1 - 0.99 * FOLLOWED_PART, 1 + 0.99 * FOLLOWED_PART),
+    st.floats(0, 59),
+)
+def test_who_runs_the_plan_follows_it_whenever_a_step_begins_a_little_off(
+    steps: list[tuple[float, float, float]], shift_s: float, factor: float, offset_s: float
+) -> None:
+    course = course_of(steps, 240, shift_s, factor, offset_s)
+    assert not course.left.any()
+    assert not course.unknown.any()
+    assert all(course.until(lead) == "followed" for lead in LEAD_TIMES_S)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0, 7000), st.floats(0, 6000), st.sampled_from([-1, 1]), st.booleans(), SEEDS)
+def test_who_runs_elsewhere_has_left_it_from_then_on(
+    speed_rpm: float, load_n: float, sign: int, of_speed: bool, seed: int
+) -> None:
+    """Whatever the plan: one that was left at a minute is left at the next lead times."""
+    level, least = (speed_rpm, FOLLOWED_RPM) if of_speed else (load_n, FOLLOWED_N)
+    beyond = level + sign * 1.01 * max(FOLLOWED_PART * level, least)
+    if beyond < 0:
+        beyond = level + 1.01 * max(FOLLOWED_PART * level, least)
+    leaves = int(np.random.default_rng(seed).integers(0, 120))
+    values = np.where(np.arange(240) < leaves, level, beyond)
+    other = np.full(240, load_n if of_speed else speed_rpm)
+    measured = (values, other) if of_speed else (other, values)
+    course = minute_course([14400.0], [speed_rpm], [load_n], 60.0 * np.arange(240), *measured)
+    for lead_s in LEAD_TIMES_S:
+        gone = max(lead_s / 60 - leaves, 0)
+        if gone == 0:
+            assert course.until(lead_s) == "followed"
+        elif gone > 0.05 * lead_s / 60 or gone > 0.05 * min(lead_s / 60, 30):
+            assert course.until(lead_s) == "left"
+
+
+def test_a_spike_is_forgiven_and_a_last_half_hour_elsewhere_is_not() -> None:
+    values = np.full(240, 3000.0)
+    load = np.full(240, 2000.0)
+
+    def until(changed: slice, lead_s: float) -> str:
+        speed = values.copy()
+        speed[changed] = 5000.0
+        course = minute_course([14400.0], [3000.0], [2000.0], 60.0 * np.arange(240), speed, load)
+        return course.until(lead_s)
+
+    assert until(slice(100, 106), 14400) == "followed"
+    assert until(slice(100, 106), 7200) == "left"
+    assert until(slice(234, 240), 14400) == "left"
+    assert until(slice(0, 1), 300) == "left"
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 239), st.integers(0, 60))
+def test_what_is_not_known_holds_for_five_minutes(first: int, count: int) -> None:
+    speed = np.full(240, 3000.0)
+    speed[first : first + count] = np.nan
+    course = minute_course(
+        [14400.0], [3000.0], [2000.0], 60.0 * np.arange(240), speed, np.full(240, 2000.0)
+    )
+    missing = min(count, 240 - first)
+    held = 0 if first == 0 else min(missing, 5)
+    assert np.count_nonzero(course.unknown) == missing - held
+    assert not course.left.any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.integers(0, 50))
+def test_scores_are_those_of_plain_reckoning(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    quantiles = np.sort(rng.normal(60.0, 5.0, (count, 5)), axis=1)
+    measured = rng.normal(60.0, 5.0, count)
+    measured[rng.random(count) < 0.2] = np.nan
+    found = verify(quantiles, measured)
+    known = [(q, y) for q, y in zip(quantiles.tolist(), measured.tolist(), strict=True) if y == y]
+    assert found.n == len(known)
+    if not known:
+        assert np.isnan(found.coverage_95)
+        return
+
+    def mean(values: list[float]) -> float:
+        return sum(values) / len(values)
+
+    assert found.coverage_95 == pytest.approx(mean([q[0] <= y <= q[4] for q, y in known]))
+    assert found.coverage_50 == pytest.approx(mean([q[1] <= y <= q[3] for q, y in known]))
+    assert found.bias_k == pytest.approx(mean([q[2] - y for q, y in known]))
+    assert found.mae_k == pytest.approx(mean([abs(q[2] - y) for q, y in known]))
+    assert found.interval_score_k == pytest.approx(
+        mean([q[4] - q[0] + 40.0 * (max(q[0] - y, 0.0) + max(y - q[4], 0.0)) for q, y in known])
+    )
+    assert found.below == pytest.approx([mean([y <= q[k] for q, y in known]) for k in range(5)])
+    assert list(found.below) == sorted(found.below)
+
+
+def test_an_honest_forecast_covers_what_it_states_and_no_other_scores_better() -> None:
+    rng = np.random.default_rng(0)
+    measured = rng.normal(60.0, 2.0, 20_000)
+    steps = np.array([NormalDist().inv_cdf(level) for level in scores.QUANTILE_LEVELS])
+
+    def of(spread_k: float, off_k: float = 0.0) -> np.ndarray:
+        return np.tile(60.0 + off_k + spread_k * steps, (measured.size, 1))
+
+    honest = verify(of(2.0), measured)
+    assert honest.coverage_95 == pytest.approx(0.95, abs=0.01)
+    assert honest.coverage_50 == pytest.approx(0.50, abs=0.01)
+    assert honest.below == pytest.approx(scores.QUANTILE_LEVELS, abs=0.01)
+    for other in (of(4.0), of(1.0), of(2.0, 1.5)):
+        worse = verify(other, measured)
+        assert worse.crps_k > honest.crps_k
+        assert worse.interval_score_k > honest.interval_score_k
+
+
+def test_shapes_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"quantiles \(3, 5\), expected \(2, 5\)"):
+        verify(np.zeros((3, 5)), np.zeros(2))
