@@ -15,6 +15,7 @@ import structlog
 from service.alarms import UnknownAlarmError
 from service.bus import commands
 from service.bus.exposition import merged
+from service.bus.interface import AWAY_AFTER_S
 from service.bus.messages import AnswerT, Change, Command, State
 from service.bus.nats_bus import STATES, CellLink, NatsConnection, inbox, unpacked
 from service.domain.errors import CellUnavailableError
@@ -163,6 +164,8 @@ class Fleet:
                 for token, cell in list(self.cells.items()):
                     if cell.away_s > _FORGET_AFTER_S:
                         self._forget(token)
+                    elif cell.away_s > AWAY_AFTER_S:
+                        cell.lose()  # who waits may ask again, and is answered by another cell
                 due = [cell for cell in self.alive() if self._named.get(cell.epoch) != _kind(cell)]
                 await asyncio.gather(*(self._learn(cell) for cell in due))
 

@@ -309,6 +309,8 @@ class CellLink:
         return await self._asking.ask(command, patience_s)
 
     def _send(self, request: bytes, patience_s: float) -> None:
+        if not self._connection.connected:
+            raise CellUnavailableError("the bus to the cells is away")
         body = packed(_ASKED.pack(self._caller, patience_s) + request)
         self._connection.send(f"{_CELLS}.{self.epoch}.ask", body, self._inbox)
 

@@ -242,6 +242,8 @@ class _Start:
         finally:
             await to_thread.run_sync(outbox.close, OUTBOX_S)
             if share is not None:
+                # No device may have two readers: ours end before another cell may begin.
+                await acquisition.read_for({})
                 await to_thread.run_sync(share.ownership.close)
         if share is not None and share.ownership.lost:
             # Nothing that this process knows holds any more: a new one begins with the store.

@@ -21,7 +21,7 @@ from service.domain.requests import IdentificationRequest
 from service.jobs.documents import shown
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
 from service.jobs.workspace import JobFolder, clear_folders
-from service.store import ActiveJobError, AuditEntry, Job, StoreUnavailableError
+from service.store import ActiveJobError, AuditEntry, Job, NotOwnerError, StoreUnavailableError
 
 _log = structlog.get_logger(__name__)
 
@@ -93,7 +93,7 @@ class IdentificationJobs:
                     await self.runner.change(
                         job.id, "interrupt", progress=0.0, attempts=max(job.attempts - 1, 0)
                     )
-        except (StoreUnavailableError, TimeoutError) as error:
+        except (StoreUnavailableError, NotOwnerError, TimeoutError) as error:
             _log.warning("jobs_left_running", error=str(error))  # the next start takes them up
 
     async def end(self, assets: Collection[str]) -> None:
