@@ -23,11 +23,16 @@ AssetId = Annotated[str, typer.Option(help="Asset that the data belong to.")]
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="CSV, Parquet (.parquet) or MDF 4 (.mf4).")
+    ],
     asset: AssetId,
     start: Annotated[
         str | None,
-        typer.Option(metavar="RFC3339", help="Time of 0 s, for a file with a column time_s."),
+        typer.Option(
+            metavar="RFC3339",
+            help="Time of 0 s, for a file with a column time_s or one of no time zone.",
+        ),
     ] = None,
     mapping: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Which column is which channel (TOML).")
@@ -102,7 +107,7 @@ def import_(
 
 def export(
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Ends in .csv or .parquet.", dir_okay=False)
+        Path, typer.Option(metavar="FILE", help="Ends in .csv, .parquet or .mf4.", dir_okay=False)
     ],
     asset: AssetId,
     channel: Annotated[

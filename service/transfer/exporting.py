@@ -12,6 +12,7 @@ from service.domain.channels import OPERATING_CHANNELS, RING_SENSORS, is_tempera
 from service.files import replacing
 from service.spreadsheets import text_cell
 from service.store import Rollup, Store, StoredSample
+from service.transfer import mdf
 from service.transfer.errors import TransferError
 from service.transfer.pages import RAW, ExportPosition, as_csv, csv_header, read_pages
 
@@ -110,7 +111,7 @@ class ParquetPages:
 
 
 def export_file(path: Path, store: Store, asset: str, place: ExportPosition) -> int:
-    """Write a query to a file, CSV or Parquet by its suffix; complete, or not at all.
+    """Write a query to a file: CSV, Parquet or MDF 4 by its suffix; complete, or not at all.
 
     Returns
     -------
@@ -122,10 +123,15 @@ def export_file(path: Path, store: Store, asset: str, place: ExportPosition) -> 
     TransferError, FileError
         If the suffix is another or the file cannot be written.
     """
-    writers = {".csv": write_csv, ".parquet": write_parquet, ".pq": write_parquet}
+    writers = {
+        ".csv": write_csv,
+        ".parquet": write_parquet,
+        ".pq": write_parquet,
+        mdf.SUFFIX: mdf.write_mdf,
+    }
     writer = writers.get(path.suffix.lower())
     if writer is None:
-        raise TransferError(f"{path}: expected a name that ends in .csv or .parquet")
+        raise TransferError(f"{path}: expected a name that ends in .csv, .parquet or .mf4")
     with replacing(path, binary=True) as file:
         return writer(file, store, asset, place)
 
@@ -146,9 +152,13 @@ def export_minutes(
 
     Raises
     ------
-    FileError
-        If the file cannot be written.
+    TransferError, FileError
+        If the name is that of another kind of file, or the file cannot be written.
     """
+    if path.suffix.lower() == mdf.SUFFIX:
+        raise TransferError(
+            f"{path}: minutes are written as CSV; expected a name that ends in .csv"
+        )
     measured = [name for name in channels if name in OPERATING_CHANNELS or is_temperature(name)]
     inputs = [name for name in measured if name in OPERATING_CHANNELS]
     temperatures = [name for name in measured if name not in OPERATING_CHANNELS]

@@ -1,4 +1,4 @@
-"""Files into the store: CSV and Parquet, every bad row named, sending again does no harm."""
+"""Files into the store: CSV, Parquet, MDF 4; every bad row named, sending again does no harm."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,6 +8,7 @@ from pathlib import Path
 from adapters.samples import Quality, Sample
 from adapters.tables import RowError, open_table
 from service.store import Store
+from service.transfer import mdf
 from service.transfer.errors import TransferError
 from service.transfer.mapping import Layout, layout_of, read_mapping, time_reader
 
@@ -77,7 +78,7 @@ def import_file(
     Parameters
     ----------
     path
-        A CSV file, or a Parquet file by its suffix.
+        A CSV file, or a Parquet or MDF 4 file by its suffix.
     asset
         Whose channels they are.
     store
@@ -85,7 +86,7 @@ def import_file(
     mapping
         Mapping file, if the columns do not carry the names of channels.
     start_us
-        What a column of seconds counts from, UTC microseconds.
+        What a column of seconds counts from, UTC microseconds; of an MDF file the time of 0 s.
     own_channels
         Channels of an asset with a network of its own; None for a bearing.
     now_us
@@ -101,8 +102,16 @@ def import_file(
         If the store goes away; what was stored stays, and importing again completes it.
     """
     plan = None if mapping is None else read_mapping(mapping)
-    delimiter = "," if plan is None else plan.delimiter
     report = ImportReport()
+    if path.suffix.lower() == mdf.SUFFIX:
+        with mdf.open_mdf(path, plan, own_channels, start_us) as found:
+            for one in found:
+                _take_channel(one, asset, store, now_us, report)
+                progress(one.read)
+        if report.rows == 0:
+            raise TransferError(f"{path.name}: no samples; expected at least one")
+        return report
+    delimiter = "," if plan is None else plan.delimiter
     with open_table(path, delimiter) as (columns, rows):
         layout = layout_of(path.name, columns, plan, own_channels)
         if layout.seconds and start_us is None:
@@ -122,6 +131,29 @@ def import_file(
         raise TransferError(f"{path.name}: line 2: no rows; expected at least one")
     progress(1.0)
     return report
+
+
+def _take_channel(
+    one: mdf.MdfChannel, asset: str, store: Store | None, now_us: int, report: ImportReport
+) -> None:
+    """Store a channel of an MDF file; lines are the numbers of its samples."""
+    rows = zip(one.time_us.tolist(), one.values.tolist(), one.quality.tolist(), strict=True)
+    batch: list[Sample] = []
+    for number, (time_us, value, quality) in enumerate(rows, 1):
+        report.rows += 1
+        try:
+            if not 0 <= time_us < 2**62:
+                raise RowError(f"{one.channel}: expected a time after 1970")
+            if not math.isnan(value):
+                _check_range(one.channel, value)
+        except RowError as error:
+            report.reject(number, str(error))
+            continue
+        batch.append(Sample(asset, one.channel, time_us, value, quality, now_us))
+        if len(batch) >= BATCH_SAMPLES:
+            _store(store, batch, report)
+            batch = []
+    _store(store, batch, report)
 
 
 def _store(store: Store | None, samples: Sequence[Sample], report: ImportReport) -> None:

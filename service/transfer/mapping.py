@@ -30,9 +30,13 @@ class TimeColumn(_Model):
 
 
 class ChannelColumn(_Model):
-    """Where a channel comes from: its value is that of the column times scale plus offset."""
+    """Where a channel comes from: its value is that of the column times scale plus offset.
+
+    ``group`` says which one of an MDF file, where several have a channel of this name.
+    """
 
     column: str
+    group: int | None = Field(None, ge=0)
     scale: float = Field(1.0, allow_inf_nan=False)
     offset: float = Field(0.0, allow_inf_nan=False)
 
@@ -43,14 +47,14 @@ class Mapping(_Model):
     Attributes
     ----------
     time
-        The column with the times.
+        The column with the times; None for an MDF file, where each channel has its own.
     channels
         By name of the channel.
     delimiter
         Of a CSV file.
     """
 
-    time: TimeColumn
+    time: TimeColumn | None = None
     channels: dict[str, ChannelColumn] = Field(min_length=1)
     delimiter: str = Field(",", min_length=1, max_length=1)
 
@@ -125,6 +129,13 @@ def layout_of(
         if columns.count(name) > 1:
             raise wrong(f"column {name!r} occurs twice; expected once")
     if mapping is not None:
+        if mapping.time is None:
+            raise TransferError(f"{file}: the mapping has no [time]; expected the times' column")
+        for channel, one in mapping.channels.items():
+            if one.group is not None:
+                raise TransferError(
+                    f"{file}: channels.{channel}.group: only an MDF file has groups"
+                )
         wanted = [mapping.time.column, *(one.column for one in mapping.channels.values())]
         for name in wanted:
             if name not in columns:

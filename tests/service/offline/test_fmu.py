@@ -15,6 +15,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from programs import needed
 
 from service.offline.model_file import IdentifiedModel
 from service.offline.simulation import SimulatedRows, simulate_profile
@@ -71,6 +72,7 @@ def case(
     tmp_path_factory: pytest.TempPathFactory,
     run_command: Callable[..., Any],
 ) -> Case:
+    needed("gcc libc6-dev", "cc")
     name: str = request.param
     folder = tmp_path_factory.mktemp(name)
     machine = own_model(DRIVE, folder) if name == "drive" else bearing_model(name)
@@ -258,6 +260,7 @@ def test_a_machine_that_runs_away_is_an_error(
 def test_the_commands_agree_and_equal_models_give_equal_files(
     prior_model: Path, command: Callable[..., Any], tmp_path: Path
 ) -> None:
+    needed("gcc libc6-dev", "cc")
     profile = steps_file(
         tmp_path / "profile.csv", [[0, 3000, 2650, 20], [3600, 5000, 4000, 22], [7200, 0, 0, 22]]
     )

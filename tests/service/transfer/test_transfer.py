@@ -224,7 +224,7 @@ def test_minutes_are_what_identify_reads(tmp_path: Path, run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("--out", "x.xls"), "expected a name that ends in .csv or .parquet"),
+        (("--out", "x.xls"), "expected a name that ends in .csv, .parquet or .mf4"),
         (("--out", "x.csv", "--channel", "t_gear_c"), "--channel t_gear_c"),
         (("--out", "x.csv", "--resolution", "2s3"), "--resolution 2s3"),
         (("--out", "x.csv", "--start", "now"), "--start: time 'now'"),

@@ -1,0 +1,121 @@
+"""Write ``model.schema.json``, what a model file looks like: ``python -m … docs``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.offline.model_file import FORMAT_VERSION
+from service.site.machines.bearings import BearingSection
+from service.site.machines.networks import NetworkSection
+
+NAME: Final = "model.schema.json"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class Span(_Part):
+    """A span of constant speed and load, or of varying duty; means over it."""
+
+    speed_rpm: float = Field(description="Speed in rpm.")
+    load_n: float = Field(description="Load in N.")
+    duration_s: float = Field(description="Length in s.")
+    start_s: float = Field(description="Begin in s, counted from the first row of the data.")
+
+
+class Trained(_Part):
+    """The operation that the model was identified from."""
+
+    operating_points: list[Span] = Field(description="Spans of constant speed and load, in order.")
+    minutes: int = Field(ge=0, description="Rows of the data; 0 before any identification.")
+    from_rest: bool = Field(description="Whether it began on a machine at standstill.")
+    revolutions: float = Field(description="Revolutions since fresh grease, at the first row.")
+    ambient_c: float | None = Field(None, description="Mean ambient temperature in °C.")
+    duty: list[Span] = Field(
+        default_factory=list, description="Where the machine ran while it was held nowhere."
+    )
+    drives: dict[str, float] = Field(
+        default_factory=dict,
+        description="Input of a network by name: what its size exceeds in one row of twenty.",
+    )
+
+
+class Posterior(_Part):
+    """What is known of the parameters, in standard coordinates z.
+
+    A parameter is centre * exp(spread * z) with transform "log", else centre + spread * z, within
+    its bounds; before any data z is standard normal. The order is that of the model's parameters.
+    """
+
+    model: str = Field(description="Name of the model.")
+    bearing: str = Field(description="Designation of the bearing, or name of the network.")
+    z: list[float] = Field(description="(p,) most probable coordinates.")
+    covariance: list[list[float]] = Field(description="(p, p) covariance around them.")
+    samples: list[list[float]] = Field(description="(k, p) samples, which forecasts use.")
+    sensor_lag_s: float = Field(ge=0, description="Lag of the temperature sensors in s.")
+    train_rms_k: dict[str, float] = Field(description="Error in the data by sensor, rms in K.")
+    cost_per_residual: float = Field(description="Mean squared whitened residual.")
+    rank: int = Field(ge=0, description="Rank of the whitened sensitivities.")
+    condition: float = Field(description="Condition of the whitened sensitivities.")
+    informed_combinations: int = Field(ge=0, description="Combinations that the data decide.")
+    trained: Trained
+    evaluations: int = Field(ge=0, description="Simulations of the data that it took.")
+
+
+class RunIn(_Part):
+    """Revolutions of the shaft over the data: the run-in state of the grease."""
+
+    start_us: int | None = Field(
+        description="UTC microseconds from which time_s counts; null for data without dates."
+    )
+    at_rest: bool = Field(description="Whether the machine stood at ambient at the first row.")
+    time_s: list[float] = Field(min_length=1, description="(n,) some rows, first and last.")
+    revolutions: list[float] = Field(
+        min_length=1, description="(n,) counted from the first row of the data."
+    )
+    temperatures_c: dict[str, list[float | None]] = Field(
+        description="(n,) °C by sensor; null where nothing was measured."
+    )
+
+
+class Machine(_Part):
+    """What the model is built of: a bearing, or a network of the user's own."""
+
+    model: str = Field(description="Which of the models of a bearing.")
+    bearing: BearingSection | None = Field(description="Dimensions in mm, rating in N.")
+    network: NetworkSection | None = Field(description="null for the network of a bearing.")
+
+
+class ModelFile(BaseModel):
+    """A model that `bearing-twin identify` wrote, with everything that a forecast needs.
+
+    Later versions may add members; readers leave out what they do not know.
+    """
+
+    model_config = ConfigDict(extra="allow", title="Bearing Twin model file")
+
+    format: Literal["bearing-twin model"]
+    format_version: Literal[1]
+    model: str = Field(description="Name of the model.")
+    bearing: str = Field(description="Designation of the bearing, or name of the network.")
+    machine: Machine
+    posterior: Posterior
+    run_in: RunIn
+
+
+def schema() -> dict[str, Any]:
+    """Return the schema (JSON Schema 2020-12) of the files that are written."""
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:bearing-twin:model:{FORMAT_VERSION}",
+    }
+    return head | ModelFile.model_json_schema(mode="serialization")
+
+
+if __name__ == "__main__":
+    text = json.dumps(schema(), indent=1, ensure_ascii=False)
+    Path(sys.argv[1], NAME).write_text(f"{text}\n", encoding="utf-8")

@@ -1,0 +1,387 @@
+"""MDF 4, the files of measurement systems (ASAM): a group with a time axis for each channel.
+
+A bad value is NaN with its invalidation bit, as some readers know only one of the two; the quality
+byte stands in a channel beside it, ``NAME.quality``.
+"""
+
+import contextlib
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.samples import Quality
+from adapters.tables import TableFileError
+from service.domain.channels import NODES, OPERATING_CHANNELS, RING_SENSORS, unit_of
+from service.store import Store, StoredSample
+from service.transfer.errors import TransferError
+from service.transfer.mapping import ChannelColumn, Mapping
+from service.transfer.pages import RAW, ExportPosition, read_pages
+from service.transfer.units import into_ours, units_of
+
+SUFFIX: Final = ".mf4"
+PAGE_ROWS = 20_000
+_QUALITY = ".quality"
+_SECOND_US = 1_000_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_COMPRESSED = 2
+"""Transposed and deflated: what slow temperatures shrink most by."""
+_BEGINNING = b"MDF     4"
+_HEADER: Final = struct.Struct("<64s4s4xQQ6Q")
+"""Identification, then the header block: its id, length, number of links, and links."""
+# What asammdf raises for a file that is cut off or damaged.
+_DAMAGED = (ValueError, KeyError, IndexError, TypeError, EOFError, struct.error, OSError)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MdfChannel:
+    """One channel of a file, as samples of ours.
+
+    Attributes
+    ----------
+    channel
+        Ours.
+    time_us
+        (n,) UTC microseconds.
+    values
+        (n,) in our unit; NaN where there is none.
+    quality
+        (n,) OPC DA bytes.
+    read
+        How much of the file has been read with it, from 0 to 1.
+    """
+
+    channel: str
+    time_us: NDArray[np.int64]
+    values: NDArray[np.float64]
+    quality: NDArray[np.int64]
+    read: float
+
+
+def load_asammdf() -> Any:
+    """Import asammdf.
+
+    Raises
+    ------
+    TableFileError
+        If it is not installed; says how to install it.
+    """
+    try:
+        import asammdf
+    except ImportError:
+        raise TableFileError("MDF 4 needs asammdf: pip install 'bearing-twin[mdf]'") from None
+    return asammdf
+
+
+# ---------------------------------------------------------------------------------------------
+# Out
+
+
+def write_mdf(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -> int:
+    """Write the rows of a query, a group per channel; returns how many rows.
+
+    Samples have ``NAME`` and ``NAME.quality``; buckets their mean as ``NAME``, and ``NAME.min``,
+    ``NAME.max`` and ``NAME.count`` besides. The file begins, in UTC, with the first of all rows.
+
+    Raises
+    ------
+    TableFileError
+        If asammdf is not installed.
+    """
+    asammdf = load_asammdf()
+    names = place.channels or store.samples.channels(asset)
+    rows = 0
+    with asammdf.MDF(version="4.10") as mdf:
+        start_us = _start_us(store, asset, place, names)
+        mdf.header.start_time = _EPOCH + timedelta(microseconds=start_us)
+        mdf.header.comment = asset
+        for name in names:
+            one = place.model_copy(update={"channels": [name]})
+            table = _columns(store, asset, one)
+            if not table[0].size:
+                continue
+            rows += table[0].size
+            mdf.append(
+                _signals(asammdf, name, table, start_us, place.resolution),
+                comment=f"{asset}/{name}",
+                common_timebase=True,
+            )
+        mdf.save(file, compression=_COMPRESSED)
+    return rows
+
+
+def _start_us(store: Store, asset: str, place: ExportPosition, names: Sequence[str]) -> int:
+    """Give the whole second in which the first row lies."""
+    first_us = []
+    for name in names:
+        one = place.model_copy(update={"channels": [name]})
+        page = next(read_pages(store, asset, one, 1), ())
+        first_us += [row.time_us for row in page[:1]]
+    return min(first_us, default=0) // _SECOND_US * _SECOND_US
+
+
+def _columns(store: Store, asset: str, place: ExportPosition) -> list[NDArray[Any]]:
+    """Times, qualities, values of one channel; of buckets their extremes and counts too."""
+    pages = []
+    for page in read_pages(store, asset, place, PAGE_ROWS):
+        if not page:
+            continue
+        columns = [
+            (row.time_us, row.quality, row.value)
+            if isinstance(row, StoredSample)
+            else (row.time_us, row.quality, row.mean, row.min, row.max, row.count)
+            for row in page
+        ]
+        kinds = (np.int64, np.uint8, *(len(columns[0]) - 2) * (np.float64,))
+        pages.append(
+            [
+                np.array(one, kind)
+                for one, kind in zip(zip(*columns, strict=True), kinds, strict=True)
+            ]
+        )
+    if not pages:
+        return [np.empty(0)] * 3
+    return [np.concatenate(parts) for parts in zip(*pages, strict=True)]
+
+
+def _signals(
+    asammdf: Any, name: str, table: Sequence[NDArray[Any]], start_us: int, resolution: str
+) -> list[Any]:
+    time_us, quality, *values = table
+    seconds = (time_us - start_us) / _SECOND_US
+    bad = quality < Quality.UNCERTAIN
+    endings = ("",) if resolution == RAW else ("", ".min", ".max", ".count")
+    found = [
+        asammdf.Signal(
+            np.where(bad, np.nan, column),
+            seconds,
+            unit="" if ending == ".count" else unit_of(name),
+            name=f"{name}{ending}",
+            invalidation_bits=bad | np.isnan(column),
+        )
+        for ending, column in zip(endings, values, strict=True)
+    ]
+    found.append(asammdf.Signal(quality, seconds, name=f"{name}{_QUALITY}", comment="OPC DA"))
+    return found
+
+
+# ---------------------------------------------------------------------------------------------
+# In
+
+
+@contextlib.contextmanager
+def open_mdf(
+    path: Path,
+    mapping: Mapping | None,
+    own_channels: Sequence[str] | None,
+    start_us: int | None,
+) -> Iterator[Iterator[MdfChannel]]:
+    """Open a file and give its channels, one after the other.
+
+    Parameters
+    ----------
+    path
+        The file.
+    mapping
+        Which channel of the file is which of ours; None takes them by their names.
+    own_channels
+        Channels of an asset with a network of its own; None for a bearing in the 14-node network.
+    start_us
+        Time of 0 s in UTC microseconds, for a file that does not know it in UTC, or knows it wrong.
+
+    Raises
+    ------
+    TableFileError
+        If asammdf is not installed, or the file cannot be read, also in the middle of it.
+    TransferError
+        If a channel is missing, unknown, there several times, in a wrong unit or no number, or
+        the file's time has no zone.
+    """
+    asammdf = load_asammdf()
+    try:
+        with path.open("rb") as file:
+            _check_header(path.name, file.read(_HEADER.size), path.stat().st_size)
+            file.seek(0)
+            with _telling_damage(asammdf, path.name), asammdf.MDF(file) as mdf:
+                if start_us is None:
+                    start_us = _recorded_start_us(path.name, mdf)
+                chosen = _chosen(path.name, mdf, mapping, own_channels)
+                yield _channels(asammdf, path.name, mdf, chosen, start_us)
+    except OSError as error:
+        raise TableFileError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _check_header(name: str, header: bytes, size: int) -> None:
+    """Refuse what is no such file or ends too early; of these asammdf leaves a traceback."""
+    if not header.startswith(_BEGINNING):
+        raise TableFileError(
+            f"{name}: not a finished MDF 4 file; expected one that begins with 'MDF'"
+        )
+    if len(header) == _HEADER.size:
+        _, block, _, _, *links = _HEADER.unpack(header)
+        if block == b"##HD" and max(links) < size:
+            return
+    raise TableFileError(f"{name}: damaged MDF 4 file (cut off at {size} bytes)")
+
+
+@contextlib.contextmanager
+def _telling_damage(asammdf: Any, name: str) -> Iterator[None]:
+    try:
+        yield
+    except (TableFileError, TransferError):
+        raise
+    except (*_DAMAGED, asammdf.blocks.utils.MdfException) as error:
+        raise TableFileError(f"{name}: damaged MDF 4 file ({error})") from error
+
+
+def _recorded_start_us(name: str, mdf: Any) -> int:
+    start = mdf.header.start_time
+    if start.tzinfo is None:
+        raise TransferError(
+            f"{name}: begins at {start.isoformat()} of an unknown time zone; expected --start with "
+            "the time of 0 s"
+        )
+    return int((start - _EPOCH) // timedelta(microseconds=1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """A channel of ours and where it comes from."""
+
+    channel: str
+    source: ChannelColumn
+    group: int
+    index: int
+
+
+def _places(mdf: Any) -> dict[str, list[tuple[int, int]]]:
+    """Group and index of every channel by name, without the time axes."""
+    return {
+        name: here
+        for name, places in mdf.channels_db.items()
+        if (here := [one for one in places if mdf.masters_db.get(one[0]) != one[1]])
+    }
+
+
+def _chosen(
+    file: str, mdf: Any, mapping: Mapping | None, own_channels: Sequence[str] | None
+) -> list[_Chosen]:
+    places = _places(mdf)
+    if mapping is None:
+        return list(_by_name(file, places, own_channels))
+    if mapping.time is not None:
+        raise TransferError(
+            f"{file}: an MDF file has its own times; expected a mapping without [time]"
+        )
+    wanted = ", ".join(one.column for one in mapping.channels.values())
+    found = []
+    for channel, source in mapping.channels.items():
+        here = places.get(source.column, [])
+        if not here:
+            raise TransferError(
+                f"{file}: missing channel {source.column!r}; the mapping names {wanted}"
+            )
+        groups = ", ".join(str(group) for group, _ in here)
+        fitting = [one for one in here if source.group in (None, one[0])]
+        if len(fitting) != 1:
+            raise TransferError(
+                f"{file}: channel {source.column!r} is in the groups {groups}; expected "
+                f"channels.{channel}.group = one of them"
+            )
+        found.append(_Chosen(channel, source, *fitting[0]))
+    return found
+
+
+def _by_name(
+    file: str, places: dict[str, list[tuple[int, int]]], own_channels: Sequence[str] | None
+) -> Iterator[_Chosen]:
+    """Choose what is ours: known names, and all that stands beside its quality as we write it."""
+    standard = (*OPERATING_CHANNELS, *RING_SENSORS, *NODES)
+    known = standard if own_channels is None else tuple(own_channels)
+    judged = {
+        (name.removesuffix(_QUALITY), group)
+        for name, here in places.items()
+        if name.endswith(_QUALITY)
+        for group, _ in here
+    }
+    for name, here in places.items():
+        for group, index in here:
+            if (name, group) in judged or name in known:
+                yield _Chosen(name, ChannelColumn(column=name), group, index)
+            elif not name.endswith(_QUALITY):
+                raise TransferError(
+                    f"{file}: unknown channel {name!r}; expected "
+                    f"{', '.join(known[:5])} …, or a mapping"
+                )
+
+
+def _channels(
+    asammdf: Any, file: str, mdf: Any, chosen: Sequence[_Chosen], start_us: int
+) -> Iterator[MdfChannel]:
+    places = _places(mdf)
+    for number, one in enumerate(chosen, 1):
+        with _telling_damage(asammdf, file):
+            signal = mdf.get(group=one.group, index=one.index, ignore_invalidation_bits=True)
+            beside = dict(places.get(f"{one.source.column}{_QUALITY}", ()))
+            quality = None
+            if one.group in beside:
+                quality = mdf.get(
+                    group=one.group,
+                    index=beside[one.group],
+                    samples_only=True,
+                    ignore_invalidation_bits=True,
+                )[0]
+        yield _as_samples(file, one, signal, quality, start_us, number / len(chosen))
+
+
+def _as_samples(
+    file: str, one: _Chosen, signal: Any, quality: Any, start_us: int, read: float
+) -> MdfChannel:
+    samples = np.asarray(signal.samples)
+    if samples.ndim != 1 or samples.dtype.kind not in "fiub":
+        raise TransferError(f"{file}: channel {one.source.column!r} holds no numbers")
+    scale, offset = _factors(file, one, str(signal.unit or ""))
+    values = samples.astype(np.float64) * scale + offset
+    invalid = np.zeros(values.size, bool)
+    if signal.invalidation_bits is not None:
+        invalid = np.asarray(signal.invalidation_bits, bool)
+    # Where only the bit says that a value is bad, the file does not tell why.
+    if quality is None:
+        judged = np.where(invalid, int(Quality.BAD), int(Quality.GOOD))
+        # A valid sample that is no number is a missing one, as an empty cell of a table.
+        kept = invalid | ~np.isnan(values)
+    else:
+        judged = _bytes(file, one, np.asarray(quality))
+        unsaid = invalid & (judged >= Quality.UNCERTAIN) & ~np.isnan(values)
+        judged = np.where(unsaid, int(Quality.BAD), judged)
+        kept = np.ones(values.size, bool)
+    values[invalid] = np.nan
+    time_us = start_us + np.rint(np.asarray(signal.timestamps) * _SECOND_US).astype(np.int64)
+    return MdfChannel(one.channel, time_us[kept], values[kept], judged[kept], read)
+
+
+def _bytes(file: str, one: _Chosen, quality: NDArray[Any]) -> NDArray[np.int64]:
+    is_whole = quality.dtype.kind in "iu"
+    if not is_whole or (quality.size and not 0 <= quality.min() <= quality.max() <= 255):
+        raise TransferError(
+            f"{file}: channel '{one.source.column}{_QUALITY}': expected whole numbers from 0 to 255"
+        )
+    return quality.astype(np.int64)
+
+
+def _factors(file: str, one: _Chosen, unit: str) -> tuple[float, float]:
+    """Scale and offset: as the mapping has them, else from the unit of the file."""
+    if {"scale", "offset"} & one.source.model_fields_set:
+        return one.source.scale, one.source.offset
+    found = into_ours(one.channel, unit)
+    if found is None:
+        raise TransferError(
+            f"{file}: channel {one.source.column!r} is in {unit!r}; expected "
+            f"{', '.join(units_of(one.channel))} for {one.channel}, or a mapping with scale"
+        )
+    return found

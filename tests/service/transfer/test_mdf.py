@@ -1,0 +1,252 @@
+"""MDF 4 out and in: units, quality, times; files of others, and what cannot be used."""
+
+import json
+import math
+import random
+import sys
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from asammdf import MDF, Signal
+from typer.testing import CliRunner
+
+from adapters.samples import Sample
+from service.cli.main import app
+from service.clock import from_rfc3339
+from service.store import Store
+
+Run = Callable[..., tuple[int, dict[str, Any], str]]
+
+START = "2026-03-01T12:00:00.250001Z"
+START_US = from_rfc3339(START)
+CONFIG = """
+[service]
+data_dir = "data"
+[[assets]]
+id = "a"
+bearing = "6311"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+channels = { t_inner_ring_c = { source = "push" } }
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    config = tmp_path / "c.toml"
+    config.write_text(CONFIG)
+
+    def run(*arguments: object) -> tuple[int, dict[str, Any], str]:
+        texts = [str(one) for one in arguments]
+        result = CliRunner().invoke(app, [*texts, "-c", str(config), "--asset", "a", "--json"])
+        if isinstance(result.exception, ValueError):
+            assert type(result.exception).__module__.startswith(("service.", "adapters."))
+            assert "\n" not in str(result.exception)
+            return 2, {}, str(result.exception)
+        assert result.exception is None or isinstance(result.exception, SystemExit), result
+        return result.exit_code, json.loads(result.stdout), result.stderr
+
+    return run
+
+
+def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
+    with Store.open("", tmp_path / "data") as store:
+        rows = store.samples.read("a", None, 0, 2**62, 10**6)
+    return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
+
+
+def fill(tmp_path: Path, samples: Sequence[Sample]) -> None:
+    with Store.open("", tmp_path / "data") as store:
+        store.samples.write(samples)
+
+
+def record(path: Path, *groups: list[Signal], start: datetime | None = None) -> Path:
+    """A file of another measurement system."""
+    with MDF(version="4.10") as mdf:
+        mdf.header.start_time = start or datetime(2026, 3, 1, 12, tzinfo=UTC)
+        for group in groups:
+            mdf.append(group, common_timebase=True)
+        mdf.save(path)
+    return path
+
+
+def signal(name: str, unit: str, values: Sequence[float], bad: Sequence[int] = ()) -> Signal:
+    bits = np.isin(np.arange(len(values)), bad)
+    times = np.arange(len(values)) * 0.5
+    return Signal(np.array(values), times, unit=unit, name=name, invalidation_bits=bits)
+
+
+def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run) -> None:
+    dice = random.Random(3)
+    samples = [
+        Sample(
+            "a",
+            dice.choice(["t_inner_ring_c", "speed_rpm", "phase", "t_inner_ring_c.twin"]),
+            START_US + k * 137_013,
+            dice.choice([dice.uniform(20, 80), math.nan]),
+            dice.choice([0, 24, 64, 192, 216]),
+            0,
+        )
+        for k in range(2000)
+    ]
+    fill(tmp_path, samples)
+    before = stored(tmp_path)
+    out = tmp_path / "out.mf4"
+    assert run("export", "--out", out)[1]["rows"] == 2000
+    (tmp_path / "data").rename(tmp_path / "elsewhere")
+    status, report, _ = run("import", out)
+    assert (status, report["stored"], report["rejected"]) == (0, 2000, 0)
+    # A bad value is never sent as a number; its time and its quality are.
+    assert stored(tmp_path) == [
+        (name, time_us, value if quality >= 64 else None, quality)
+        for name, time_us, value, quality in before
+    ]
+    assert run("import", out)[1]["duplicates"] == 2000
+    assert run("import", out, "--dry-run")[1]["samples"] == 2000
+
+
+def test_other_programs_read_units_times_and_quality(tmp_path: Path, run: Run) -> None:
+    qualities = [192, 64, 12, 192]
+    fill(
+        tmp_path,
+        [
+            Sample("a", "t_inner_ring_c", START_US + k * 1_000_000, 40.0 + k, quality, 0)
+            for k, quality in enumerate(qualities)
+        ]
+        + [Sample("a", "speed_rpm", START_US + 700_000, 1500.0, 192, 0)],
+    )
+    out = tmp_path / "out.mf4"
+    assert run("export", "--out", out)[0] == 0
+    with MDF(out) as mdf:
+        assert mdf.header.start_time == datetime(2026, 3, 1, 12, tzinfo=UTC)
+        ring = mdf.get("t_inner_ring_c", ignore_invalidation_bits=True)
+        assert ring.unit == "°C"
+        assert np.asarray(ring.invalidation_bits).tolist() == [False, False, True, False]
+        assert np.isnan(ring.samples).tolist() == [False, False, True, False]
+        np.testing.assert_allclose(ring.timestamps, np.arange(4) + 0.250001, rtol=0, atol=1e-9)
+        assert mdf.get("t_inner_ring_c.quality").samples.tolist() == qualities
+        assert mdf.get("speed_rpm").unit == "rpm"
+        # What knows the bits leaves the bad value out.
+        assert mdf.get("t_inner_ring_c").samples.tolist() == [40.0, 41.0, 43.0]
+    minutes = tmp_path / "minutes.mf4"
+    part = ("--channel", "t_inner_ring_c", "--resolution", "1min")
+    assert run("export", "--out", minutes, *part)[1]["rows"] == 1
+    with MDF(minutes) as mdf:
+        assert mdf.get("t_inner_ring_c.max").samples.tolist() == [43.0]
+        assert mdf.get("t_inner_ring_c.max").unit == "°C"
+        assert mdf.get("t_inner_ring_c.count").samples.tolist() == [2.0]
+    assert "unknown channel 't_inner_ring_c.min'" in run("import", minutes)[2]
+    refused = run("export", "--out", minutes, "--resolution", "minutes")[2]
+    assert "expected a name that ends in .csv" in refused
+
+
+def test_a_file_of_another_system_is_mapped_and_its_units_are_ours(
+    tmp_path: Path, run: Run
+) -> None:
+    path = record(
+        tmp_path / "bench.mf4",
+        [
+            signal("T1", "K", [293.15, 300.0, 9.0, math.nan], bad=[2]),
+            signal("noise", "V", [1.0] * 4),
+        ],
+        [signal("F", "kN", [1.5, 2.0, 2.5, 3.0]), signal("n", "rad/s", [100.0, math.pi, 0.0, 1.0])],
+        [signal("T2", "°F", [212.0, 32.0]), signal("T3", "ohm", [100.0, 110.0])],
+        [signal("T1", "degC", [1.0, 2.0])],
+        start=datetime(2026, 3, 1, 13, tzinfo=timezone(timedelta(hours=1))),
+    )
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(
+        '[channels.t_inner_ring_c]\ncolumn = "T1"\ngroup = 0\n'
+        '[channels.load_n]\ncolumn = "F"\n[channels.speed_rpm]\ncolumn = "n"\n'
+        '[channels.ambient_c]\ncolumn = "T2"\n'
+        '[channels.t_node_5_c]\ncolumn = "T3"\nscale = 2.5\noffset = -250\n'
+    )
+    status, report, _ = run("import", path, "--mapping", mapping)
+    assert (status, report["stored"]) == (0, 15)
+    zero_us = from_rfc3339("2026-03-01T12:00:00Z")
+    rows = {(name, (time_us - zero_us) // 500_000): (value, quality)
+            for name, time_us, value, quality in stored(tmp_path)}  # fmt: skip
+    assert rows["t_inner_ring_c", 0] == (pytest.approx(20.0), 192)
+    # An invalid value is stored as bad without its number; a valid one that is none is missing.
+    assert rows["t_inner_ring_c", 2] == (None, 0)
+    assert ("t_inner_ring_c", 3) not in rows
+    assert rows["load_n", 0] == (1500.0, 192)
+    assert rows["speed_rpm", 1] == (pytest.approx(30.0), 192)
+    assert rows["ambient_c", 0] == (pytest.approx(100.0), 192)
+    assert rows["t_node_5_c", 1] == (pytest.approx(25.0), 192)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "said"),
+    [
+        ('[channels.t_inner_ring_c]\ncolumn = "T1"', "'T1' is in the groups 0, 1; expected"),
+        ('[channels.t_inner_ring_c]\ncolumn = "T1"\ngroup = 7', "channels.t_inner_ring_c.group"),
+        ('[channels.ambient_c]\ncolumn = "p"', "'p' is in 'bar'; expected °C, K, °F for ambient_c"),
+        ('[channels.ambient_c]\ncolumn = "gear"', "channel 'gear' holds no numbers"),
+        ('[channels.ambient_c]\ncolumn = "T9"', "missing channel 'T9'; the mapping names T9"),
+        ('[time]\ncolumn = "t"\n[channels.ambient_c]\ncolumn = "p"', "a mapping without [time]"),
+        (None, "unknown channel 'T1'; expected speed_rpm, load_n"),
+    ],
+)
+def test_a_channel_that_cannot_be_used_is_named_and_nothing_is_stored(
+    tmp_path: Path, run: Run, mapping: str | None, said: str
+) -> None:
+    gears = Signal(np.array([b"first", b"idle"]), np.arange(2) * 0.5, name="gear", encoding="utf-8")
+    path = record(
+        tmp_path / "bench.mf4",
+        [signal("T1", "K", [293.15, 300.0])],
+        [signal("T1", "K", [293.15, 300.0])],
+        [signal("p", "bar", [1.0, 2.0]), gears],
+    )
+    options = []
+    if mapping is not None:
+        (tmp_path / "m.toml").write_text(mapping)
+        options = ["--mapping", tmp_path / "m.toml"]
+    status, _, text = run("import", path, *options)
+    assert status == 2
+    assert said in text
+    assert stored(tmp_path) == []
+
+
+def test_impossible_values_are_told_with_their_number(tmp_path: Path, run: Run) -> None:
+    path = record(tmp_path / "bench.mf4", [signal("ambient_c", "°C", [20.0, 3276.7, 21.0])])
+    status, report, text = run("import", path)
+    assert (status, report["stored"], report["rejected"]) == (2, 2, 1)
+    assert "line 2: ambient_c = 3276.7: expected -100 to 500" in text
+
+
+def test_a_time_of_no_zone_is_asked_for(tmp_path: Path, run: Run) -> None:
+    path = record(
+        tmp_path / "local.mf4",
+        [signal("ambient_c", "", [20.0, 21.0])],
+        start=datetime(2026, 3, 1, 12),
+    )
+    assert "of an unknown time zone; expected --start" in run("import", path)[2]
+    assert run("import", path, "--start", START)[0] == 0
+    assert [row[1] for row in stored(tmp_path)] == [START_US, START_US + 500_000]
+
+
+def test_a_file_that_is_none_and_a_missing_library_are_one_line(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = record(tmp_path / "bench.mf4", [signal("ambient_c", "°C", [20.0] * 1000)])
+    whole = path.read_bytes()
+    for content, said in (
+        (b"time,ambient_c\n", "not a finished MDF 4 file"),
+        (b"", "not a finished MDF 4 file"),
+        (b"UnFinMF " + whole[8:], "not a finished MDF 4 file"),
+        (whole[:100], "damaged MDF 4 file (cut off at 100 bytes)"),
+        (whole[:200], "damaged MDF 4 file (cut off at 200 bytes)"),
+        (whole[: len(whole) // 2], "damaged MDF 4 file"),
+    ):
+        path.write_bytes(content)
+        status, _, text = run("import", path)
+        assert (status, said in text) == (2, True), text
+    assert "cannot be read" in run("import", tmp_path / "none.mf4")[2]
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    for command in (("import", path), ("export", "--out", tmp_path / "out.mf4")):
+        assert run(*command)[2] == "MDF 4 needs asammdf: pip install 'bearing-twin[mdf]'"
+    assert not (tmp_path / "out.mf4").exists()
