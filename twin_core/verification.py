@@ -129,6 +129,33 @@ def _held(values: FloatArray) -> FloatArray:
     return np.where(near, values[np.maximum(known, 0)], np.nan)
 
 
+def value_at(means: ArrayLike, minute: float) -> float | None:
+    """Value at a time, linear between the means of the minutes around it.
+
+    Parameters
+    ----------
+    means
+        (n,) means of minutes that follow each other without a gap; NaN where there is none.
+    minute
+        The time, in minutes from the beginning of the first.
+
+    Returns
+    -------
+    float or None
+        None where the minute that the time lies in has no mean. Where only the other one has none,
+        the mean of this one.
+    """
+    values = np.asarray(means, np.float64)
+    own = int(np.floor(minute))
+    if not 0 <= own < values.size or not np.isfinite(values[own]):
+        return None
+    off = minute - own - 0.5
+    other = own + (1 if off > 0.0 else -1)
+    if not 0 <= other < values.size or not np.isfinite(values[other]):
+        return float(values[own])
+    return float(values[own] + abs(off) * (values[other] - values[own]))
+
+
 @dataclass(frozen=True, slots=True)
 class ForecastScores:
     """How good forecasts of one kind were; K where it is not a share.

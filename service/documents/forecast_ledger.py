@@ -1,11 +1,12 @@
 """The forecast ledger: kept forecasts with what came of them, and how good they were."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from service.clock import MICROSECONDS, rfc3339
@@ -16,6 +17,7 @@ from service.store.forecast_records import (
     PointState,
     Reason,
     StoredForecast,
+    all_degrees,
     degrees,
 )
 from twin_core.scores import mean_absolute_error
@@ -101,7 +103,9 @@ class KeptReading(Document):
     q50: Number
     q75: Number
     q975: Number
-    measured_c: Number = Field(description="Mean of the good samples in the minute around then.")
+    measured_c: Number = Field(
+        description="Then, linear between the means of the good samples of the minutes around it."
+    )
     naive: dict[Naive, Number] = Field(description="Simple forecasts of the same moment, °C.")
 
 
@@ -199,19 +203,21 @@ def label_of(labels: Iterable[str]) -> str | None:
     return "; ".join(dict.fromkeys(words)) or None
 
 
+_Key = tuple[str, int, Risk, str, int]
+_Alike = tuple[str, int, tuple[str, ...], tuple[int, ...], tuple[bool, ...]]
+FloatArray = NDArray[np.float64]
+
+
 @dataclass(slots=True)
 class _Group:
-    """Readings that are scored together."""
+    """Readings that are scored together, in arrays that follow each other."""
 
-    quantiles_c: list[Sequence[float | None]] = field(default_factory=list)
-    measured_c: list[float | None] = field(default_factory=list)
-    naive_c: dict[Naive, list[float | None]] = field(
+    quantiles_c: list[FloatArray] = field(default_factory=list)
+    measured_c: list[FloatArray] = field(default_factory=list)
+    naive_c: dict[Naive, list[FloatArray]] = field(
         default_factory=lambda: {kind: [] for kind in NAIVE}
     )
-    states: defaultdict[PointState, int] = field(default_factory=lambda: defaultdict(int))
-
-
-_Key = tuple[str, int, Risk, str, int]
+    states: Counter[PointState] = field(default_factory=Counter)
 
 
 def forecast_performance(
@@ -226,17 +232,24 @@ def forecast_performance(
     lead_time_s, risk
         Only these; None for all.
     """
-    groups: defaultdict[_Key, _Group] = defaultdict(_Group)
+    alike: defaultdict[_Alike, list[StoredForecast]] = defaultdict(list)
     for one in stored:
         content = one.issued.content
-        label = label_of(content.labels) or ""
-        for number, lead_s in enumerate(content.lead_times_s):
-            of_risk = _risk(content.high_risk[number])
-            if lead_time_s not in (None, lead_s) or risk not in (None, of_risk):
-                continue
-            for place, channel in enumerate(content.channels):
-                key = channel, lead_s, of_risk, label, one.issued.model_version
-                _add(groups[key], one, number, place)
+        alike[
+            label_of(content.labels) or "",
+            one.issued.model_version,
+            tuple(content.channels),
+            tuple(content.lead_times_s),
+            tuple(content.high_risk),
+        ].append(one)
+    groups: defaultdict[_Key, _Group] = defaultdict(_Group)
+    for (label, version, channels, leads, high_risk), forecasts in alike.items():
+        readings = _Readings.of(forecasts)
+        for number, (lead_s, high) in enumerate(zip(leads, high_risk, strict=True)):
+            if lead_time_s in (None, lead_s) and risk in (None, _risk(high)):
+                for place, channel in enumerate(channels):
+                    key = channel, lead_s, _risk(high), label, version
+                    readings.add_to(groups[key], number, place)
     return ForecastPerformance(
         start=time_or_none(min((one.issued.time_us for one in stored), default=None)),
         forecasts=len(stored),
@@ -244,28 +257,47 @@ def forecast_performance(
     )
 
 
-def _add(group: _Group, stored: StoredForecast, number: int, place: int) -> None:
-    state = stored.outcome.states[number][place]
-    group.states[state] += 1
-    if state != "scored":
-        return
-    content = stored.issued.content
-    group.quantiles_c.append([degrees(one) for one in content.quantiles[number][place]])
-    group.measured_c.append(stored.outcome.measured_c[number][place])
-    for kind, values_c in group.naive_c.items():
-        of_kind = content.naive.get(kind)
-        values_c.append(None if of_kind is None else degrees(of_kind[number][place]))
+@dataclass(frozen=True, slots=True)
+class _Readings:
+    """Readings of forecasts of the same form: forecast, lead time, channel, and what there is."""
+
+    quantiles_c: FloatArray
+    measured_c: FloatArray
+    naive_c: Mapping[Naive, FloatArray]
+    states: NDArray[np.str_]
+
+    @classmethod
+    def of(cls, forecasts: Sequence[StoredForecast]) -> "_Readings":
+        contents = [one.issued.content for one in forecasts]
+        outcomes = [one.outcome for one in forecasts]
+        measured_c = np.array([one.measured_c for one in outcomes], np.float64)
+        none = [[None] * measured_c.shape[2]] * measured_c.shape[1]
+        return cls(
+            all_degrees([one.quantiles for one in contents]),
+            measured_c,
+            {kind: all_degrees([one.naive.get(kind, none) for one in contents]) for kind in NAIVE},
+            np.array([one.states for one in outcomes]),
+        )
+
+    def add_to(self, group: _Group, number: int, place: int) -> None:
+        """Add the readings of a lead time and channel to a group."""
+        states = self.states[:, number, place]
+        group.states.update(states.tolist())
+        scored = states == "scored"
+        group.quantiles_c.append(self.quantiles_c[scored, number, place])
+        group.measured_c.append(self.measured_c[scored, number, place])
+        for kind, values_c in self.naive_c.items():
+            group.naive_c[kind].append(values_c[scored, number, place])
 
 
 def _score(key: _Key, group: _Group) -> ForecastScore:
     channel, lead_s, risk, label, version = key
-    quantiles_c = np.array(group.quantiles_c, np.float64).reshape(-1, 5)
-    measured_c = np.array(group.measured_c, np.float64)
+    quantiles_c, measured_c = (np.concatenate(of) for of in (group.quantiles_c, group.measured_c))
     known = ~np.isnan(quantiles_c).any(axis=1)
     scores = asdict(verify(quantiles_c[known], measured_c[known]))
     below = zip(SharesBelow.model_fields, scores.pop("below"), strict=True)
-    by: Mapping[PointState, int] = group.states
-    aside = SetAside(plan=by.get("plan", 0), data=by.get("data", 0), model=by.get("model", 0))
+    by = group.states
+    aside = SetAside(plan=by["plan"], data=by["data"], model=by["model"])
     return ForecastScore(
         channel=channel,
         lead_time_s=lead_s,
@@ -275,20 +307,17 @@ def _score(key: _Key, group: _Group) -> ForecastScore:
         n=scores.pop("n"),
         set_aside=aside.plan + aside.data + aside.model,
         set_aside_by=aside,
-        waiting=by.get("waiting", 0),
+        waiting=by["waiting"],
         **{name: _rounded(value) for name, value in scores.items()},
         below=SharesBelow(**{name: _rounded(share) for name, share in below}),
         naive={
-            kind: _naive_score(np.array(values_c, np.float64), measured_c)
+            kind: _naive_score(np.concatenate(values_c), measured_c)
             for kind, values_c in group.naive_c.items()
         },
     )
 
 
-def _naive_score(
-    values_c: np.ndarray[tuple[int], np.dtype[np.float64]],
-    measured_c: np.ndarray[tuple[int], np.dtype[np.float64]],
-) -> NaiveScore:
+def _naive_score(values_c: FloatArray, measured_c: FloatArray) -> NaiveScore:
     known = ~np.isnan(values_c)
     error_k = _rounded(mean_absolute_error(values_c[known], measured_c[known]))
     return NaiveScore(mae_k=error_k, crps_k=error_k)

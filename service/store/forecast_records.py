@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 Reason = Literal["step", "period", "model", "asked"]
 """Why a forecast was kept: a step of the plan began, ten minutes went by, another model version
@@ -127,3 +129,8 @@ def hundredths(value: float | None) -> int | None:
 def degrees(value: int | None) -> float | None:
     """Read a temperature that `hundredths` wrote."""
     return None if value is None else value / _HUNDREDTHS
+
+
+def all_degrees(values: object) -> NDArray[np.float64]:
+    """Read nested lists of what `hundredths` wrote; NaN where there is none."""
+    return np.array(values, np.float64) / _HUNDREDTHS

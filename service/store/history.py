@@ -1,6 +1,6 @@
 """Statistics of the samples per bucket of time: rollups for people, minutes for the twin."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from sqlalchemy import Connection, func, select
@@ -9,10 +9,10 @@ from service.clock import HOUR_US, MINUTE_US
 from service.store import buckets, packed
 from service.store.buckets import LEVELS_S, Bucket
 from service.store.merging import merged
-from service.store.part import StorePart
+from service.store.part import StorePart, rows_of
 from service.store.records import MinuteTable, Rollup
 from service.store.samples import channel_ids, first_time_us, raw_horizon_us
-from service.store.tables import RollupRow, SampleRow, StaleRollupRow
+from service.store.tables import ChannelRow, RollupRow, SampleRow, StaleRollupRow
 
 _SECOND_US = 1_000_000
 
@@ -134,6 +134,44 @@ class History(StorePart):
             table.good_count[name] = good
             table.bad_count[name] = bad
         return table
+
+    def recent_minute_means(
+        self, channels: Mapping[str, Sequence[str]], start_us: int, end_us: int
+    ) -> dict[tuple[str, str], dict[int, float]]:
+        """Means of the good samples per minute, of many assets at once.
+
+        Only for the last hour: what is packed is left out.
+
+        Parameters
+        ----------
+        channels
+            Which channels of which asset.
+        start_us, end_us : int
+            UTC microseconds, of full minutes; the start is included, the end is not.
+
+        Returns
+        -------
+        dict
+            Mean by start of the minute, by asset and channel; minutes without any are absent.
+        """
+        found: dict[tuple[str, str], dict[int, float]] = {
+            (asset, name): {} for asset, names in channels.items() for name in names
+        }
+        minute = buckets.bucket_start(SampleRow.time_us.expression, MINUTE_US, 0)
+        query = (
+            select(SampleRow.channel_id, minute, buckets.mean_of_good)
+            .where(SampleRow.time_us >= start_us, SampleRow.time_us < end_us)
+            .group_by(SampleRow.channel_id, minute)
+        )
+        known = select(ChannelRow.id, ChannelRow.asset, ChannelRow.name)
+        with self._database.reading() as connection:
+            rows = rows_of(connection, ChannelRow.asset, known, channels)
+            names = {row.id: (row.asset, row.name) for row in rows}
+            ids = [number for number, name in names.items() if name in found]
+            for number, minute_us, mean in rows_of(connection, SampleRow.channel_id, query, ids):
+                if mean is not None:
+                    found[names[number]][minute_us] = mean
+        return found
 
 
 def _joined(

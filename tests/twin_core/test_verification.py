@@ -16,6 +16,7 @@ from twin_core.verification import (
     SHIFT_S,
     MinuteCourse,
     minute_course,
+    value_at,
     verify,
 )
 
@@ -160,3 +161,18 @@ def test_an_honest_forecast_covers_what_it_states_and_no_other_scores_better() -
 def test_shapes_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(ValueError, match=r"quantiles \(3, 5\), expected \(2, 5\)"):
         verify(np.zeros((3, 5)), np.zeros(2))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.5, 18.5), st.floats(-5, 5))
+def test_a_value_between_minutes_is_that_of_a_straight_course(minute: float, slope: float) -> None:
+    means = 20.0 + slope * (np.arange(20) + 0.5)
+    assert value_at(means, minute) == pytest.approx(20.0 + slope * minute)
+    own = int(minute)
+    gone = means.copy()
+    gone[[own - 1, own + 1]] = np.nan
+    assert value_at(gone, minute) == pytest.approx(means[own])
+    gone[own] = np.nan
+    assert value_at(gone, minute) is None
+    assert value_at(means, -0.1) is None
+    assert value_at(means, 20.0) is None

@@ -119,7 +119,7 @@ def test_a_plan_that_is_followed_is_scored_at_each_lead_time_when_it_has_come(
     (one,) = outcomes(store)
     assert one.due_us is None
     assert states(store) == [{"scored"}]
-    # In the middle of the minute around each time: samples lie before and after it.
+    # Linear between the means of the minutes around each time.
     inner = [row[0] for row in one.outcome.measured_c]
     assert inner == pytest.approx([60.0 + (600 + s) / 2000.0 for s in LEAD_TIMES_S], abs=0.011)
     assert [(news.lead_time_s, news.inside) for news in told] == [
