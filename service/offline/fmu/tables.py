@@ -18,8 +18,20 @@ from twin_core.network import (
     FrictionKind,
 )
 
-EXPORTED_EDGES: Final = frozenset(EdgeKind)
-EXPORTED_FRICTION: Final = frozenset(FrictionKind)
+# What sources/laws.c knows; any other kind is refused.
+EXPORTED_EDGES: Final = (
+    EdgeKind.CONSTANT,
+    EdgeKind.CONTACT,
+    EdgeKind.CONVECTIVE,
+    EdgeKind.CONVECTIVE_REFERENCE,
+    EdgeKind.FILM,
+    EdgeKind.SHAFT_SINK,
+    EdgeKind.SPEED_POWER,
+    EdgeKind.COPPER,
+    EdgeKind.POWER,
+    EdgeKind.SPEED_LOSS,
+)
+EXPORTED_FRICTION: Final = (FrictionKind.PALMGREN, FrictionKind.TWO_PART, FrictionKind.LINEAR)
 _FRICTION_COEFFICIENTS = max(FRICTION_COEFFICIENT_COUNT.values())
 
 

@@ -301,6 +301,10 @@ def test_what_cannot_be_exported_is_refused(
     identified_model(own_model(text, tmp_path), 1).save(tmp_path / "taken.json")
     said = complaint("export-fmu", tmp_path / "taken.json", "--out", out)
     assert "the name 'initial_temperature_c' is taken in an FMU" in said
+    with monkeypatch.context() as patch:
+        patch.setattr("service.offline.fmu.tables.EXPORTED_EDGES", ())
+        said = complaint("export-fmu", prior_model, "--out", out)
+        assert said == "network 'default': no FMU with edges CONSTANT"
     monkeypatch.setenv("PATH", str(tmp_path))
     said = complaint("export-fmu", prior_model, "--out", out)
     assert said.startswith("no C compiler: the program 'cc' is not found; expected one")
