@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -91,9 +91,10 @@ class Replicas:
             if asset in (None, id):
                 replica.changed()
 
-    async def refresh(self, *kinds: DocumentKind) -> None:
-        """Bring the documents of all assets up to date, some with each question."""
-        await self._refresh(self.assets.values(), kinds)
+    async def refresh(self, *kinds: DocumentKind, assets: Collection[str] | None = None) -> None:
+        """Bring the documents of some assets, or of all, up to date, some with each question."""
+        of = None if assets is None else [self.assets[one] for one in assets if one in self.assets]
+        await self._refresh(list(self.assets.values()) if of is None else of, kinds)
 
     async def _refresh(self, assets: Iterable[AssetReplica], kinds: Sequence[DocumentKind]) -> None:
         due = [(asset, kind) for asset in assets for kind in kinds if asset.is_due(kind)]
@@ -108,10 +109,12 @@ class Replicas:
         for (asset, kind), document in zip(portion, documents, strict=True):
             asset.take(kind, document, asked_s)
 
-    async def refresh_known(self, *kinds: DocumentKind) -> None:
+    async def refresh_known(
+        self, *kinds: DocumentKind, assets: Collection[str] | None = None
+    ) -> None:
         """As `refresh`; where the cell does not answer what is known must do."""
         with contextlib.suppress(CellUnavailableError):
-            await self.refresh(*kinds)
+            await self.refresh(*kinds, assets=assets)
 
 
 def _is_whole(asset: AssetReplica) -> bool:

@@ -168,7 +168,9 @@ class _Start:
                     jobs=CellJobs(reader, shared),
                     health=CellHealth(shared),
                     fleet=fleet,
-                    refresh_summaries=partial(replicas.refresh_known, "summary"),
+                    refresh_summaries=lambda assets: replicas.refresh_known(
+                        "summary", assets=assets
+                    ),
                     changed=changed,
                     follow=following.follow,
                     apply_assets=partial(_apply_assets, reader, replicas),

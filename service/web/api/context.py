@@ -14,7 +14,7 @@ from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs
 from service.web.overview import Overview
 
 
-async def _nothing() -> None:
+async def _nothing(assets: Collection[str] | None) -> None:
     """Bring nothing up to date."""
 
 
@@ -46,7 +46,7 @@ class ServiceContext:
     fleet
         All assets at a glance.
     refresh_summaries
-        Brings the summaries of all assets up to date.
+        Brings the summaries of some assets, or of all, up to date.
     changed
         Makes the copies of what the cell knows of an asset, or of all, old ones; to be called after
         a change.
@@ -73,7 +73,7 @@ class ServiceContext:
     jobs: CellJobs
     health: CellHealth
     fleet: Overview
-    refresh_summaries: Callable[[], Awaitable[None]] = _nothing
+    refresh_summaries: Callable[[Collection[str] | None], Awaitable[None]] = _nothing
     changed: Callable[[str | None], None] = lambda asset: None
     follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are
     apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets

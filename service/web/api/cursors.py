@@ -18,6 +18,10 @@ Position = TypeVar("Position", bound=BaseModel)
 Item = TypeVar("Item")
 
 Limit = Annotated[int, Query(ge=1, le=LIMIT_MAX, description="Items of a page, at most.")]
+LimitOrAll = Annotated[
+    int | None,
+    Query(ge=1, le=LIMIT_MAX, description="Items of a page, at most; absent: all at once."),
+]
 Cursor = Annotated[
     str | None, Query(max_length=8192, description="`next` of the page before; absent: the first.")
 ]

@@ -2,6 +2,8 @@
 
 import hashlib
 import re
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Final
 
 from fastapi import Header
@@ -33,18 +35,27 @@ def entity_tag(body: bytes) -> str:
     return f'W/"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
 
 
-def tagged_response(body: bytes, tag: str, if_none_match: str | None) -> Response:
+def tagged_response(
+    body: bytes,
+    tag: str,
+    if_none_match: str | None,
+    more: Mapping[str, str] = MappingProxyType({}),
+) -> Response:
     """Answer with JSON text under its tag, or with 304 to a caller who has just this."""
-    headers = {"ETag": tag, "Cache-Control": "private, no-cache"}
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache", **more}
     if if_none_match and _matches(tag, if_none_match):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
 
 
-def conditional_response(answer: Document, if_none_match: str | None) -> Response:
+def conditional_response(
+    answer: Document,
+    if_none_match: str | None,
+    headers: Mapping[str, str] = MappingProxyType({}),
+) -> Response:
     """Answer with a document, or with 304 to a caller who has just this."""
     body = answer.to_bytes()
-    return tagged_response(body, entity_tag(body), if_none_match)
+    return tagged_response(body, entity_tag(body), if_none_match, headers)
 
 
 def _matches(tag: str, if_none_match: str) -> bool:

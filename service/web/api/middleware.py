@@ -23,6 +23,7 @@ _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
     (re.compile(IMPORT_PATH), 8192 * KIB),
+    (re.compile(r"/api/v1/assets:remove"), 8192 * KIB),
 )
 
 _JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")

@@ -1,8 +1,11 @@
 """Alarms: those that are not over, and what operators and engineers say to them."""
 
+from bisect import bisect_right
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
+from pydantic import BaseModel
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.alarms import (
@@ -12,6 +15,7 @@ from service.alarms import (
     NotAllowedError,
     UnknownAlarmError,
 )
+from service.alarms.records import urgency
 from service.bus.commands import AlarmAction
 from service.documents.alarms import (
     AcknowledgedAlarms,
@@ -30,6 +34,7 @@ from service.web.api.alarm_bodies import (
     ShelveRequest,
 )
 from service.web.api.context import ServiceContext
+from service.web.api.cursors import Cursor, LimitOrAll, decode_cursor, encode_cursor, next_link
 from service.web.api.deps import Context, json_response
 from service.web.api.problems import Problem, parameter_problem
 from service.web.api.trail import ChangeLine
@@ -38,11 +43,19 @@ _CONFLICTS = (400, 404, 409, 413)
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 
+
+class _Place(BaseModel):
+    """Where a page ended."""
+
+    key: tuple[int, int, int, int, str]
+
+
 AlarmId = Annotated[str, Path(max_length=64, description="`id` of the alarm.")]
 
 
 @router.get("", response_model=AlarmList, summary="Open alarms", **secured(VIEWER))
 async def list_alarms(
+    request: Request,
     context: Context,
     asset: Annotated[str | None, Query(description="Only of this asset.")] = None,
     state: Annotated[
@@ -59,22 +72,33 @@ async def list_alarms(
     unacknowledged: Annotated[
         bool | None, Query(description="Only unacknowledged alarms (or only the others).")
     ] = None,
+    limit: LimitOrAll = None,
+    cursor: Cursor = None,
 ) -> Response:
     """Give the order of the page: unacknowledged first; then by priority, measured first, newest.
 
-    What is acknowledged follows, then what has returned; what is set aside comes last.
+    What is acknowledged follows, then what has returned; what is set aside comes last. In pages an
+    alarm that changes meanwhile may be in two of them, or in none.
     """
+    place = None if cursor is None else decode_cursor(cursor, _Place)
+    if limit is None and place is not None:
+        raise parameter_problem("cursor", "expected a limit with it")
     alarms = await context.alarms.active(asset)
     if state and AlarmState.NORM in state:
         alarms += await context.alarms.normal(asset)
-    items = [
-        alarm_document(alarm)
+    found = [
+        alarm
         for alarm in alarms
         if (not state or AlarmState(alarm.state) in state)
         and active in (None, AlarmState(alarm.state) in ACTIVE_STATES)
         and unacknowledged in (None, AlarmState(alarm.state) in UNACKNOWLEDGED_STATES)
     ]
-    return json_response(AlarmList(items=items))
+    begin = 0 if place is None else bisect_right(found, place.key, key=urgency)
+    page = found[begin : None if limit is None else begin + limit]
+    more = begin + len(page) < len(found)
+    following = encode_cursor(_Place(key=urgency(page[-1]))) if more else None
+    answer = AlarmList(items=[alarm_document(alarm) for alarm in page], next=following)
+    return json_response(answer, headers=next_link(request, following))
 
 
 @router.post(

@@ -1,6 +1,9 @@
 """Assets: what they are, how they are now, and what the twin says of them."""
 
+from bisect import bisect_right
+
 from fastapi import APIRouter
+from starlette.requests import Request
 from starlette.responses import Response
 
 from service.documents.assets import (
@@ -14,8 +17,17 @@ from service.documents.verdicts import VerdictDocument
 from service.domain.requests import GreaseRenewedRequest
 from service.domain.roles import ENGINEER, VIEWER, VIEWER_OR_GATEWAY
 from service.web.api.access import secured
+from service.web.api.cursors import (
+    After,
+    Cursor,
+    LimitOrAll,
+    decode_cursor,
+    encode_cursor,
+    next_link,
+)
 from service.web.api.deps import Asset, Context, copy_response, json_response
 from service.web.api.entity_tags import CONDITIONAL, IfNoneMatch, conditional_response
+from service.web.api.problems import parameter_problem
 from service.web.api.snapshots import snapshot_response
 from service.web.api.trail import ChangeLine
 
@@ -28,11 +40,34 @@ router = APIRouter(prefix="/assets", tags=["assets"])
     summary="All assets",
     **secured(VIEWER_OR_GATEWAY, responses=CONDITIONAL),
 )
-async def list_assets(context: Context, if_none_match: IfNoneMatch = None) -> Response:
-    """Give configuration, health and active model of every asset."""
-    await context.refresh_summaries()
-    items = [asset.summary() for asset in context.assets.values()]
-    return conditional_response(AssetList(items=items), if_none_match)
+async def list_assets(
+    request: Request,
+    context: Context,
+    if_none_match: IfNoneMatch = None,
+    limit: LimitOrAll = None,
+    cursor: Cursor = None,
+) -> Response:
+    """Give configuration, health and active model of every asset.
+
+    Without `limit` all at once, in the order of the configuration; with it in pages by id.
+    """
+    if limit is None:
+        if cursor is not None:
+            raise parameter_problem("cursor", "expected a limit with it")
+        await context.refresh_summaries(None)
+        items = [asset.summary() for asset in context.assets.values()]
+        return conditional_response(AssetList(items=items), if_none_match)
+    names = sorted(context.assets)
+    after = "" if cursor is None else decode_cursor(cursor, After).after
+    begin = bisect_right(names, after)
+    page = names[begin : begin + limit]
+    more = begin + limit < len(names)
+    await context.refresh_summaries(page)
+    # One may have gone meanwhile.
+    items = [context.assets[name].summary() for name in page if name in context.assets]
+    following = encode_cursor(After(after=page[-1])) if more else None
+    answer = AssetList(items=items, next=following)
+    return conditional_response(answer, if_none_match, next_link(request, following))
 
 
 @router.get(

@@ -520,7 +520,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             jobs=CellJobs(joint, shared),
             health=CellHealth(shared),
             fleet=fleet,
-            refresh_summaries=lambda: replicas.refresh("summary"),
+            refresh_summaries=lambda assets: replicas.refresh("summary", assets=assets),
         )
         world = World(
             app=create_app(context),

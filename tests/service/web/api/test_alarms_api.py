@@ -273,3 +273,26 @@ async def test_an_action_that_nothing_keeps_is_not_answered_as_done(world: Any) 
     assert world.context.outbox.flush(30.0)
     (found,) = await listed(world)
     assert found.state == "ACKED"
+
+
+async def test_alarms_come_in_pages_of_the_same_order(world: Any) -> None:
+    channels = [f"t_node_{number}_c" for number in range(1, 8)]
+    raised = [world.raise_alarm(channel) for channel in channels]
+    await acknowledge(world, raised[2])
+    for query in ({}, {"unacknowledged": "true"}, {"state": ["UNACK", "NORM", "ACKED"]}):
+        whole = [alarm.id for alarm in await listed(world, **query)]
+        assert len(whole) >= 6
+        found: list[str] = []
+        more: dict[str, str] = {}
+        while True:
+            answer = await world.client("viewer").get(ALARMS, params={"limit": 2} | query | more)
+            page = AlarmList.model_validate(answer.json())
+            found += [alarm.id for alarm in page.items]
+            assert len(page.items) == 2 or page.next is None
+            assert ("link" in answer.headers) == (page.next is not None)
+            if page.next is None:
+                break
+            more = {"cursor": page.next}
+        assert found == whole
+    for wrong in ({"cursor": more["cursor"]}, {"limit": 2, "cursor": "x"}, {"limit": 0}):
+        assert (await world.client("viewer").get(ALARMS, params=wrong)).status_code == 422

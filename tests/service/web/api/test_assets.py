@@ -131,3 +131,27 @@ async def test_the_short_way_to_a_snapshot_refuses_and_answers_as_the_route_does
     )
     assert again.status_code == 200
     assert again.json()["tags"]["speed_rpm"]["value"] == 61.0
+
+
+async def test_assets_come_in_pages_where_that_is_asked_for(world: Any) -> None:
+    client = world.client("viewer")
+    for number in range(5):
+        world.context.assets[f"axle-{number}"] = world.context.assets["rig-2"]
+    address: str | None = "/api/v1/assets?limit=3"
+    sizes, cursor = [], ""
+    while address:
+        answer = await client.get(address)
+        page = AssetList.model_validate(answer.json())
+        sizes.append(len(page.items))
+        again = await client.get(address, headers={"If-None-Match": answer.headers["etag"]})
+        assert again.status_code == 304
+        if sizes == [3]:
+            cursor = page.next or ""
+            # What the page ended with is removed: the next one goes on after it all the same.
+            del world.context.assets["axle-2"]
+        address = answer.headers["link"][1:].partition(">")[0] if page.next else None
+    assert sizes == [3, 3, 1]
+    assert (await client.get("/api/v1/assets")).json()["next"] is None
+    for wrong in ({"cursor": cursor}, {"limit": 3, "cursor": "x"}, {"limit": 0}, {"limit": 1001}):
+        refused = await client.get("/api/v1/assets", params=wrong)
+        assert refused.status_code == 422, wrong

@@ -311,6 +311,9 @@ async def test_many_are_removed_in_one_transaction_or_none(world: Any, cell: Cel
     assert (line.action, cell.asked) == ("assets.remove", 1)
     assert line.detail.startswith("removed: 25; assets: axle-0, axle-1, ")
     assert line.detail.endswith(" and 5 more")
+    # A whole fleet in one request.
+    fleet = [f"a-fleet-of-many-axles-{n}" for n in range(20_000)]
+    assert (await admin.post(REMOVE, json={"ids": fleet})).status_code == 422
     cell.away = CellUnavailableError("it is being started")
     later = await admin.post(REMOVE, json={"ids": names[25:]})
     assert (later.status_code, later.json()) == (202, {"removed": 5})
