@@ -37,7 +37,7 @@ def record(started_plant: Plant) -> Plant:
                 lead_times_s=LEADS,
                 high_risk=[False, False, False, number % 4 == 0],
                 quantiles=[[[4000, 4100, 4200, 4300, 4400]] * 2] * 4,
-                naive={"persistence": [[4000, 4000]] * 4, "linear": [[4190, 4150]] * 4},
+                naive={"persistence": [[4000, 4000]] * 4, "linear": [[4240, 4150]] * 4},
             )
             time_us = now_us - (490 - 10 * number) * MINUTE_US
             issued.append(IssuedForecast(BEARING, time_us, 1, "period", content))
