@@ -130,7 +130,7 @@ class Cell:
         )
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self._states = StateKeeper(store.states.save_all)
-        self._ledger = ForecastLedger(store, self.outbox, clock, self.registry)
+        self._ledger = ForecastLedger(store, settings.data_dir, clock, self.registry)
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
@@ -394,6 +394,8 @@ class Cell:
         """
         try:
             async with contextlib.AsyncExitStack() as stack:
+                ledger = background(self._ledger.run(), "forecast ledger", stop)
+                await stack.enter_async_context(ledger)
                 await stack.enter_async_context(background(self._run_twins(), "twins", stop))
                 self.acquisition.hand_to(self._take)
                 stack.push_async_callback(self.jobs.stop)
@@ -403,7 +405,6 @@ class Cell:
                     ("health", self._tell_health()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
-                    ("forecast ledger", self._ledger.run()),
                     ("check of the store", self.maintenance.check()),
                     ("bus", self._others.serve(self.answers.handlers())),
                     ("state", self._report()),
