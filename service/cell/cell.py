@@ -136,7 +136,10 @@ class Cell:
 
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="forecast")
         self._states = StateKeeper(store.states.save_all)
-        self._ledger = ForecastLedger(store, self.outbox, clock, self.registry, keeps_house)
+        run = "" if share is None else share.ownership.cell
+        self._ledger = ForecastLedger(
+            store, settings.data_dir, clock, self.registry, keeps_house, run
+        )
         self.histories: dict[str, AssetHistory] = {}
         self.assets: dict[str, AssetRuntime] = {}
         self.provisioning = Provisioning(
@@ -380,6 +383,8 @@ class Cell:
         """
         try:
             async with contextlib.AsyncExitStack() as stack:
+                ledger = background(self._ledger.run(), "forecast ledger", stop)
+                await stack.enter_async_context(ledger)
                 await stack.enter_async_context(background(self._run_twins(), "twins", stop))
                 self.acquisition.hand_to(self._take)
                 stack.push_async_callback(self.jobs.stop)
@@ -389,7 +394,6 @@ class Cell:
                     ("health", self._reports.tell()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
-                    ("forecast ledger", self._ledger.run()),
                     ("check of the store", self.maintenance.check()),
                     ("bus", self._others.serve(self.answers.handlers())),
                     ("state", self._report()),

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 
 import structlog
 from anyio import to_thread
@@ -17,8 +18,12 @@ from service.store.outbox import ForecastBatch
 GATHER_S = 1.0
 #: Process seconds between two looks at what is due, and at least so many wall seconds.
 LOOK_EVERY_S, LOOK_LEAST_WALL_S = 60.0, 1.0
-#: Batches that wait for a store that is away: beyond these alarms alone find room on the disk.
-MOST_WAITING = 50_000
+#: Its queue is not that of the alarms: it takes neither their turn nor their room on a full disk.
+OUTBOX_FILE = "outbox-forecasts.db"
+#: Batches that wait for a store that is away; beyond these forecasts are dropped and counted.
+MOST_WAITING, MOST_UNKEPT = 50_000, 10_000
+#: Wall seconds until the queue is tried again, and for its last batches at the stop.
+_RETRY_S, _CLOSE_S = 2.0, 0.5
 
 _log = structlog.get_logger(__name__)
 
@@ -28,24 +33,28 @@ class ForecastLedger:
 
     Parameters
     ----------
-    store, outbox, clock
+    store, data_dir, clock
         Where forecasts end up, where they wait for it, process time.
     registry : prometheus_client.CollectorRegistry
         Where its figures are shown.
     is_ours : callable
         Whether this cell looks at what is due, of several with one store.
+    run : str
+        Name of this run, where there are several cells.
     """
 
     def __init__(
         self,
         store: Store,
-        outbox: Outbox,
+        data_dir: Path,
         clock: ProcessClock,
         registry: CollectorRegistry,
         is_ours: Callable[[], bool] = lambda: True,
+        run: str = "",
     ) -> None:
-        self._is_ours = is_ours
-        self._outbox = outbox
+        self._is_ours, self._run_name = is_ours, run
+        self._store = store
+        self._data_dir = data_dir
         self._clock = clock
         self._settling = Settling(store, clock.rate)
         self._new: list[IssuedForecast] = []
@@ -78,24 +87,47 @@ class ForecastLedger:
         wall_s = asyncio.get_running_loop().time
         every_wall_s = max(LOOK_EVERY_S / self._clock.rate, LOOK_LEAST_WALL_S)
         look_wall_s = wall_s() + every_wall_s
+        outbox = await self._opened()
         try:
             while True:
                 await asyncio.sleep(GATHER_S)
-                self._hand_over()
+                self._hand_over(outbox)
                 if wall_s() >= look_wall_s and self._is_ours():
                     await self._look()
                     look_wall_s = wall_s() + every_wall_s
         finally:
-            self._hand_over()
+            self._hand_over(outbox)
+            await to_thread.run_sync(outbox.close, _CLOSE_S)
 
-    def _hand_over(self) -> None:
+    async def _opened(self) -> Outbox:
+        """Open the queue; a disk without room for it holds up nothing else."""
+        failing = False
+        while True:
+            try:
+                return await to_thread.run_sync(
+                    Outbox.open, self._data_dir, self._store, OUTBOX_FILE, self._run_name
+                )
+            except StoreError as error:
+                if not failing:
+                    _log.error("forecasts_not_kept", error=str(error))
+                failing = True
+                self._drop(MOST_UNKEPT)
+                await asyncio.sleep(_RETRY_S)
+
+    def _drop(self, most: int) -> None:
+        """Forget the oldest of what has not been handed over, but for so many."""
+        count = max(len(self._new) - most, 0)
+        if count:
+            del self._new[:count]
+            self._dropped.inc(count)
+
+    def _hand_over(self, outbox: Outbox) -> None:
+        if outbox.waiting >= MOST_WAITING:
+            self._drop(0)
         batch, self._new = tuple(self._new), []
         if not batch:
             return
-        if self._outbox.waiting >= MOST_WAITING:
-            self._dropped.inc(len(batch))
-            return
-        self._outbox.record(ForecastBatch(batch))
+        outbox.record(ForecastBatch(batch))
         for one in batch:
             self._kept.labels(one.reason).inc()
 

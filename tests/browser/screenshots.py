@@ -22,6 +22,7 @@ VIEWS = (
     "envelope",
     "engineer",
     "history",
+    "accuracy",
     "alarms",
     "assets",
     "away",

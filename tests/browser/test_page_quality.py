@@ -26,6 +26,7 @@ VIEWS = (
     f"envelope/{BEARING}",
     f"engineer/{BEARING}",
     f"history/{BEARING}",
+    f"accuracy/{BEARING}",
     "alarms",
     "assets",
 )

@@ -231,6 +231,12 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("GET", f"{A}/advice", 200, params={"speed_rpm": 6200, "load_n": 5500})
     call("POST", f"{A}/forecasts", 200, json={"profile": [STEP], "nodes": ["t_node_7_c"]})
     call("POST", f"{A}/forecasts", 200, json={"profile": [STEP | {"ambient_c": 24}]})
+    kept = call("POST", f"{A}/forecasts", 200, json={"profile": [STEP], "keep": True})
+    assert kept["kept_at"] is not None
+    call("GET", f"{A}/forecasts", 200, params={"limit": 3})
+    call("GET", f"{A}/forecast-performance", 200)
+    one = {"lead_time_s": 300, "risk": "low", "version": 1}
+    call("GET", f"{A}/forecast-performance", 200, params=one)
     far = {"profile": [STEP], "nodes": ["t_wall_c"]}
     call("POST", f"{A}/forecasts", 422, json=far)
     now = site.get(f"{A}/state")["time"]

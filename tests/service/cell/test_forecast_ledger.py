@@ -14,7 +14,7 @@ from adapters.samples import Sample
 from service.cell.ledger import ForecastLedger
 from service.cell.settling import LOOKS_AGAIN_S, SETTLING_S, WAITS_FOR_DATA_S, Settling
 from service.clock import ProcessClock
-from service.store import Outbox, Store, StoreUnavailableError
+from service.store import Store, StoreUnavailableError
 from service.store.forecast_records import IssuedContent, IssuedForecast, StoredForecast
 from twin_core.verification import LEAD_TIMES_S
 
@@ -223,27 +223,26 @@ async def test_a_store_that_is_away_loses_nothing(
         return settle(settled)
 
     monkeypatch.setattr(store.forecasts, "settle", refusing)
-    with Outbox.open(tmp_path, store) as outbox:
-        ledger = ForecastLedger(store, outbox, clock, registry)
-        ledger.take(forecast)
-        running = asyncio.create_task(ledger.run())
+    ledger = ForecastLedger(store, tmp_path, clock, registry)
+    ledger.take(forecast)
+    running = asyncio.create_task(ledger.run())
 
-        def figure(**labels: str) -> float | None:
-            return registry.get_sample_value("bearing_twin_forecast_readings_total", labels)
+    def figure(**labels: str) -> float | None:
+        return registry.get_sample_value("bearing_twin_forecast_readings_total", labels)
 
-        async with asyncio.timeout(60):
-            while not outcomes(store):  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
-            await asyncio.sleep(1.5)
-            assert states(store) == [{"waiting"}]
-            away = False
-            while outcomes(store)[0].due_us is not None:  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
-            inside = {"lead_time_s": "300", "risk": "low", "outcome": "inside"}
-            while figure(**inside) is None:  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
-        running.cancel()
-        await asyncio.wait({running})
+    async with asyncio.timeout(60):
+        while not outcomes(store):  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(1.5)
+        assert states(store) == [{"waiting"}]
+        away = False
+        while outcomes(store)[0].due_us is not None:  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+        inside = {"lead_time_s": "300", "risk": "low", "outcome": "inside"}
+        while figure(**inside) is None:  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+    running.cancel()
+    await asyncio.wait({running})
     assert states(store) == [{"scored"}]
     assert figure(**inside) == 1.0
     assert figure(**{**inside, "outcome": "outside"}) == 1.0

@@ -30,6 +30,7 @@ from service.live.twins import Twins
 from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import AuditEntry, Outbox, Store
+from service.store.forecast_records import IssuedForecast
 from twin_core.bearings import bearing
 from twin_core.forecasting.design import Level
 from twin_core.identification.posterior import prior_posterior
@@ -78,6 +79,7 @@ class Live:
     alarms: AlarmBook
     saved: list[Mapping[str, Any]] = field(default_factory=list)
     audit: list[AuditEntry] = field(default_factory=list)
+    kept: list[IssuedForecast] = field(default_factory=list)
     stored: list[Sample] = field(default_factory=list)
     store_is_away: bool = False
     refused: int = 0
@@ -227,6 +229,7 @@ async def make_live(
             executor=executor,
             store_samples=lambda samples: live.stored.extend(samples),
             save_state=save_state,
+            keep_forecast=lambda issued: live.kept.append(issued),
         )
         live = Live(runtime, clock, store, bus, book)
         made.append(live)

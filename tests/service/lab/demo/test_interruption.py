@@ -88,6 +88,7 @@ def test_a_signal_during_the_preparation_ends_it_at_once(demo: Demo, tmp_path: P
         "stages": [],
         "samples": {"modbus": 0, "can": 0},
         "complete": False,
+        "forecasts_kept": {},
     }
 
 

@@ -58,6 +58,7 @@ from service.ingest import Ingest, Spool
 from service.security.keys import create_key
 from service.site.settings import Settings
 from service.store import ActiveJobError, AuditEntry, Outbox, Store
+from service.store.forecast_records import IssuedContent, IssuedForecast
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
 from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
@@ -89,6 +90,7 @@ class MemoryTwin:
         self.channels = channels
         self.time_us = time_us
         self.ready = True
+        self.blind: list[str] = []
         self.identified = True
         self.live_forecast: LiveForecast | None = None
         self.looks = 0
@@ -116,7 +118,7 @@ class MemoryTwin:
             version=1,
             estimate=estimate if self.ready else None,
             planned=[],
-            missing=[],
+            missing=self.blind,
             measured_c={},
         )
 
@@ -261,6 +263,28 @@ class MemoryQuestions:
         nodes: Collection[str] | None,
     ) -> WhatIf:
         return self.twins[asset].what_if(profile, step_s, nodes)
+
+    async def what_if_to_keep(
+        self,
+        asset: str,
+        machine: PresentMachine,
+        profile: Sequence[ProfileStep],
+        step_s: float | None,
+        nodes: Collection[str] | None,
+    ) -> tuple[WhatIf, IssuedForecast | None]:
+        content = IssuedContent(
+            steps=[(one.duration_s, one.speed_rpm, one.load_n, 23.0) for one in profile],
+            planned=False,
+            labels=[],
+            channels=list(RING_SENSORS),
+            lead_times_s=[300],
+            high_risk=[False],
+            quantiles=[[[6000] * 5] * 2],
+            naive={},
+        )
+        time_us = self.twins[asset].time_us
+        issued = IssuedForecast(asset, time_us, machine.version, "asked", content)
+        return self.twins[asset].what_if(profile, step_s, nodes), issued
 
     async def envelope(self, asset: str, machine: PresentMachine) -> EnvelopeDocument:
         return EnvelopeDocument(
