@@ -55,7 +55,8 @@ async def run_fleet(
     Raises
     ------
     ValueError
-        Wrong number of benches or gateways, rate that is not positive, port in use, truth file not writable.
+        Wrong number of benches or gateways, rate that is not positive, port in use, truth file
+        not writable.
     """
     if not 1 <= benches <= MOST_BENCHES:
         raise ValueError(f"benches {benches!r}: expected a whole number from 1 to {MOST_BENCHES}")

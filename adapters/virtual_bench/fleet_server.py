@@ -23,7 +23,7 @@ _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_COUNT, _NO_RESPONSE = 1, 2, 3, 0x0
 
 
 class FleetModbusServer:
-    """Serves benches over Modbus TCP: bench number n is unit ``n % units + 1`` of port ``n // units``.
+    """Serves benches over Modbus TCP: number n is unit ``n % units + 1`` of port ``n // units``.
 
     All registers of one answer belong to one moment.
 

@@ -210,6 +210,7 @@ class Cell:
                 problems=self._reports.problems,
                 apply_assets=self.provisioning.apply,
                 is_fleet=share is not None,
+                followed=lambda: self._followed,
             )
         )
 

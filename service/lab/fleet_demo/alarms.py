@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Collection, Sequence
-from typing import Final
+from typing import Any, Final
 
 import httpx2
 
@@ -30,9 +30,14 @@ async def open_alarms(client: httpx2.AsyncClient, assets: Collection[str]) -> Al
     """
     answer = await client.get("/api/v1/alarms")
     answer.raise_for_status()
+    return hot_alarms(answer.json(), assets)
+
+
+def hot_alarms(document: Any, assets: Collection[str]) -> Alarms:
+    """Give the alarms of the pushed temperatures in a list of alarms."""
     return {
         (one["asset"], one["id"]): one["state"]
-        for one in answer.json()["items"]
+        for one in document["items"]
         if one["asset"] in assets and (one["kind"], one["channel"]) == (KIND, HOT_CHANNEL)
     }
 

@@ -104,6 +104,9 @@ class Story:
         """Have alarms raised and some of them acknowledged, before anything is killed."""
         async with self.stand.client() as client:
             self._alarms = await raise_and_acknowledge(client, self.stand.pushed)
+        # The other web process may give an answer of a moment ago.
+        await asyncio.sleep(1.0)
+        self.stand.watcher.alarms = self._alarms
         acknowledged = sum(state == "ACKED" for state in self._alarms.values())
         self._tell(f"{len(self._alarms)} alarms are open, {acknowledged} of them acknowledged.")
 

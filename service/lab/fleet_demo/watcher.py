@@ -13,7 +13,10 @@ from typing import Any, Final
 import httpx2
 import websockets
 
+from service.lab.fleet_demo.alarms import Alarms, hot_alarms
+
 _EVERY_S: Final = 0.1
+_ALARMS_EVERY_S: Final = 0.2
 _PATIENCE_S: Final = 10.0
 #: A verdict that is older than this must not be called safe: data are uncertain after 5 s, and a
 #: busy machine takes its time.
@@ -56,6 +59,11 @@ class Watcher:
         Whom to ask for.
     is_up : callable
         Whether a web process, by its place, is meant to answer.
+
+    Attributes
+    ----------
+    alarms : dict or None
+        What every answer must give from now on; None: anything.
     """
 
     def __init__(
@@ -66,6 +74,7 @@ class Watcher:
         is_up: Callable[[int], bool],
     ) -> None:
         self.seen = Seen()
+        self.alarms: Alarms | None = None
         self._addresses = addresses
         self._headers = {"X-API-Key": key}
         self._assets = assets
@@ -79,6 +88,7 @@ class Watcher:
         ):
             for place in range(len(self._addresses)):
                 tasks.create_task(self._look(client, place))
+                tasks.create_task(self._look_at_alarms(client, place))
 
     async def _look(self, client: httpx2.AsyncClient, place: int) -> None:
         for asset in itertools.cycle(self._assets):
@@ -94,6 +104,23 @@ class Watcher:
                 else:
                     self._judge(asset, what, answer)
             await asyncio.sleep(_EVERY_S)
+
+    async def _look_at_alarms(self, client: httpx2.AsyncClient, place: int) -> None:
+        while True:
+            await asyncio.sleep(_ALARMS_EVERY_S)
+            if self.alarms is None:
+                continue
+            try:
+                answer = await client.get(f"{self._addresses[place]}api/v1/alarms")
+            except httpx2.TransportError:
+                continue  # whoever looks at the values judges that
+            if answer.status_code == _OK:
+                found = hot_alarms(answer.json(), {asset for asset, _ in self.alarms})
+                if found != self.alarms:
+                    changed = sorted(set(found.items()) ^ set(self.alarms.items()))
+                    self.seen.wrong.append(f"alarms of web {place + 1}: {changed}")
+            elif answer.status_code != _NOT_NOW or "Retry-After" not in answer.headers:
+                self.seen.wrong.append(f"alarms of web {place + 1}: status {answer.status_code}")
 
     def _judge(self, asset: str, what: str, answer: httpx2.Response) -> None:
         seen = self.seen
