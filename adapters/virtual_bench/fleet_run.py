@@ -61,9 +61,7 @@ async def run_fleet(
     if not 1 <= benches <= MOST_BENCHES:
         raise ValueError(f"benches {benches!r}: expected a whole number from 1 to {MOST_BENCHES}")
     fewest = math.ceil(benches / UNITS)
-    if gateways is None:
-        gateways = fewest
-    if not fewest <= gateways <= benches:
+    if gateways is not None and not fewest <= gateways <= benches:
         raise ValueError(
             f"gateways {gateways!r}: expected a whole number from {fewest} to {benches}, "
             f"as one has {UNITS} units at most"
@@ -81,7 +79,7 @@ async def run_fleet(
     def now_s() -> float:
         return (time.monotonic() - origin) * rate
 
-    units = math.ceil(benches / gateways)
+    units = UNITS if gateways is None else math.ceil(benches / gateways)
     server = FleetModbusServer(fleet, now_s, units)
     try:
         ports = await server.start(host, modbus_port)

