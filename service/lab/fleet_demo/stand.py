@@ -267,8 +267,9 @@ async def _cluster(
         own_port = free_port()
         command = [
             *dask, "worker", f"tcp://127.0.0.1:{port}", "--no-nanny", "--no-dashboard",
-            "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1", "--worker-port", str(own_port), "--nthreads", "1",
-            "--memory-limit", "0", "--local-directory", str(folder),
+            "--dashboard-address", "127.0.0.1:0", "--host", "127.0.0.1",
+            "--worker-port", str(own_port), "--nthreads", "1", "--memory-limit", "0",
+            "--local-directory", str(folder),
         ]  # fmt: skip
         workers.append(await start(Part(f"worker {number}", command, folder, port=own_port)))
     return scheduler, workers
