@@ -56,7 +56,6 @@ class Stand:
     key: str
     database: DatabaseServer
     nats: Part
-    scheduler: Part
     workers: list[Part]
     cells: list[Part]
     webs: list[Part]
@@ -140,7 +139,8 @@ async def running_stand(
     folder : pathlib.Path
         Empty directory with a short path.
     benches, pushed, nights : int
-        Assets that are polled, pushed to, and identified in a night.
+        Assets that are polled, pushed to, and identified in a night; without one of the last
+        kind no Dask cluster is started.
     ports : sequence of int
         Of the web processes; 0 takes a free one.
     tell : callable
@@ -168,8 +168,10 @@ async def running_stand(
             Part("NATS", _nats(nats_port), folder, port=nats_port, again_after_s=NATS_AWAY_S)
         )
         tell(f"PostgreSQL and NATS run ({nats.name} on port {nats_port}).")
-        scheduler, workers = await _cluster(folder, dask_port, start)
-        tell(f"A Dask scheduler runs on port {dask_port}, with {WORKERS} workers.")
+        workers: list[Part] = []
+        if nights:
+            workers = await _cluster(folder, dask_port, start)
+            tell(f"A Dask scheduler runs on port {dask_port}, with {WORKERS} workers.")
         gateways = max(2, -(-benches // _BENCHES_A_GATEWAY))
         arguments = ("virtual-fleet", "--benches", str(benches), "--gateways", str(gateways))
         fleet = Part(
@@ -185,7 +187,7 @@ async def running_stand(
             nights,
             database.url,
             f"nats://127.0.0.1:{nats_port}",
-            f"tcp://127.0.0.1:{dask_port}",
+            f"tcp://127.0.0.1:{dask_port}" if nights else "",
         )
         settings = load_settings(configuration)
         key = await asyncio.to_thread(_prepare, settings, folder, nights)
@@ -218,7 +220,6 @@ async def running_stand(
             key=key,
             database=database,
             nats=nats,
-            scheduler=scheduler,
             workers=workers,
             cells=cells,
             webs=webs,
@@ -253,9 +254,7 @@ def _nats(port: int) -> list[str]:
     return [str(program), "--addr", "127.0.0.1", "--port", str(port)]
 
 
-async def _cluster(
-    folder: Path, port: int, start: Callable[[Part], Awaitable[Part]]
-) -> tuple[Part, list[Part]]:
+async def _cluster(folder: Path, port: int, start: Callable[[Part], Awaitable[Part]]) -> list[Part]:
     dask = [sys.executable, "-m", "dask"]
     host = ("--host", "tcp://127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0")
     scheduler = Part(
@@ -272,7 +271,7 @@ async def _cluster(
             "--local-directory", str(folder),
         ]  # fmt: skip
         workers.append(await start(Part(f"worker {number}", command, folder, port=own_port)))
-    return scheduler, workers
+    return workers
 
 
 def _side(

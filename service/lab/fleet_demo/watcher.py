@@ -211,7 +211,7 @@ class StreamReader:
         followed, now_s = self.followed, time.monotonic()
         if message["type"] == "hello":
             followed.gaps_told += message["gap"]
-        elif message["seq"] <= last:
+        elif message["seq"] < last:  # some go beside the numbered ones, with the latest number
             followed.wrong.append(f"message {message['seq']} after {last}")
         if message["type"] not in ("hello", "heartbeat"):
             followed.messages += 1
