@@ -6,10 +6,14 @@ DEMO_ARGS ?=
 # Hundreds of processes load the same modules: each must find them compiled.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test lint docs descriptions clean
+.PHONY: demo demo-fleet test lint docs descriptions clean
 
 demo: $(VENV)/.installed-run
 	@$(BIN)/bearing-twin demo $(DEMO_ARGS)
+
+# Several cells with PostgreSQL, NATS and Dask, all of them on this machine.
+demo-fleet: $(VENV)/.installed-fleet
+	@$(BIN)/bearing-twin demo-fleet $(DEMO_ARGS)
 
 # The types are checked on one core while the kernels are compiled on another. Each worker runs services
 # of several processes: more workers than cores make tests of faults and attacks wait for each other.
@@ -46,9 +50,14 @@ $(VENV)/.installed-run: $(VENV)/bin/python pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . >&2
 	@touch $@
 
+$(VENV)/.installed-fleet: $(VENV)/bin/python pyproject.toml constraints.txt
+	@echo "Installing into $(VENV) ..." >&2
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fleet,servers]' >&2
+	@touch $@ $(VENV)/.installed-run
+
 $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
-	@touch $@ $(VENV)/.installed-run
+	@touch $@ $(VENV)/.installed-run $(VENV)/.installed-fleet
 
 clean:
 	rm -rf $(VENV) build dist var .mypy_cache .ruff_cache .pytest_cache

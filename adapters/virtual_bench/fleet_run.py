@@ -24,6 +24,7 @@ async def run_fleet(
     seed: int = 0,
     host: str = "127.0.0.1",
     modbus_port: int = 5020,
+    gateways: int | None = None,
     truth: Path | None = None,
     announce: Callable[[FleetAnnouncement], None],
     stop: asyncio.Event,
@@ -42,6 +43,8 @@ async def run_fleet(
         Address to listen on.
     modbus_port : int
         First port; 0 takes free ones.
+    gateways : int, optional
+        The benches are spread evenly over so many ports at most; by default as few as do.
     truth : pathlib.Path, optional
         CSV file for the true temperatures of all benches, once a minute.
     announce : callable
@@ -52,10 +55,17 @@ async def run_fleet(
     Raises
     ------
     ValueError
-        Wrong number of benches, rate that is not positive, port in use, truth file not writable.
+        Wrong number of benches or gateways, rate that is not positive, port in use, truth file
+        not writable.
     """
     if not 1 <= benches <= MOST_BENCHES:
         raise ValueError(f"benches {benches!r}: expected a whole number from 1 to {MOST_BENCHES}")
+    fewest = math.ceil(benches / UNITS)
+    if gateways is not None and not fewest <= gateways <= benches:
+        raise ValueError(
+            f"gateways {gateways!r}: expected a whole number from {fewest} to {benches}, "
+            f"as one has {UNITS} units at most"
+        )
     if not (math.isfinite(rate) and rate > 0.0):
         raise ValueError(f"rate {rate!r}: expected a positive number")
     if seed < 0:
@@ -69,13 +79,14 @@ async def run_fleet(
     def now_s() -> float:
         return (time.monotonic() - origin) * rate
 
-    server = FleetModbusServer(fleet, now_s)
+    units = UNITS if gateways is None else math.ceil(benches / gateways)
+    server = FleetModbusServer(fleet, now_s, units)
     try:
         ports = await server.start(host, modbus_port)
         announce(
             {
                 "modbus": [
-                    {"host": at, "port": port, "units": min(UNITS, benches - number * UNITS)}
+                    {"host": at, "port": port, "units": min(units, benches - number * units)}
                     for number, (at, port) in enumerate(ports)
                 ],
                 "benches": benches,

@@ -23,7 +23,7 @@ _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_COUNT, _NO_RESPONSE = 1, 2, 3, 0x0
 
 
 class FleetModbusServer:
-    """Serves benches over Modbus TCP: bench number n is unit ``n % 247 + 1`` of port ``n // 247``.
+    """Serves benches over Modbus TCP: number n is unit ``n % units + 1`` of port ``n // units``.
 
     All registers of one answer belong to one moment.
 
@@ -33,9 +33,12 @@ class FleetModbusServer:
         What is served.
     now_s : callable
         Present process time in seconds since the start.
+    units : int
+        Benches behind one port, `UNITS` at most.
     """
 
-    def __init__(self, fleet: BenchFleet, now_s: Callable[[], float]) -> None:
+    def __init__(self, fleet: BenchFleet, now_s: Callable[[], float], units: int = UNITS) -> None:
+        self.units = units
         self._fleet = fleet
         self._now_s = now_s
         self._answers = [0] * fleet.size
@@ -64,7 +67,7 @@ class FleetModbusServer:
         """
         loop = asyncio.get_running_loop()
         found = []
-        for number, first in enumerate(range(0, self._fleet.size, UNITS)):
+        for number, first in enumerate(range(0, self._fleet.size, self.units)):
             wanted = port + number if port else 0
             address = check_port("modbus port", host, wanted)
             try:
@@ -143,7 +146,7 @@ class _Connection(asyncio.Protocol):
             self._transport.write(_HEADER.pack(number, 0, len(body) + 1, unit) + body)
 
     def _answer(self, unit: int, request: bytes) -> bytes:
-        if not 1 <= unit <= UNITS:
+        if not 1 <= unit <= self._server.units:
             return bytes((request[0] | 0x80, _NO_RESPONSE))
         if len(request) < _REQUEST.size:
             return bytes((request[0] | 0x80, _ILLEGAL_FUNCTION))

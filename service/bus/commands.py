@@ -183,6 +183,19 @@ class ListAlarms(Command[list[Alarm]], frozen=True, array_like=True):
     normal: bool = False
 
 
+class FollowedAlarms(msgspec.Struct, frozen=True, array_like=True):
+    """Alarms of a cell, and which of its sets of assets they belong to (`State.followed`)."""
+
+    alarms: list[Alarm]
+    followed: int
+
+
+class ListFollowedAlarms(Command[FollowedAlarms], frozen=True, array_like=True):
+    """As `ListAlarms`, of one cell among several."""
+
+    normal: bool = False
+
+
 class ActOnAlarm(Command[Alarm], frozen=True, array_like=True):
     """Do something to an alarm; answered when that is on the disk.
 

@@ -315,26 +315,62 @@ class Fleet:
         return found
 
     async def _alarms(self, command: commands.ListAlarms, patience_s: float) -> list[Alarm]:
-        answers = await self._all(command, patience_s)
-        alarms = [alarm for one in answers.values() for alarm in one]
-        if command.normal or (not self.missing() and len(answers) == len(self.alive())):
+        answers = await self._followed_alarms(command, patience_s)
+        # Of two cells that claim an asset the one that has it.
+        alarms = [
+            alarm
+            for token, answer in answers.items()
+            for alarm in answer.alarms
+            if self._is_owner(token, alarm.asset)
+        ]
+        if command.normal:
+            return alarms
+        unanswered = {
+            name
+            for name in self._known()
+            if not any(self._is_owner(token, name) for token in answers)
+        }
+        if not unanswered:
             return alarms
         # While a cell is being replaced its alarms are as they were.
-        answered = {
-            name for token in answers for name in self._names.get(token, ()) if self._owner(name)
-        }
-        with contextlib.suppress(StoreUnavailableError):
-            kept = await self._open_alarms()
-            alarms += [alarm for alarm in kept if alarm.asset not in answered]
-        return alarms
+        kept = await self._kept_alarms()
+        return alarms + [alarm for alarm in kept if alarm.asset in unanswered]
+
+    async def _followed_alarms(
+        self, command: commands.ListAlarms, patience_s: float
+    ) -> dict[str, commands.FollowedAlarms]:
+        """Ask until it is known of which assets the answers are: one may just change hands."""
+        ends_s = time.monotonic() + patience_s
+        while True:
+            answers = await self._all(commands.ListFollowedAlarms(command.normal), patience_s)
+            known = {token: kind[1] for token, kind in self._named.items()}
+            if all(answer.followed == known.get(token) for token, answer in answers.items()):
+                return answers
+            if time.monotonic() > ends_s:
+                raise CellUnavailableError("assets are changing hands")
+            await asyncio.sleep(_LOOK_EVERY_S)
+
+    async def _kept_alarms(self) -> Sequence[Alarm]:
+        try:
+            return await self._open_alarms()
+        except StoreUnavailableError as error:
+            raise CellUnavailableError("the cell of some alarms is being replaced") from error
+
+    def _is_owner(self, token: str, asset: str) -> bool:
+        owner = self._owner(asset)
+        return owner is not None and owner.epoch == token
 
     async def _act(self, command: commands.ActOnAlarm, patience_s: float) -> Alarm:
         for cell in self.alive():
             with contextlib.suppress(UnknownAlarmError):
                 return await cell.ask(command, patience_s)
-        if self.missing():
-            raise CellUnavailableError("the cell of this alarm is being replaced")
+        await self._require_over([command.alarm])
         raise UnknownAlarmError(f"no open alarm {command.alarm!r}")
+
+    async def _require_over(self, alarms: Collection[str]) -> None:
+        """Refuse to call an alarm unknown while its asset has no cell that knows it."""
+        if any(alarm.id in alarms for alarm in await self._kept_alarms()):
+            raise CellUnavailableError("the cell of this alarm is being replaced")
 
     async def _acknowledge(
         self, command: commands.AcknowledgeAlarms, patience_s: float
@@ -348,6 +384,8 @@ class Fleet:
                 ids_of.setdefault(cell_of[alarm_id], []).append(alarm_id)
             else:
                 unknown.append((alarm_id, f"no open alarm {alarm_id!r}"))
+        if unknown:
+            await self._require_over([id for id, _ in unknown])
         done = commands.AcknowledgedAlarms([], unknown)
         for token, ids in ids_of.items():
             # One call, one line of the audit trail.

@@ -60,6 +60,7 @@ class Parts:
     problems: Callable[[], Mapping[str, str | None]] = dict
     apply_assets: Callable[[], Awaitable[dict[str, str]]] | None = None
     is_fleet: bool = False
+    followed: Callable[[], int] = int
 
 
 @dataclass(slots=True)
@@ -122,6 +123,7 @@ class Answers:
             ask.FollowStream: self.follow_stream,
             ask.TakeSamples: self.take_samples,
             ask.ListAlarms: self.list_alarms,
+            ask.ListFollowedAlarms: self.list_followed_alarms,
             ask.ActOnAlarm: self.act_on_alarm,
             ask.AcknowledgeAlarms: self.acknowledge_alarms,
             ask.Flush: self.flush,
@@ -241,6 +243,11 @@ class Answers:
         """Give the alarms that are not over, or the normal ones."""
         book = self.parts.alarms
         return book.normal() if command.normal else book.active()
+
+    async def list_followed_alarms(self, command: ask.ListFollowedAlarms) -> ask.FollowedAlarms:
+        """Give the alarms, and which assets they are of."""
+        alarms = await self.list_alarms(ask.ListAlarms(command.normal))
+        return ask.FollowedAlarms(alarms, self.parts.followed())
 
     async def act_on_alarm(self, command: ask.ActOnAlarm) -> Alarm:
         """Do something to an alarm."""

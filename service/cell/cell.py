@@ -213,6 +213,7 @@ class Cell:
                 problems=self._reports.problems,
                 apply_assets=self.provisioning.apply,
                 is_fleet=share is not None,
+                followed=lambda: self._followed,
             )
         )
 

@@ -21,8 +21,14 @@ def virtual_fleet(
     seed: Annotated[int, typer.Option(help="Seed of benches, duties, noise and drift.")] = 0,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     modbus_port: Annotated[
-        int, typer.Option(help="First Modbus TCP port, one per 247 benches; 0 takes free ones.")
+        int, typer.Option(help="First Modbus TCP port, one per gateway; 0 takes free ones.")
     ] = 5020,
+    gateways: Annotated[
+        int | None,
+        typer.Option(
+            help="Spread the benches evenly over so many ports at most; by default 247 go to one."
+        ),
+    ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="Write the true temperatures of all to this CSV file.")
     ] = None,
@@ -68,6 +74,7 @@ def virtual_fleet(
             seed=seed,
             host=host,
             modbus_port=modbus_port,
+            gateways=gateways,
             truth=truth,
             announce=announce,
             stop=stop_on_signals(),

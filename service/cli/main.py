@@ -15,6 +15,7 @@ from service.cli.benchmark import benchmark
 from service.cli.check import check
 from service.cli.database import db
 from service.cli.demo import demo
+from service.cli.demo_fleet import demo_fleet
 from service.cli.drift import drift
 from service.cli.export_fmu import export_fmu
 from service.cli.fleet import fleet
@@ -37,6 +38,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(demo)
+app.command("demo-fleet")(demo_fleet)
 app.command()(serve)
 app.command()(check)
 app.command("virtual-bench")(virtual_bench)

@@ -36,7 +36,7 @@ _COME_BACK_S: Final = 8.0
 #: Clocks of cell and server that differ by more are reported.
 _CLOCKS_DIFFER_S: Final = 2.0
 #: First number of the advisory locks of the partitions; any that no one else uses.
-_LOCKS: Final = 0x42545770
+LOCKS: Final = 0x42545770
 _ANSWER_S: Final = 6.0
 _END_S: Final = 2.0
 
@@ -261,7 +261,7 @@ class Ownership(Closable):
         beat = {"me": me, "revision": self.assets_revision}
         server_s = float(_first(connection.execute(_BEAT, beat))[0])
         self.clock_ahead_s = time.time() - server_s
-        given = {"me": me, "dead_s": DEAD_S, "come_back_s": _COME_BACK_S, "locks": _LOCKS}
+        given = {"me": me, "dead_s": DEAD_S, "come_back_s": _COME_BACK_S, "locks": LOCKS}
         for silent in {row[0] for row in connection.execute(_END_SILENT, given)}:
             _log.warning("silent_cell_ended", cell=silent, silent_s=DEAD_S)
         connection.execute(_FORGET_DEAD, given)
@@ -284,7 +284,7 @@ class Ownership(Closable):
             return
         self._connection.execute(_LEAVE, (sorted(left), self.cell))
         for partition in left:
-            self._connection.execute("SELECT pg_advisory_unlock(%s, %s)", (_LOCKS, partition))
+            self._connection.execute("SELECT pg_advisory_unlock(%s, %s)", (LOCKS, partition))
         owned = {id: epoch for id, epoch in self._owned.items() if id not in left}
         self._change(owned=owned, leaving=self._leaving - left)
 
@@ -303,7 +303,8 @@ class Ownership(Closable):
                 except psycopg.errors.LockNotAvailable:  # its old owner is being ended
                     self._unlock_partition(partition)
         if taken:
-            _log.info("partitions_taken", count=len(taken), owned=len(self._owned) + len(taken))
+            owned = len(self._owned) + len(taken)
+            _log.info("partitions_taken", cell=self.cell, count=len(taken), owned=owned)
             self._change(owned={**self._owned, **taken})
 
     def _take_again(self) -> None:
@@ -329,12 +330,12 @@ class Ownership(Closable):
             self._on_lost()
 
     def _lock_partition(self, partition: int) -> bool:
-        arguments = (_LOCKS, partition)
+        arguments = (LOCKS, partition)
         found = self._connection.execute("SELECT pg_try_advisory_lock(%s, %s)", arguments)
         return bool(_first(found)[0])
 
     def _unlock_partition(self, partition: int) -> None:
-        self._connection.execute("SELECT pg_advisory_unlock(%s, %s)", (_LOCKS, partition))
+        self._connection.execute("SELECT pg_advisory_unlock(%s, %s)", (LOCKS, partition))
 
     def _change(
         self, owned: Mapping[int, int] | None = None, leaving: frozenset[int] | None = None

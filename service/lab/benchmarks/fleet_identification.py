@@ -59,7 +59,7 @@ async def _measured(store: Store, tell: Progress) -> Measurement:
     assets = [_asset(f"machine-{number}") for number in range(MACHINES + WARM_UP)]
     for number, asset in enumerate(assets):
         tell(0.1 * number / len(assets), "machines run")
-        store.samples.write(_run(asset.id, number, start_us))
+        store.samples.write(run_of_machine(asset.id, number, start_us))
     first, measured = assets[:WARM_UP], assets[WARM_UP:]
     one, two = ProcessBatches(1), ProcessBatches(WORKERS)
 
@@ -124,7 +124,7 @@ def _asset(name: str) -> AssetSection:
     )
 
 
-def _run(asset: str, number: int, start_us: int) -> list[Sample]:
+def run_of_machine(asset: str, number: int, start_us: int) -> list[Sample]:
     """What the sensors of a machine of the model's family read; each has other parameters."""
     model = build_model("default", bearing=bearing("6311"))
     rng = np.random.default_rng(number)

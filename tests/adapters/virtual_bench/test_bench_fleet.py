@@ -59,6 +59,14 @@ async def _client(port: int) -> AsyncIterator[AsyncModbusTcpClient]:
         client.close()
 
 
+async def test_benches_are_spread_over_gateways() -> None:
+    async with _fleet(7, gateways=3) as facts:
+        assert [one["units"] for one in facts["modbus"]] == [3, 3, 1]
+        async with _client(facts["modbus"][2]["port"]) as client:
+            assert not (await client.read_input_registers(0, count=3, device_id=1)).isError()
+            assert (await client.read_input_registers(0, count=3, device_id=2)).isError()
+
+
 def test_same_seed_gives_the_same_whenever_it_is_advanced() -> None:
     often, once = BenchFleet(23, 4), BenchFleet(23, 4)
     for second in range(0, 1801, 7):
@@ -195,6 +203,7 @@ async def test_bad_arguments_name_what_is_wrong() -> None:
         ({"benches": 0}, "benches 0: expected a whole number from 1"),
         ({"benches": 1, "rate": 0.0}, "rate 0.0: expected a positive number"),
         ({"benches": 1, "seed": -1}, "seed -1: expected"),
+        ({"benches": 300, "gateways": 1}, "gateways 1: expected a whole number from 2 to 300"),
     ):
         with pytest.raises(ValueError, match=message):
             await run_fleet(modbus_port=0, announce=print, stop=asyncio.Event(), **options)
