@@ -134,7 +134,8 @@ def test_scores_of_several_kinds_are_put_together_by_their_readings(parts: Page)
             // Of two versions one has no ARX: the other decides, and there the twin is better.
             leads: byLead([...items,
               item(20, { lead_time_s: 1800, mae_k: 5, naive: naive(null) }),
-              item(10, { lead_time_s: 1800, mae_k: 1, naive: naive(2), model_version: 2 })]).map((row) => [row.lead, row.n, loses(row)]),
+              item(10, { lead_time_s: 1800, mae_k: 1, naive: naive(2), model_version: 2 })])
+              .map((row) => [row.lead, row.n, loses(row)]),
             high: chosen(items, { risk: 'high' }).length,
             texts: [recordText(items), recordText([item(0)]), recordText([]),
               recordText([{ ...item(0), set_aside: 0 }])],
