@@ -8,6 +8,7 @@ import structlog
 from sqlalchemy import ColumnElement, Row, bindparam, func, insert, select, update
 
 from service.clock import MICROSECONDS
+from service.store.audit import add_line
 from service.store.deliveries import Delivery
 from service.store.forecast_records import (
     ForecastPage,
@@ -19,6 +20,7 @@ from service.store.forecast_records import (
     StoredForecast,
 )
 from service.store.part import StorePart
+from service.store.records import AuditEntry
 from service.store.tables import KeptForecastRow, ModelVersionRow
 
 _log = structlog.get_logger(__name__)
@@ -41,7 +43,12 @@ _READ_OUTCOME = msgspec.msgpack.Decoder(Outcome).decode
 class KeptForecasts(StorePart):
     """What a forecast said is never changed; what came of it is added when its times come."""
 
-    def add(self, issued: Sequence[IssuedForecast], delivery: Delivery | None = None) -> None:
+    def add(
+        self,
+        issued: Sequence[IssuedForecast],
+        delivery: Delivery | None = None,
+        audit: AuditEntry | None = None,
+    ) -> None:
         """Keep forecasts of any number of assets, in one transaction.
 
         Parameters
@@ -50,6 +57,8 @@ class KeptForecasts(StorePart):
             The forecasts, each with a lead time at least.
         delivery
             Of an outbox; what it delivers again is known.
+        audit
+            Line of the audit trail, where somebody asked for it.
         """
         rows = [
             {
@@ -73,6 +82,7 @@ class KeptForecasts(StorePart):
                 rows = [row for row in rows if row["asset"] in ours]
             if rows:
                 connection.execute(insert(KeptForecastRow), rows)
+                add_line(connection, audit)
 
     def due(self, before_us: int, limit: int) -> list[StoredForecast]:
         """Give forecasts of which a reading was due by then, the longest overdue first."""

@@ -60,9 +60,10 @@ class AlarmChange:
 
 @dataclass(frozen=True, slots=True)
 class ForecastBatch:
-    """Forecasts of any number of assets that are to be kept together."""
+    """Forecasts that are to be kept together, with the line of who asked for them, if anybody."""
 
     forecasts: tuple[IssuedForecast, ...]
+    audit: AuditEntry | None = None
 
 
 Change = AlarmChange | AuditEntry | ForecastBatch
@@ -273,7 +274,7 @@ class Outbox(Closable):
             if isinstance(change, AuditEntry):
                 self._store.audit.add(change, delivery)
             elif isinstance(change, ForecastBatch):
-                self._store.forecasts.add(change.forecasts, delivery)
+                self._store.forecasts.add(change.forecasts, delivery, change.audit)
             elif change is not None:
                 self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
             else:
@@ -312,7 +313,7 @@ class Outbox(Closable):
 
 def _document(change: Change) -> str:
     if isinstance(change, ForecastBatch):
-        return json.dumps({"forecasts": msgspec.to_builtins(change.forecasts)})
+        return json.dumps({"forecasts": msgspec.to_builtins(change)})
     kind = "audit" if isinstance(change, AuditEntry) else "alarm"
     return json.dumps({kind: asdict(change)}, default=float)
 
@@ -324,7 +325,7 @@ def _change(document: str) -> Change | None:
         if kind == "audit":
             return AuditEntry(**given)
         if kind == "forecasts":
-            return ForecastBatch(msgspec.convert(given, tuple[IssuedForecast, ...]))
+            return msgspec.convert(given, ForecastBatch)
         alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
         lines = tuple(AlarmTransition(**line) for line in given["lines"])
         audit = given.get("audit")  # earlier versions kept none

@@ -117,6 +117,8 @@ def test_scores_of_several_kinds_are_put_together_by_their_readings(parts: Page)
         """async () => {
           const { together, byLead, chosen, recordText, loses } =
             await import('/js/accuracy.js');
+          const naive = (arx) => ({ persistence: { mae_k: 9 }, linear: { mae_k: null },
+            arx: { mae_k: arx } });
           const item = (n, more) => ({
             channel: 't_inner_ring_c', lead_time_s: 300, risk: 'low', model_version: 1, n,
             set_aside: 2, set_aside_by: { plan: 1, data: 1, model: 0 }, waiting: 3,
@@ -129,7 +131,11 @@ def test_scores_of_several_kinds_are_put_together_by_their_readings(parts: Page)
           const items = [item(30), item(10, { mae_k: 3, lead_time_s: 600, risk: 'high' }), item(0)];
           return {
             all: together(items),
-            leads: byLead(items).map((row) => [row.lead, row.n, loses(row)]),
+            // Of two versions one has no ARX: the other decides, and there the twin is better.
+            leads: byLead([...items,
+              item(20, { lead_time_s: 1800, mae_k: 5, naive: naive(null) }),
+              item(10, { lead_time_s: 1800, mae_k: 1, naive: naive(2), model_version: 2 })])
+              .map((row) => [row.lead, row.n, loses(row)]),
             high: chosen(items, { risk: 'high' }).length,
             texts: [recordText(items), recordText([item(0)]), recordText([]),
               recordText([{ ...item(0), set_aside: 0 }])],
@@ -141,7 +147,7 @@ def test_scores_of_several_kinds_are_put_together_by_their_readings(parts: Page)
     assert total["by"] == {"plan": 3, "data": 3, "model": 0}
     assert total["mae_k"] == pytest.approx((30 * 1 + 10 * 3) / 40)
     assert total["naive"] == {"persistence": 0.5, "linear": None, "arx": None}
-    assert found["leads"] == [[300, 30, True], [600, 10, True]]
+    assert found["leads"] == [[300, 30, True], [600, 10, True], [1800, 30, False]]
     assert found["high"] == 1
     assert found["texts"] == [
         "Forecasts of the last 30 days: 36 of 40 inside the band",

@@ -50,7 +50,10 @@ def _record(risk: str, kept: KeptAccount) -> str:
     """One line: how many readings of the kept forecasts came as they were forecast."""
     if not kept["readings"]:
         return f"Kept forecasts, {risk} risk: none scored, {kept['set_aside']} set aside."
-    errors = ", ".join(f"{kind} {_figure(error)}" for kind, error in kept["naive_mae_k"].items())
+    names = {"arx": "ARX"}
+    errors = ", ".join(
+        f"{names.get(kind, kind)} {_figure(error)}" for kind, error in kept["naive_mae_k"].items()
+    )
     return (
         f"Kept forecasts, {risk} risk: {kept['inside_95']} of {kept['readings']} readings 5 min to "
         f"4 h ahead inside the 95 % band ({kept['set_aside']} set aside); mean error "

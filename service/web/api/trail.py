@@ -23,20 +23,32 @@ async def change_line(request: Request) -> AsyncIterator[AuditEntry]:
 
     What it is called the route says by `service.web.api.access.secured`.
     """
-    route, caller = request.scope["route"], actor(request)
+    route = request.scope["route"]
+    action = (route.openapi_extra or {}).get(AUDIT) or _named_after(route.path)
+    line = await line_of(request, action)
+    yield line
+    log_line(line)
+
+
+async def line_of(request: Request, action: str) -> AuditEntry:
+    """Make the line of a call that changes something only now and then."""
+    caller = actor(request)
     target = ", ".join(
         f"{name.removesuffix('_id')} {value}" for name, value in request.path_params.items()
     )
-    line = AuditEntry(
+    return AuditEntry(
         time_us=wall_us(),
         who=caller.who,
         address=caller.address,
-        action=(route.openapi_extra or {}).get(AUDIT) or _named_after(route.path),
+        action=action,
         target=target,
         detail=_shown((await request.body())[:_KEPT_BYTES]),
     )
-    yield line
-    _log.info("audit", who=line.who, address=line.address, action=line.action, target=target)
+
+
+def log_line(line: AuditEntry) -> None:
+    """Log that a change was made."""
+    _log.info("audit", who=line.who, address=line.address, action=line.action, target=line.target)
 
 
 ChangeLine = Annotated[AuditEntry, Depends(change_line)]

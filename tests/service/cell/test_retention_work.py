@@ -8,6 +8,7 @@ from adapters.samples import Sample
 from service.cell.retention import StoreMaintenance
 from service.clock import ProcessClock
 from service.store import AlarmTransition, AuditEntry, Retention, Store
+from service.store.forecast_records import IssuedContent, IssuedForecast
 
 HOUR_US = 3_600_000_000
 
@@ -26,7 +27,10 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
             at_us = now_us - days * 24 * HOUR_US
             event = AlarmTransition(None, "a", "", "", "", at_us, "", "", "", "", None, "")
             store.alarms.save(None, [event])
-        retention = Retention(raw_days=1.0, journal_days=100.0, audit_days=400.0)
+            store.forecasts.add([forecast(at_us)])
+        retention = Retention(
+            raw_days=1.0, journal_days=100.0, audit_days=400.0, forecast_days=100.0
+        )
         task = asyncio.create_task(
             StoreMaintenance(store, clock, retention, trust_after_s=0.0).run()
         )
@@ -38,11 +42,18 @@ async def test_finished_hours_are_condensed_and_old_samples_go(tmp_path: Path) -
         await asyncio.wait({task})
         assert len(store.samples.read("a", None, 0, 2**62, 9)) == 3
         assert [one.time_us for one in store.alarms.journal().items] == [now_us - 720 * HOUR_US]
+        kept = store.forecasts.since("a", 0)
+        assert [one.issued.time_us for one in kept] == [now_us - 720 * HOUR_US]
         with store._database.reading() as connection:
             stale = connection.exec_driver_sql("SELECT count(*) FROM stale_rollups").scalar()
         assert stale in (1, 2), "only what is not over, or just"
         hours = store.history.read("a", None, 0, now_us + HOUR_US, HOUR_US, 9)
         assert [hour.mean for hour in hours] == [60.0, 30.0, 5.0, 1.0, 0.0]
+
+
+def forecast(time_us: int) -> IssuedForecast:
+    content = IssuedContent([(300.0, 1.0, 1.0, 1.0)], False, [], ["t"], [300], [False], [[[0]]], {})
+    return IssuedForecast("a", time_us, 1, "period", content)
 
 
 def packed_hours(store: Store) -> int:

@@ -260,3 +260,32 @@ def test_the_memory_of_a_read_does_not_grow_with_the_number_of_channels(store: S
     for read in (samples, rollups):
         read("one")  # what is made once
         assert peak(read, "many") < 4 * peak(read, "one")
+
+
+def test_recent_minutes_of_many_assets_are_those_of_each(store: Store) -> None:
+    rng = np.random.default_rng(0)
+    names = [f"asset {number}" for number in range(30)]
+    begin_us = 29_395_000 * 60_000_000
+    samples = [
+        Sample(name, channel, begin_us + int(at_us), float(value), quality, 0)
+        for name in names
+        for channel in ("speed_rpm", "t_inner_ring_c", "load_n")
+        for at_us, value, quality in zip(
+            rng.integers(0, 900_000_000, 60),
+            rng.normal(50.0, 5.0, 60),
+            rng.choice([192, 64, 16], 60, p=[0.8, 0.1, 0.1]).tolist(),
+            strict=True,
+        )
+    ]
+    store.samples.write(samples)
+    wanted = {name: ["speed_rpm", "t_inner_ring_c", "never"] for name in [*names, "nobody"]}
+    end_us = begin_us + 600_000_000
+    found = store.history.recent_minute_means(wanted, begin_us, end_us)
+    assert found.keys() == {(name, one) for name, of_name in wanted.items() for one in of_name}
+    assert found["nobody", "speed_rpm"] == found["asset 3", "never"] == {}
+    for name in names:
+        for channel in ("speed_rpm", "t_inner_ring_c"):
+            table = store.history.minute_averages(name, [channel], begin_us, end_us)
+            means = dict(zip(table.minute_us.tolist(), table.mean[channel].tolist(), strict=True))
+            known = {at_us: mean for at_us, mean in means.items() if mean == mean}
+            assert found[name, channel] == pytest.approx(known)

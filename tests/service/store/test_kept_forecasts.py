@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
-from service.store import Outbox, Store
+from service.store import AuditEntry, Outbox, Store
 from service.store.deliveries import Delivery
 from service.store.forecast_records import (
     IssuedContent,
@@ -98,7 +98,11 @@ def test_a_batch_goes_through_the_outbox_unchanged(store: Store, tmp_path: Path)
     given = (issued("a"), issued("b", 3))
     with Outbox.open(tmp_path, store) as outbox:
         outbox.record(ForecastBatch(given))
+        line = AuditEntry(1, "operator bt_1", "10.0.0.9", "forecast.keep", "asset a")
+        outbox.record(ForecastBatch((issued("c"),), line))
         assert outbox.flush(30.0)
+    assert store.audit.page().items == [line]
+    assert len(store.forecasts.since("c", 0)) == 1
     kept = [store.forecasts.since(asset, 0)[0].issued for asset in "ab"]
     assert kept == list(given)
 

@@ -15,10 +15,10 @@ from service.domain.requests import ForecastRequest
 from service.domain.roles import OPERATOR, VIEWER
 from service.security.audit_trail import PATIENCE_S
 from service.store import Outbox, Store
-from service.store.forecast_records import IssuedForecast
 from service.store.outbox import ForecastBatch
 from service.web.api.access import secured
 from service.web.api.deps import Asset, Context, copy_response
+from service.web.api.trail import line_of, log_line
 from service.web.api.turns import caller_of, pieces_in_turn, turns_of, while_there
 from twin_core.verification import LEAD_TIMES_S
 
@@ -79,7 +79,9 @@ async def post_forecast(
             )
             if issued is None:
                 raise RequestRefusedError("/keep", "the asset has no sensor of its model")
-            await _keep(context.outbox, issued)
+            line = await line_of(request, "forecast.keep")
+            await _keep(context.outbox, ForecastBatch((issued,), line))
+            log_line(line)
         else:
             found, issued = (
                 await turns.what_ifs.hold(
@@ -109,9 +111,9 @@ def _check_room(store: Store, asset: str, body: ForecastRequest) -> None:
         )
 
 
-async def _keep(outbox: Outbox, issued: IssuedForecast) -> None:
+async def _keep(outbox: Outbox, batch: ForecastBatch) -> None:
     """Have a forecast written; a store that does not answer gets it later, from the disk."""
-    outbox.record(ForecastBatch((issued,)))
+    outbox.record(batch)
     await to_thread.run_sync(outbox.flush, PATIENCE_S, abandon_on_cancel=True)
 
 

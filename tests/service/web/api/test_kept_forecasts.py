@@ -150,6 +150,11 @@ async def test_a_what_if_is_kept_only_where_that_is_asked_for(world: Any) -> Non
     assert list(answer["nodes"]) == ["t_node_7_c"]
     (kept,) = world.store.forecasts.since("bench-1", 0)
     assert (kept.issued.reason, kept.issued.content.channels) == ("asked", RINGS)
+    audit = (await world.client("admin").get("/api/v1/audit")).json()["items"]
+    told = [line for line in audit if line["who"] != "service"]
+    assert [(line["action"], line["target"]) for line in told] == [
+        ("forecast.keep", "asset bench-1")
+    ]
 
 
 async def test_what_cannot_be_kept_is_refused_with_the_reason(

@@ -32,6 +32,10 @@ export function together(items) {
       Object.keys(STATED).map((name) => [name, mean(items, (item) => item.below[name])])),
     naive: Object.fromEntries(
       Object.keys(NAIVE).map((kind) => [kind, mean(items, (item) => item.naive[kind].mae_k)])),
+    // The twin's own error where there was such a forecast: before the first identification
+    // there is none but persistence.
+    beside: Object.fromEntries(Object.keys(NAIVE).map((kind) => [kind,
+      mean(items.filter((item) => isNumber(item.naive[kind].mae_k)), (item) => item.mae_k)])),
   };
 }
 
@@ -53,7 +57,8 @@ export const inside = (items) =>
 
 /** Whether a simple forecast was better than the twin at the same readings. */
 export const loses = (row) => Object.keys(NAIVE).some(
-  (kind) => isNumber(row.naive[kind]) && isNumber(row.mae_k) && row.naive[kind] < row.mae_k);
+  (kind) => isNumber(row.naive[kind]) && isNumber(row.beside[kind])
+    && row.naive[kind] < row.beside[kind]);
 
 const figure = (count) => count.toLocaleString('en').replaceAll(',', '\u202f');
 

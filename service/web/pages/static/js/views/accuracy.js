@@ -69,7 +69,8 @@ export class AccuracyView {
         h('header', {}, h('h2', {}, 'Mean error over lead time, K'),
           h('span', { class: 'keys' }, key('tw', 'twin'), key('n-per', 'persistence'),
             key('n-lin', 'linear'), key('n-arx', 'ARX'))),
-        this.boxes.leads),
+        this.boxes.leads,
+        h('p', { class: 's mut' }, 'Linear and ARX are there from the first identification on.')),
       h('section', { class: 'panel a-tab' },
         h('header', {}, h('h2', {}, 'By lead time')), this.table));
     this.reliability = new ReliabilityChart(this.boxes.reliability);
