@@ -128,9 +128,9 @@ class Fleet:
         owners = self.owners()
         return [one for one in range(self._partitions) if one not in owners]
 
-    def is_unowned(self, asset: str) -> bool:
-        """Whether an asset belongs to the fleet though no living cell follows it now."""
-        return asset in self._known() and self._owner(asset) is None
+    def is_known(self, asset: str) -> bool:
+        """Whether an asset belongs to the fleet, whoever follows it now."""
+        return asset in self._known()
 
     def _owner(self, asset: str) -> CellLink | None:
         """The cell that follows an asset."""

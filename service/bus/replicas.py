@@ -46,7 +46,7 @@ class Replicas:
     fresh_s: float = FRESH_S
     assets: dict[str, AssetReplica] = field(default_factory=dict)
     revision: str = ""
-    _loaded: int = 0
+    _loaded: int = -1
     _numbers: dict[str, int] = field(default_factory=dict)
     _loading: asyncio.Lock = field(default_factory=asyncio.Lock)
 
@@ -75,7 +75,9 @@ class Replicas:
             self.assets |= {name: one for name, one in new.items() if _is_whole(one)}
             self._numbers = {name: numbers[name] for name in self.assets}
             self.revision = digest(repr(sorted(self._numbers.items())).encode()).hex()
-            self._loaded = loaded
+            # Where documents did not come in time, or one was removed meanwhile, it is tried again.
+            if len(self.assets) == len(numbers):
+                self._loaded = loaded
 
     async def follow(self) -> None:
         """Learn it again whenever the cell has taken up other assets, until cancelled."""

@@ -137,11 +137,11 @@ class _Start:
             clock = ProcessClock.resume(settings.clock.rate, data_dir)
             bus = Bus(clock)
             following: Following | FleetFollowing
-            is_unowned: Callable[[str], bool] = frozenset[str]().__contains__
+            is_known: Callable[[str], bool] = frozenset[str]().__contains__
             if isinstance(reader, Fleet):
                 following = FleetFollowing(reader, bus, clock)
                 await stack.enter_async_context(background(heartbeats(bus), "heartbeat", stop))
-                is_unowned = reader.is_unowned
+                is_known = reader.is_known
             else:
                 following = Following(reader, bus)
             await stack.enter_async_context(background(following.run(), "live messages", stop))
@@ -174,7 +174,7 @@ class _Start:
                     changed=changed,
                     follow=following.follow,
                     apply_assets=partial(_apply_assets, reader, replicas),
-                    is_unowned=is_unowned,
+                    is_known=is_known,
                 )
             )
             for name, work in (

@@ -55,7 +55,7 @@ class ServiceContext:
         there are all of them.
     apply_assets
         Has the cell take up the assets that the store holds now; gives which cannot, and why.
-    is_unowned
+    is_known
         Tells whether an asset that is not among `assets` is one all the same, which no cell of the
         fleet follows at the moment.
     registry
@@ -77,5 +77,5 @@ class ServiceContext:
     changed: Callable[[str | None], None] = lambda asset: None
     follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are
     apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets
-    is_unowned: Callable[[str], bool] = lambda asset: False
+    is_known: Callable[[str], bool] = lambda asset: False
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

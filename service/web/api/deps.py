@@ -49,7 +49,7 @@ async def get_asset(
 ) -> AssetReplica:
     """Give the asset that the path names."""
     asset = context.assets.get(asset_id)
-    if asset is None and context.is_unowned(asset_id):
+    if asset is None and context.is_known(asset_id):
         raise CellUnavailableError(f"no cell follows asset {asset_id!r} at the moment")
     if asset is None:
         known = listed(context.assets) or "none"

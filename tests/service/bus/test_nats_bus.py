@@ -143,8 +143,8 @@ async def test_each_question_goes_to_the_cell_that_can_answer(nats: NatsServer) 
         found = await fleet.ask(commands.GetDocuments(wanted), 30)
         owners = [document.text.split()[2][:8].decode() for document in found if document.text]
         assert owners == [other.bus.epoch, one.bus.epoch, one.bus.epoch]
-        assert fleet.is_unowned("d")
-        assert not fleet.is_unowned("a")
+        assert fleet.is_known("d")
+        assert not fleet.is_known("e")
         with pytest.raises(CellUnavailableError, match="no cell follows asset 'd'"):
             await fleet.ask(commands.GetJobs("d"), 30)
         with pytest.raises(UnknownAlarmError):

@@ -192,6 +192,9 @@ def _named(websocket: WebSocket, context: ServiceContext, parameter: str) -> lis
         return None
     names = list(dict.fromkeys(name for name in text.split(",") if name))
     for name in names:
+        if name not in context.assets and context.is_known(name):
+            headers = {"Retry-After": str(RETRY_AFTER_S)}
+            raise Problem(503, f"no cell follows asset {name!r} at the moment", headers=headers)
         if name not in context.assets:
             raise parameter_problem(parameter, f"no asset {name!r}", 404)
     return names
