@@ -31,11 +31,12 @@ from service.store.migrations import is_current, upgrade
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
 #: nothing and is not counted as a change.
 _UPSERT = f"""
-INSERT INTO samples (channel_id, time_us, value, quality) VALUES {{}}
-ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+INSERT INTO samples (channel_id, time_us, value, quality, received_us) VALUES {{}}
+ON CONFLICT (channel_id, time_us) DO UPDATE
+SET value = excluded.value, quality = excluded.quality, received_us = excluded.received_us
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
-_ROW = "(?, ?, ?, ?)"
+_ROW = "(?, ?, ?, ?, ?)"
 #: This many rows go in by one statement: the other threads run meanwhile, which they cannot when
 #: every row is a step of its own. SQLite takes 32,766 parameters.
 _ROWS = 1024
