@@ -104,7 +104,7 @@ def test_an_older_file_loses_its_check_of_channels_and_no_sample(tmp_path: Path)
         old.execute("INSERT INTO samples VALUES (7, 5, 1.5, 192)")
         old.commit()
     with Store.open("", tmp_path) as store:
-        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192)]
+        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192, None)]
         assert store.samples.write([Sample("a", "y", 6, 2.5, 192, 6)]) == (1, 0)
     with contextlib.closing(sqlite3.connect(path)) as new:
         assert not new.execute("PRAGMA foreign_key_list(samples)").fetchall()
