@@ -343,7 +343,7 @@ def _cleaned(
 ) -> tuple[Sequence[float | None], Sequence[int]]:
     """Values and qualities as they are stored: no value that is not a finite number."""
     # Plain integers: a database driver takes its time over other kinds.
-    numbers = list(map(int, qualities))
+    numbers = list(bytes(qualities))
     isfinite = math.isfinite
     if all(map(isfinite, values)):
         return values, numbers

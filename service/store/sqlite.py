@@ -4,6 +4,7 @@ import contextlib
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,11 @@ def _prepare_upgrade(path: Path) -> None:
 
 def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
     count = len(columns.times_us)
+    if count > 1:
+        # Channel by channel, each in the order in which it came: SQLite need not look for the page
+        # of every row anew.
+        order = itemgetter(*sorted(range(count), key=columns.channel_ids.__getitem__))
+        columns = SampleColumns(*map(order, columns))
     whole = count - count % _ROWS
     changed = 0
     for first in range(0, whole, _ROWS):
