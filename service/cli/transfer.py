@@ -120,6 +120,9 @@ def export(
         str | None, typer.Option(metavar="RFC3339", help="Before this time; else to the last.")
     ] = None,
     resolution: Annotated[str, typer.Option(help="raw, 1s, 1min, 1h, or minutes.")] = "raw",
+    received: Annotated[
+        bool, typer.Option("--received", help="Also when each raw sample was received.")
+    ] = False,
     config: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -130,7 +133,7 @@ def export(
     """
     from service.store import Store
     from service.transfer.exporting import export_file, export_minutes
-    from service.transfer.pages import ExportPosition, is_resolution
+    from service.transfer.pages import RAW, ExportPosition, is_resolution
 
     settings = load_settings(config)
     start_us = 0 if start is None else _time_us("--start", start)
@@ -140,6 +143,8 @@ def export(
     minutes = resolution == "minutes"
     if not minutes and not is_resolution(resolution):
         raise SettingsError(f"--resolution {resolution}: expected raw, 1s, 1min, 1h or minutes")
+    if received and resolution != RAW:
+        raise SettingsError(f"--received: expected --resolution raw, not {resolution}")
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         known = store.samples.channels(asset)
         if not known:  # what the configuration names no more can still be exported
@@ -157,7 +162,11 @@ def export(
             rows = export_minutes(out, store, asset, channel or known, start_us, end_us)
         else:
             place = ExportPosition(
-                resolution=resolution, start_us=start_us, end_us=end_us, channels=channel
+                resolution=resolution,
+                start_us=start_us,
+                end_us=end_us,
+                channels=channel,
+                received=received,
             )
             rows = export_file(out, store, asset, place)
     if as_json:

@@ -25,6 +25,19 @@ class SampleItem(TypedDict):
 
 
 @with_config(ConfigDict(extra="forbid"))
+class ReceivedSampleItem(SampleItem):
+    """One raw sample, and when the service received it."""
+
+    received: Annotated[
+        Time | None,
+        Field(
+            description="Process time at which the service received it; null when an earlier "
+            "version stored it."
+        ),
+    ]
+
+
+@with_config(ConfigDict(extra="forbid"))
 class BucketItem(TypedDict):
     """Statistics over the good samples of a span of time; null where there is none."""
 
@@ -53,7 +66,7 @@ class Measurements(Page):
     resolution: str = Field(
         description="What `items` are: raw samples, or buckets of this length.", examples=["1min"]
     )
-    items: list[SampleItem] | list[BucketItem]
+    items: list[SampleItem] | list[ReceivedSampleItem] | list[BucketItem]
 
 
 class Rejected(Document):

@@ -67,7 +67,7 @@ def of_samples(channel_id: int, begin_us: int, end_us: int, bucket_us: int) -> B
 
 def of_block(samples: Samples, bucket_us: int, offset_us: int = 0) -> list[tuple[Bucket, int]]:
     """Compute the buckets of packed samples, and how many samples of any quality each has."""
-    times_us, values, qualities = samples
+    times_us, values, qualities, _ = samples
     if not times_us.size:
         return []
     starts_us = times_us - (times_us - offset_us) % bucket_us

@@ -21,8 +21,8 @@ PATIENCE_S = 30.0
 #: Execution option of a connection that is going to write.
 WRITES = "bearing_twin_writes"
 
-SampleValues = tuple[int, int, float | None, int]
-"""Channel number, time in UTC microseconds, value, quality: a row of the table of samples."""
+SampleValues = tuple[int, int, float | None, int, int | None]
+"""Channel number, time in UTC microseconds, value, quality, received time: a row of samples."""
 
 
 class SampleColumns(NamedTuple):
@@ -32,16 +32,18 @@ class SampleColumns(NamedTuple):
     times_us: Sequence[int]
     values: Sequence[float | None]
     qualities: Sequence[int]
+    received_us: Sequence[int | None]
 
 
 def chosen(columns: SampleColumns, kept: Sequence[bool]) -> SampleColumns:
     """Give some of the rows."""
-    ids, times_us, values, qualities = columns
+    ids, times_us, values, qualities, received_us = columns
     return SampleColumns(
         list(compress(ids, kept)),
         list(compress(times_us, kept)),
         list(compress(values, kept)),
         list(compress(qualities, kept)),
+        list(compress(received_us, kept)),
     )
 
 

@@ -13,18 +13,24 @@ from cachetools import LRUCache
 from sqlalchemy import Connection, Select, delete, func, select, tuple_
 
 from service.clock import HOUR_US, rfc3339
-from service.store.blocks import Block, BlockDamagedError, Samples, unpack
+from service.store.blocks import UNKNOWN_US, Block, BlockDamagedError, Samples, unpack
 from service.store.part import rows_of
 from service.store.tables import PackedHourRow, SampleBlockRow
 
 #: Hours that are looked up at a time.
 _HOURS = 64
-_NOTHING = Samples(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint16))
+_NOTHING = Samples(
+    np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint16), np.empty(0, np.int64)
+)
 
 #: Blocks of which the log has told.
 _told: LRUCache[int, bool] = LRUCache(1000)
 
 _log = structlog.get_logger(__name__)
+
+
+Row = tuple[int, float | None, int, int | None]
+"""Time, value, quality and received time of a sample, as the table of samples has them."""
 
 
 class PackedHour(NamedTuple):
@@ -91,9 +97,7 @@ def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int
     return None
 
 
-def newest(
-    connection: Connection, channel_id: int, after_us: int
-) -> tuple[int, float | None, int] | None:
+def newest(connection: Connection, channel_id: int, after_us: int) -> Row | None:
     """Give the newest packed sample of a channel, if there is one after a time."""
     before_us = 2**63 - 1
     while True:
@@ -121,12 +125,17 @@ def count(connection: Connection, channel_id: int) -> int:
     return int(connection.scalar(total) or 0)
 
 
-def rows(samples: Samples) -> list[tuple[int, float | None, int]]:
-    """Time, value and quality of each sample, as the table of samples has them."""
-    times_us, values, qualities = (column.tolist() for column in samples)
+def rows(samples: Samples) -> list[Row]:
+    """Give samples as rows of the table of samples."""
+    columns = (column.tolist() for column in samples)
     return [
-        (time_us, None if value != value else value, quality)
-        for time_us, value, quality in zip(times_us, values, qualities, strict=True)
+        (
+            time_us,
+            None if value != value else value,
+            quality,
+            None if received_us == UNKNOWN_US else received_us,
+        )
+        for time_us, value, quality, received_us in zip(*columns, strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, delete, insert, select
 from adapters.samples import Quality
 from service.clock import HOUR_US
 from service.store import packed
-from service.store.blocks import Block, Samples, is_damaged, pack
+from service.store.blocks import UNKNOWN_US, Block, Samples, is_damaged, pack
 from service.store.database import Database, SampleColumns, chosen
 from service.store.packed import PackedHour
 from service.store.part import StorePart
@@ -166,11 +166,8 @@ def _bring_back(
     packed.remove(connection, hour.channel_id, hour.hour_us)
     rows = packed.rows(samples)
     if rows:
-        times_us, values, qualities = zip(*rows, strict=True)
-        database.dialect.upsert_samples(
-            connection,
-            SampleColumns([hour.channel_id] * len(rows), times_us, values, qualities),
-        )
+        columns = SampleColumns([hour.channel_id] * len(rows), *zip(*rows, strict=True))
+        database.dialect.upsert_samples(connection, columns)
 
 
 def _due(connection: Connection, end_us: int) -> list[tuple[int, list[int]]]:
@@ -236,17 +233,18 @@ def _pack_hour(connection: Connection, channel_ids: Sequence[int], hour_us: int)
 
 def _samples(connection: Connection, channel_id: int, hour_us: int) -> Samples | None:
     rows = connection.execute(
-        select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+        select(SampleRow.time_us, SampleRow.value, SampleRow.quality, SampleRow.received_us)
         .where(*_in_hour(channel_id, hour_us))
         .order_by(SampleRow.time_us)
     ).all()
     if not rows:
         return None
-    times_us, values, qualities = zip(*rows, strict=True)
+    times_us, values, qualities, received_us = zip(*rows, strict=True)
     return Samples(
         np.array(times_us, np.int64),
         np.array(values, np.float64),  # None becomes not a number
         np.array(qualities, np.uint16),
+        np.array([UNKNOWN_US if time is None else time for time in received_us], np.int64),
     )
 
 

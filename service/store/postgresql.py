@@ -42,15 +42,15 @@ _PATIENCE = "bearing_twin_patience_s"
 _WRITERS_LOCK = 0x42545772
 _INCOMING = """
 CREATE TEMPORARY TABLE IF NOT EXISTS incoming_samples
-(channel_id integer, time_us bigint, value double precision, quality smallint)
+(channel_id integer, time_us bigint, value double precision, quality smallint, received_us bigint)
 ON COMMIT DELETE ROWS
 """
-_COPY = "COPY {} (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
+_COPY = "COPY {} (channel_id, time_us, value, quality, received_us) FROM STDIN (FORMAT BINARY)"
 # The binary format of COPY: a header, rows, a trailer. Each row begins with the number of its
 # fields, each field with its length in bytes; what is missing has the length -1.
 _COPY_HEADER = b"PGCOPY\n\xff\r\n\x00" + bytes(8)
 _COPY_TRAILER = b"\xff\xff"
-_LENGTHS = {"channel_id": 4, "time_us": 8, "value": 8, "quality": 2}
+_LENGTHS = {"channel_id": 4, "time_us": 8, "value": 8, "quality": 2, "received_us": 8}
 _ROW = np.dtype(
     [
         ("fields", ">i2"),
@@ -62,14 +62,21 @@ _ROW = np.dtype(
         ("value", ">f8"),
         ("quality_length", ">i4"),
         ("quality", ">i2"),
+        ("received_us_length", ">i4"),
+        ("received_us", ">i8"),
     ]
 )
-_ROW_WITHOUT_VALUE = np.dtype([(name, _ROW[name]) for name in _ROW.names or () if name != "value"])
+#: Rows of which nothing is missing, the value, the received time, or both.
+_ROWS = tuple(
+    np.dtype([(name, _ROW[name]) for name in _ROW.names or () if name not in missing])
+    for missing in ((), ("value",), ("received_us",), ("value", "received_us"))
+)
 #: See the same statement for SQLite.
 _UPSERT = f"""
-INSERT INTO samples (channel_id, time_us, value, quality)
-SELECT channel_id, time_us, value, quality FROM incoming_samples
-ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+INSERT INTO samples (channel_id, time_us, value, quality, received_us)
+SELECT channel_id, time_us, value, quality, received_us FROM incoming_samples
+ON CONFLICT (channel_id, time_us) DO UPDATE
+SET value = excluded.value, quality = excluded.quality, received_us = excluded.received_us
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
 _MARK_STALE = """
@@ -162,14 +169,19 @@ def _copy(cursor: Any, table: str, columns: SampleColumns) -> None:
 
 
 def _packed(columns: SampleColumns) -> bytes:
-    """Rows in the binary format of COPY; the shorter ones without a value come last."""
+    """Rows in the binary format of COPY; the shorter ones, of which something is missing, last."""
+    unknown = np.zeros(len(columns.times_us), bool)
+    if None in columns.received_us:  # only when rows of an earlier version come back from a block
+        unknown |= [received_us is None for received_us in columns.received_us]
+        columns = columns._replace(received_us=[time_us or 0 for time_us in columns.received_us])
     arrays = {
         name: np.array(column, dtype=_ROW[name])  # None becomes not a number
         for name, column in zip(_LENGTHS, columns, strict=True)
     }
-    missing = np.isnan(arrays["value"])
+    kinds = np.isnan(arrays["value"]) + 2 * unknown
     parts = [_COPY_HEADER]
-    for dtype, chosen in ((_ROW, ~missing), (_ROW_WITHOUT_VALUE, missing)):
+    for kind, dtype in enumerate(_ROWS):
+        chosen = kinds == kind
         rows = np.empty(np.count_nonzero(chosen), dtype)
         rows["fields"] = len(arrays)
         for name, array in arrays.items():

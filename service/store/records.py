@@ -29,12 +29,16 @@ class WriteCounts(NamedTuple):
 
 
 class StoredSample(NamedTuple):
-    """One raw sample; the value is None when there is none (bad quality)."""
+    """One raw sample; the value is None when there is none (bad quality).
+
+    ``received_us`` is when the service received it; None if an earlier version stored it.
+    """
 
     channel: str
     time_us: int
     value: float | None
     quality: int
+    received_us: int | None
 
 
 @dataclass(frozen=True, slots=True)

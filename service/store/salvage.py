@@ -23,6 +23,8 @@ from service.store.tables import Base
 #: Rows of these tables come from their trees alone: a page that is not in use any more may hold a
 #: key as it was before it was revoked; what is stale is found again.
 _FROM_TREES_ONLY = {"api_keys", "browser_sessions", "stale_rollups"}
+#: Columns at the end of a table that rows from before a migration do not have.
+_LATER_COLUMNS = {"samples": 1}
 _PORTION = 10_000
 
 
@@ -117,7 +119,11 @@ def _copy_trees(path: Path, target: sqlite3.Connection) -> None:
         return
     with contextlib.closing(source):
         for table in Base.metadata.sorted_tables:
-            columns = ", ".join(f'"{column.name}"' for column in table.columns)
+            names = [column.name for column in table.columns]
+            with contextlib.suppress(sqlite3.Error):  # an earlier version may have made the file
+                made = {row[1] for row in source.execute(f"PRAGMA table_info({table.name})")}
+                names = [name for name in names if name in made]
+            columns = ", ".join(f'"{name}"' for name in names)
             queries = [f"SELECT {columns} FROM {table.name}"]
             if table.name == "channels":  # its index holds all of it once more
                 index = "channels INDEXED BY uq_channels_asset_name"
@@ -126,7 +132,7 @@ def _copy_trees(path: Path, target: sqlite3.Connection) -> None:
                 with contextlib.suppress(sqlite3.Error):
                     cursor = source.execute(query)
                     while rows := cursor.fetchmany(100):
-                        _insert(target, table, [column.name for column in table.columns], rows)
+                        _insert(target, table, names, rows)
 
 
 def _copy_pages(path: Path, target: sqlite3.Connection) -> None:
@@ -182,9 +188,12 @@ class _Shape:
 
     def row(self, found: PageRow) -> tuple[Any, ...] | None:
         """Give the values of a row; None if it is none of this table."""
-        if (found.rowid is not None) != self._has_rowid or len(found.values) != len(self.columns):
+        missing = len(self.columns) - len(found.values)
+        if (found.rowid is not None) != self._has_rowid or not (
+            0 <= missing <= _LATER_COLUMNS.get(self.table.name, 0)
+        ):
             return None
-        values: list[Any] = list(found.values)
+        values: list[Any] = [*found.values, *[None] * missing]
         if self._number is not None:
             if values[self._number] is not None:
                 return None
@@ -227,8 +236,10 @@ def _is_json(text: str) -> bool:
 def _makes_sense(table: str, values: list[Any]) -> bool:
     """Refuse what has the right kinds of values and still is no row of a table."""
     if table == "samples":
-        channel_id, time_us, _, quality = values
-        return bool(channel_id > 0 and time_us >= 0 and 0 <= quality <= 255)
+        channel_id, time_us, _, quality, received_us = values
+        return bool(
+            channel_id > 0 and time_us >= 0 and 0 <= quality <= 255 and (received_us or 0) >= 0
+        )
     if table == "packed_hours":
         channel_id, hour_us, _, position, first_us, last_us, count = values
         return bool(
@@ -271,7 +282,7 @@ def _join_hours(target: sqlite3.Connection) -> None:
         except (BlockDamagedError, StoreError):
             continue
         target.executemany(
-            "INSERT OR IGNORE INTO samples VALUES (?, ?, ?, ?)",
+            "INSERT OR IGNORE INTO samples VALUES (?, ?, ?, ?, ?)",
             [(channel_id, *row) for row in packed.rows(samples)],
         )
         target.execute(

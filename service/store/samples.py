@@ -54,9 +54,16 @@ class Samples(StorePart):
         """
         if not samples:
             return WriteCounts(0, 0)
-        assets, channels, times_us, values, qualities, _ = zip(*samples, strict=True)
+        assets, channels, times_us, values, qualities, received_us = zip(*samples, strict=True)
         first_us = min(times_us)
-        if not (first_us >= 0 and max(times_us) < _LONG and set(qualities) <= _BYTES):
+        moments_us = set(received_us)  # few: what is read or sent at once is received at once
+        if not (
+            first_us >= 0
+            and max(times_us) < _LONG
+            and min(moments_us) >= 0
+            and max(moments_us) < _LONG
+            and set(qualities) <= _BYTES
+        ):
             _refuse(samples)
         cleaned = _cleaned(values, qualities)
         with self._database.writing(patience_s) as connection:
@@ -67,7 +74,7 @@ class Samples(StorePart):
                 missing = set(zip(assets, channels, strict=True)) - ids.keys()
                 ids = ids | {name: _make_channel(connection, *name) for name in missing}
                 numbers = [ids[name] for name in zip(assets, channels, strict=True)]
-            columns = SampleColumns(numbers, times_us, *cleaned)
+            columns = SampleColumns(numbers, times_us, *cleaned, received_us)
             horizon_us = self._kept_from_us = raw_horizon_us(connection)
             if first_us < horizon_us:
                 columns = chosen(columns, [time_us >= horizon_us for time_us in columns.times_us])
@@ -120,7 +127,12 @@ class Samples(StorePart):
 
             def read(name: str, from_us: int, count: int) -> list[StoredSample]:
                 query = (
-                    select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+                    select(
+                        SampleRow.time_us,
+                        SampleRow.value,
+                        SampleRow.quality,
+                        SampleRow.received_us,
+                    )
                     .where(
                         SampleRow.channel_id == ids[name],
                         SampleRow.time_us >= from_us,
@@ -129,12 +141,12 @@ class Samples(StorePart):
                     .order_by(SampleRow.time_us)
                     .limit(count)
                 )
-                rows: list[tuple[int, float | None, int]] = [
-                    (time_us, value, quality)
-                    for time_us, value, quality in connection.execute(query)
+                rows: list[packed.Row] = [
+                    (time_us, value, quality, received_us)
+                    for time_us, value, quality, received_us in connection.execute(query)
                 ]
                 until_us = rows[-1][0] if len(rows) == count else end_us
-                from_blocks: list[tuple[int, float | None, int]] = []
+                from_blocks: list[packed.Row] = []
                 for samples in packed.read(connection, ids[name], from_us, until_us):
                     from_blocks += packed.rows(samples)
                     if len(from_blocks) >= count:
@@ -300,16 +312,16 @@ def last_time_us(connection: Connection, channel_id: int) -> int | None:
     return None if newest is None else newest[0]
 
 
-def _newest(connection: Connection, channel_id: int) -> tuple[int, float | None, int] | None:
+def _newest(connection: Connection, channel_id: int) -> packed.Row | None:
     query = (
-        select(SampleRow.time_us, SampleRow.value, SampleRow.quality)
+        select(SampleRow.time_us, SampleRow.value, SampleRow.quality, SampleRow.received_us)
         .where(SampleRow.channel_id == channel_id)
         .order_by(SampleRow.time_us.desc())
         .limit(1)
     )
     newest = None
-    for time_us, value, quality in connection.execute(query):
-        newest = (time_us, value, quality)
+    for time_us, value, quality, received_us in connection.execute(query):
+        newest = (time_us, value, quality, received_us)
     # A damaged page may give a row without a time.
     after_us = newest[0] if newest and newest[0] else -1
     return packed.newest(connection, channel_id, after_us) or newest
@@ -331,7 +343,7 @@ def _cleaned(
 ) -> tuple[Sequence[float | None], Sequence[int]]:
     """Values and qualities as they are stored: no value that is not a finite number."""
     # Plain integers: a database driver takes its time over other kinds.
-    numbers = list(map(int, qualities))
+    numbers = list(bytes(qualities))
     isfinite = math.isfinite
     if all(map(isfinite, values)):
         return values, numbers
@@ -356,6 +368,10 @@ def _hours(columns: SampleColumns) -> set[tuple[int, int]]:
 
 def _refuse(samples: Iterable[Sample]) -> NoReturn:
     wrong = next(
-        one for one in samples if not (0 <= one.time_us < _LONG and 0 <= one.quality <= 255)
+        one
+        for one in samples
+        if not (
+            0 <= one.time_us < _LONG and 0 <= one.received_us < _LONG and 0 <= one.quality <= 255
+        )
     )
-    raise ValueError(f"sample {wrong}: expected a time after 1970 and a quality byte")
+    raise ValueError(f"sample {wrong}: expected times after 1970 and a quality byte")

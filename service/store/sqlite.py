@@ -4,6 +4,7 @@ import contextlib
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,12 @@ from service.store.migrations import is_current, upgrade
 #: The first good value of a time wins; a good one replaces one that is not; the rest changes
 #: nothing and is not counted as a change.
 _UPSERT = f"""
-INSERT INTO samples (channel_id, time_us, value, quality) VALUES {{}}
-ON CONFLICT (channel_id, time_us) DO UPDATE SET value = excluded.value, quality = excluded.quality
+INSERT INTO samples (channel_id, time_us, value, quality, received_us) VALUES {{}}
+ON CONFLICT (channel_id, time_us) DO UPDATE
+SET value = excluded.value, quality = excluded.quality, received_us = excluded.received_us
 WHERE samples.quality < {Quality.GOOD:d} AND excluded.quality >= {Quality.GOOD:d}
 """
-_ROW = "(?, ?, ?, ?)"
+_ROW = "(?, ?, ?, ?, ?)"
 #: This many rows go in by one statement: the other threads run meanwhile, which they cannot when
 #: every row is a step of its own. SQLite takes 32,766 parameters.
 _ROWS = 1024
@@ -118,6 +120,11 @@ def _prepare_upgrade(path: Path) -> None:
 
 def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
     count = len(columns.times_us)
+    if count > 1:
+        # Channel by channel, each in the order in which it came: SQLite need not look for the page
+        # of every row anew.
+        order = itemgetter(*sorted(range(count), key=columns.channel_ids.__getitem__))
+        columns = SampleColumns(*map(order, columns))
     whole = count - count % _ROWS
     changed = 0
     for first in range(0, whole, _ROWS):

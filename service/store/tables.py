@@ -57,6 +57,7 @@ class ChannelRow(Base):
 class SampleRow(Base):
     """One raw sample; a time can be sent again and is still stored once.
 
+    Nobody knows when it was received if an earlier version stored it.
     The channel is not compared with the table of channels, see migrations 0003 and 0005.
     """
 
@@ -67,6 +68,7 @@ class SampleRow(Base):
     time_us: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     value: Mapped[float | None]
     quality: Mapped[int] = mapped_column(SmallInteger)
+    received_us: Mapped[int | None]
 
 
 class SampleBlockRow(Base):

@@ -22,9 +22,9 @@ PAGE_ROWS = 20_000
 def write_csv(file: BinaryIO, store: Store, asset: str, place: ExportPosition) -> int:
     """Write the rows of a query as CSV; returns how many."""
     rows = 0
-    file.write(csv_header(place.resolution).encode())
+    file.write(csv_header(place).encode())
     for page in read_pages(store, asset, place, PAGE_ROWS):
-        file.write(as_csv(page).encode())
+        file.write(as_csv(page, place).encode())
         rows += len(page)
     return rows
 
@@ -85,6 +85,7 @@ class ParquetPages:
             *(pa.field(name, pa.float64()) for name in values),
             *([] if place.resolution == RAW else [pa.field("count", pa.int64(), nullable=False)]),
             pa.field("quality", pa.uint8(), nullable=False),
+            *([pa.field("received", pa.timestamp("us", tz="UTC"))] if place.shows_received else []),
         ]
         facts = {"asset": asset, "resolution": place.resolution, **units}
         self._schema = pa.schema(fields, metadata=facts)
@@ -99,7 +100,8 @@ class ParquetPages:
     def write(self, rows: Sequence[StoredSample | Rollup]) -> int:
         """Write a page; returns how many rows."""
         pa, schema = self._pa, self._schema
-        names = ("time_us", *schema.names[1:])
+        times = {"time": "time_us", "received": "received_us"}
+        names = [times.get(name, name) for name in schema.names]
         columns = [[getattr(row, name) for row in rows] for name in names]
         arrays = [pa.array(column, one.type) for column, one in zip(columns, schema, strict=True)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from adapters.samples import Quality, Sample
 from adapters.tables import RowError, open_table
+from service.clock import from_rfc3339
 from service.store import Store
 from service.transfer import mdf
 from service.transfer.errors import TransferError
@@ -90,7 +91,7 @@ def import_file(
     own_channels
         Channels of an asset with a network of its own; None for a bearing.
     now_us
-        Receipt time of the samples, UTC microseconds.
+        Received time of the samples of which the file does not say it, UTC microseconds.
     progress
         Told how much of the file has been read, from 0 to 1.
 
@@ -213,7 +214,22 @@ def _long(row: Row, asset: str, time_us: int, now_us: int) -> Sample:
         value = math.nan
     else:
         _check_range(channel, value)
-    return Sample(asset, channel, time_us, value, int(quality), now_us)
+    received_us = _received_us(row.get("received"), now_us)
+    return Sample(asset, channel, time_us, value, int(quality), received_us)
+
+
+def _received_us(cell: object, now_us: int) -> int:
+    """When a sample was received; where the cell is empty: now."""
+    if cell is None or (isinstance(cell, str) and not cell.strip()):
+        return now_us
+    try:
+        # A Parquet time stamp is a whole number.
+        received_us = cell if isinstance(cell, int) else from_rfc3339(str(cell).strip())
+    except ValueError as error:
+        raise RowError(f"received: {error}") from None
+    if not 0 <= received_us < 2**62:
+        raise RowError(f"received: {cell!r}: expected a time after 1970")
+    return received_us
 
 
 def _number(column: str, cell: object) -> float | None:

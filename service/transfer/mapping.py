@@ -71,7 +71,7 @@ class Layout:
         Whether these are seconds from a start that the user gives.
     channels
         Columns by channel; empty for a file with one sample per row (``time, channel, value`` and
-        perhaps ``quality``).
+        perhaps ``quality`` and ``received``).
     """
 
     time: str
@@ -148,8 +148,10 @@ def layout_of(
     layout = Layout(times[0], times[0] == "time_s", {})
     if all(name in columns for name in _LONG):
         for name in columns:
-            if name not in (*times, *_LONG, "quality"):
-                raise wrong(f"unknown column {name!r}; expected time, channel, value, quality")
+            if name not in (*times, *_LONG, "quality", "received"):
+                raise wrong(
+                    f"unknown column {name!r}; expected time, channel, value, quality, received"
+                )
         return layout
     required = REQUIRED if own_channels is None else tuple(own_channels)
     expected = f"time or time_s, {', '.join(required)}"

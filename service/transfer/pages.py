@@ -7,7 +7,12 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, Field
 
 from service.clock import rfc3339_exact
-from service.documents.measurements import BucketItem, SampleItem, sample_item
+from service.documents.measurements import (
+    BucketItem,
+    ReceivedSampleItem,
+    SampleItem,
+    sample_item,
+)
 from service.spreadsheets import quoted_cell
 from service.store import Rollup, Store, StoredSample
 
@@ -25,7 +30,10 @@ RAW = "raw"
 
 
 class ExportPosition(BaseModel):
-    """A query and how far it has been answered; what a cursor holds."""
+    """A query and how far it has been answered; what a cursor holds.
+
+    `received` adds to raw samples when they were received; buckets have no such time.
+    """
 
     resolution: str = Field(max_length=8)
     start_us: int = Field(ge=0, lt=2**62)
@@ -34,6 +42,12 @@ class ExportPosition(BaseModel):
     after: (
         tuple[Annotated[int, Field(ge=0, lt=2**62)], Annotated[str, Field(max_length=1000)]] | None
     ) = None
+    received: bool = False
+
+    @property
+    def shows_received(self) -> bool:
+        """Tell whether the rows have received times."""
+        return self.received and self.resolution == RAW
 
     def behind(self, row: StoredSample | Rollup) -> Self:
         """Give the same query, answered up to and with this row."""
@@ -103,10 +117,13 @@ def read_pages(
         following = page.following
 
 
-def as_items(rows: Sequence[StoredSample | Rollup]) -> list[SampleItem | BucketItem]:
-    """Rows as the JSON answer shows them."""
+def as_items(
+    rows: Sequence[StoredSample | Rollup], place: ExportPosition
+) -> list[SampleItem | ReceivedSampleItem | BucketItem]:
+    """Rows of a query as the JSON answer shows them."""
+    received = place.shows_received
     return [
-        sample_item(row.channel, row.time_us, row.value, row.quality)
+        _sample_item(row, received)
         if isinstance(row, StoredSample)
         else {
             "channel": row.channel,
@@ -121,21 +138,36 @@ def as_items(rows: Sequence[StoredSample | Rollup]) -> list[SampleItem | BucketI
     ]
 
 
-def csv_header(resolution: str) -> str:
-    """First line of the CSV answer."""
-    values = "value" if resolution == RAW else "mean,min,max,count"
-    return f"time,channel,{values},quality\r\n"
+def csv_header(place: ExportPosition) -> str:
+    """First line of the CSV answer to a query."""
+    values = "value" if place.resolution == RAW else "mean,min,max,count"
+    received = ",received" if place.shows_received else ""
+    return f"time,channel,{values},quality{received}\r\n"
 
 
-def as_csv(rows: Sequence[StoredSample | Rollup]) -> str:
-    """Rows as lines of the CSV answer; an absent value is an empty cell."""
+def as_csv(rows: Sequence[StoredSample | Rollup], place: ExportPosition) -> str:
+    """Rows of a query as lines of the CSV answer; what is absent is an empty cell."""
+    received = place.shows_received
     return "".join(
-        f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}\r\n"
+        f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.value)},{row.quality}"
+        f"{_received_cell(row) if received else ''}\r\n"
         if isinstance(row, StoredSample)
         else f"{rfc3339_exact(row.time_us)},{quoted_cell(row.channel)},{_cell(row.mean)},"
         f"{_cell(row.min)},{_cell(row.max)},{row.count},{row.quality}\r\n"
         for row in rows
     )
+
+
+def _sample_item(row: StoredSample, received: bool) -> SampleItem | ReceivedSampleItem:
+    item = sample_item(row.channel, row.time_us, row.value, row.quality)
+    if not received:
+        return item
+    time_us = row.received_us
+    return {**item, "received": None if time_us is None else rfc3339_exact(time_us)}
+
+
+def _received_cell(row: StoredSample) -> str:
+    return "," if row.received_us is None else f",{rfc3339_exact(row.received_us)}"
 
 
 def _cell(value: float | None) -> str:

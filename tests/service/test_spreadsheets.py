@@ -7,7 +7,7 @@ import pytest
 
 from service.spreadsheets import quoted_cell, text_cell
 from service.store import StoredSample
-from service.transfer.pages import as_csv
+from service.transfer.pages import ExportPosition, as_csv
 
 FORMULAS = [
     '=HYPERLINK("http://evil.example";"x")',
@@ -31,7 +31,8 @@ def test_a_formula_becomes_a_text(text: str) -> None:
     assert text_cell(text) == f"'{text}"
     ((read,),) = csv.reader(io.StringIO(quoted_cell(text), newline=""))
     assert read == f"'{text}"
-    row = as_csv([StoredSample(text, 0, 1.0, 192)])
+    place = ExportPosition(resolution="raw", start_us=0, end_us=1, channels=None)
+    row = as_csv([StoredSample(text, 0, 1.0, 192, 0)], place)
     ((_, channel, *_),) = csv.reader(io.StringIO(row, newline=""))
     assert channel == f"'{text}"
 

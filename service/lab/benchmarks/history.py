@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from adapters.samples import Quality, Sample
+from service.clock import HOUR_US
 from service.lab.benchmarks.common import Measurement, Progress, shortest_s
 from service.store import Store
+from service.store.blocks import Samples, pack
 from service.store.opening import FILE_NAME
 from service.transfer.pages import ExportPosition, choose_resolution, read_page
 
@@ -22,7 +24,11 @@ _CHANNELS = (
 _SECOND_US = 1_000_000
 _BEGIN_US = 1_699_999_200_000_000  # a full hour
 _BATCH_S = 2000
-_RAW_BYTES = 17.0  # 8 for the time, 8 for the value, 1 for the quality
+_RAW_BYTES = 25.0  # 8 for each of both times, 8 for the value, 1 for the quality
+#: Samples of an hour of a channel that has times of its own.
+_IRREGULAR = 600
+#: Samples that a gateway sends at once.
+_AT_ONCE = 10
 
 
 def query_auto(tell: Progress, *, days: float = 30.0) -> Measurement:
@@ -62,7 +68,9 @@ def query_auto(tell: Progress, *, days: float = 30.0) -> Measurement:
 def bytes_per_sample(tell: Progress, *, days: float = 1.0) -> Measurement:
     """Size of the SQLite file per sample, rollups and everything else included.
 
-    Hours are packed as they pass, as a service does.
+    Hours are packed as they pass, as a service does. The drivers of the service receive a sample
+    at its time. In blocks also: polls of a gateway that sends each on, or ten at once, and single
+    channels with times of their own that are sent so.
     """
     seconds = round(86_400 * days)
     with tempfile.TemporaryDirectory() as folder:
@@ -77,9 +85,47 @@ def bytes_per_sample(tell: Progress, *, days: float = 1.0) -> Measurement:
         (full - empty) / count,
         "B",
         _RAW_BYTES,
-        "8 bytes of time, 8 of value, 1 of quality",
-        {"samples": count, "file_bytes": full, "block_bytes_per_sample": block_bytes / count},
+        "8 bytes of each of both times, 8 of value, 1 of quality",
+        {
+            "samples": count,
+            "file_bytes": full,
+            "block_bytes_per_sample": block_bytes / count,
+            **_sent_bytes_per_sample(),
+        },
     )
+
+
+def _sent_bytes_per_sample() -> dict[str, float]:
+    """Bytes per sample of an hour in a block of what gateways push over a network."""
+    noise = np.random.default_rng(2)
+    hour_s = HOUR_US // _SECOND_US
+    polled_us = _BEGIN_US + _SECOND_US * np.arange(hour_s) + noise.integers(0, 3000, hour_s)
+    irregular_us = _BEGIN_US + np.sort(noise.integers(0, HOUR_US, _IRREGULAR))
+    found = {}
+    for name, times_us, channels in (
+        ("polled", polled_us, len(_CHANNELS)),
+        ("irregular", irregular_us, 1),
+    ):
+        numbers = np.arange(times_us.size)
+        sent = np.minimum(numbers // _AT_ONCE * _AT_ONCE + _AT_ONCE, times_us.size) - 1
+        for way, last in (("one_by_one", numbers), ("ten_at_once", sent)):
+            # Some 30 ms on the way, and never before what was sent earlier.
+            on_the_way_us = 30_000.0 * np.exp(noise.normal(0.0, 0.5, times_us.size))
+            received_us = np.maximum.accumulate(times_us + on_the_way_us.astype(np.int64))[last]
+            block = pack(
+                [
+                    Samples(
+                        times_us,
+                        np.round(60.0 + np.cumsum(noise.normal(0.0, 0.05, times_us.size)), 1),
+                        np.full(times_us.size, int(Quality.GOOD), np.uint16),
+                        received_us,
+                    )
+                    for _ in range(channels)
+                ]
+            )
+            count = times_us.size * channels
+            found[f"{name}_{way}_bytes_per_sample"] = len(block.data) / count
+    return found
 
 
 def _fill(
@@ -128,7 +174,9 @@ def _read_raw(path: Path) -> tuple[float, int]:
     """Seconds for reading all rows, and how many they are."""
     with contextlib.closing(sqlite3.connect(path)) as connection:
         began = time.perf_counter()
-        cursor = connection.execute("SELECT channel_id, time_us, value, quality FROM samples")
+        cursor = connection.execute(
+            "SELECT channel_id, time_us, value, quality, received_us FROM samples"
+        )
         cursor.arraysize = 10_000
         count = 0
         while rows := cursor.fetchmany():

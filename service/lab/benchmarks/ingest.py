@@ -43,16 +43,19 @@ _MIB = 2**20
 _TABLE = """
 CREATE TABLE samples (
     channel_id INTEGER NOT NULL, time_us BIGINT NOT NULL, value DOUBLE, quality SMALLINT NOT NULL,
-    PRIMARY KEY (channel_id, time_us)
+    received_us BIGINT, PRIMARY KEY (channel_id, time_us)
 ) WITHOUT ROWID
 """
 _COPY_TABLE = """
 CREATE TABLE benchmark_copy (
     channel_id integer NOT NULL, time_us bigint NOT NULL, value double precision,
-    quality smallint NOT NULL, PRIMARY KEY (channel_id, time_us)
+    quality smallint NOT NULL, received_us bigint, PRIMARY KEY (channel_id, time_us)
 )
 """
-_COPY = "COPY benchmark_copy (channel_id, time_us, value, quality) FROM STDIN (FORMAT BINARY)"
+_COPY = (
+    "COPY benchmark_copy (channel_id, time_us, value, quality, received_us) "
+    "FROM STDIN (FORMAT BINARY)"
+)
 
 
 class _Source:
@@ -105,7 +108,7 @@ def ingest_sqlite(tell: Progress, *, duration_s: float = 60.0) -> Measurement:
 
             def write(rows: list[SampleValues]) -> None:
                 plain.execute("BEGIN IMMEDIATE")
-                plain.executemany("INSERT INTO samples VALUES (?, ?, ?, ?)", rows)
+                plain.executemany("INSERT INTO samples VALUES (?, ?, ?, ?, ?)", rows)
                 plain.execute("COMMIT")
 
             return _measured(
@@ -127,7 +130,7 @@ def ingest_postgresql(tell: Progress, *, duration_s: float = 60.0) -> Measuremen
 
         def write(rows: list[SampleValues]) -> None:
             with connection.cursor() as cursor, cursor.copy(_COPY) as copy:
-                copy.set_types(("int4", "int8", "float8", "int2"))
+                copy.set_types(("int4", "int8", "float8", "int2", "int8"))
                 for row in rows:
                     copy.write_row(row)
             connection.commit()
@@ -213,7 +216,7 @@ def _rows() -> Iterator[list[SampleValues]]:
     numbers = range(1, len(_CHANNELS) + 1)
     for begin_us in itertools.count(_BEGIN_US, polls * _PERIOD_US):
         yield [
-            (number, time_us, 20.0 + time_us % 977 / 64, int(Quality.GOOD))
+            (number, time_us, 20.0 + time_us % 977 / 64, int(Quality.GOOD), time_us)
             for time_us in range(begin_us, begin_us + polls * _PERIOD_US, _PERIOD_US)
             for number in numbers
         ]

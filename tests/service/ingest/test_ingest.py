@@ -91,7 +91,7 @@ class Hall:
                 await task
 
     def stored(self, asset: str = "a") -> list[tuple[str, int, float | None, int]]:
-        return [tuple(one) for one in self.store.samples.read(asset, None, 0, 2**62, 10**6)]
+        return [one[:4] for one in self.store.samples.read(asset, None, 0, 2**62, 10**6)]
 
     def metric(self, name: str, **labels: str) -> float | None:
         return self.registry.get_sample_value(f"bearing_twin_{name}", labels)

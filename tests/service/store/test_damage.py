@@ -235,7 +235,7 @@ def check_store(whole: Path, folder: Path, rng: random.Random) -> str:
         row[1:]: n
         for n, page in enumerate(pages, 1)
         for row in page
-        if len(row) == 5 and row[0] is None
+        if len(row) == 6 and row[0] is None
     }
     assert len(stored) == SAMPLES
     touched = damage(path, rng)

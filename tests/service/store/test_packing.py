@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from sqlalchemy import select, text
 
 from adapters.samples import Sample
 from service.clock import HOUR_US, MINUTE_US
 from service.store import Retention, Store, StoreError
-from service.store.blocks import BlockDamagedError, Samples, pack, unpack
+from service.store.blocks import UNKNOWN_US, BlockDamagedError, Samples, pack, unpack
 from service.store.packed import hours_of
 from service.store.salvage import salvage_store
 from service.store.tables import SampleBlockRow, SampleRow
@@ -33,7 +34,8 @@ TIMES = st.builds(
 )
 BATCHES = st.lists(
     st.tuples(
-        st.sampled_from(["a", "b"]), TIMES, VALUES, st.sampled_from([0, 24, 64, 192, 216])
+        st.sampled_from(["a", "b"]), TIMES, VALUES, st.sampled_from([0, 24, 64, 192, 216]),
+        st.one_of(TIMES, st.integers(0, 2**62)),
     ),
     min_size=1,
     max_size=12,
@@ -50,18 +52,37 @@ def packed(store: Store, before_us: int = START_US + 10 * HOUR_US) -> int:
 
 
 def polled(
-    store: Store, seconds: int = 3600, channels: int = 8, start_us: int = START_US, seed: int = 1
+    store: Store,
+    seconds: int = 3600,
+    channels: int = 8,
+    start_us: int = START_US,
+    seed: int = 1,
+    sent: str = "",
 ) -> int:
-    """What a poll once a second of transmitters with steps of 0.1 °C brings."""
+    """What a poll once a second of transmitters with steps of 0.1 °C brings.
+
+    A driver of the service receives it at its time; a gateway sends it on, see `received`.
+    """
     rng = np.random.default_rng(seed)
     times_us = start_us + SECOND_US * np.arange(seconds) + rng.integers(0, 3000, seconds)
+    received_us = received(times_us, sent).tolist() if sent else times_us.tolist()
     walks = np.round(50 + np.cumsum(rng.normal(0, 0.05, (channels, seconds)), axis=1), 1)
     batch = [
-        Sample("bench-1", f"t_{channel}", time_us, value, 192, time_us)
+        Sample("bench-1", f"t_{channel}", time_us, value, 192, got_us)
         for channel, values in enumerate(walks.tolist())
-        for time_us, value in zip(times_us.tolist(), values, strict=True)
+        for time_us, value, got_us in zip(times_us.tolist(), values, received_us, strict=True)
     ]
     return store.samples.write(batch).stored
+
+
+def received(times_us: NDArray[np.int64], sent: str) -> NDArray[np.int64]:
+    """When the service receives samples that are sent one by one, or ten at once."""
+    rng = np.random.default_rng(7)
+    latencies_us = (30_000 * np.exp(rng.normal(0, 0.5, times_us.size))).astype(np.int64)
+    numbers = np.arange(times_us.size)
+    if sent == "ten at once":
+        numbers = np.minimum(numbers // 10 * 10 + 9, times_us.size - 1)
+    return np.maximum.accumulate(times_us + latencies_us)[numbers]
 
 
 def in_table(store: Store) -> int:
@@ -102,8 +123,8 @@ def test_a_packed_store_reads_and_counts_as_one_that_is_not(
             packed(shared_store, START_US + step * HOUR_US)
             continue
         batch = [
-            Sample(asset, name, time_us, value, quality, 0)
-            for name, time_us, value, quality in step
+            Sample(asset, name, time_us, value, quality, received_us)
+            for name, time_us, value, quality, received_us in step
         ]
         assert shared_store.samples.write(batch) == plain_store.samples.write(batch)
     packed(shared_store)
@@ -155,24 +176,32 @@ def test_minutes_that_reach_over_the_end_of_an_hour_are_one(
         assert tables[0].good_count[name].tolist() == tables[1].good_count[name].tolist()
 
 
+@pytest.mark.parametrize("sent", ["", "one by one", "ten at once"])
 def test_what_one_poll_brought_takes_less_than_two_and_a_half_bytes_a_sample(
-    store: Store,
+    sqlite_store: Store, sent: str
 ) -> None:
-    count = polled(store)
+    store = sqlite_store
+    count = polled(store, sent=sent)
     assert packed(store) == 8
     assert in_table(store) == 0
     assert len(blocks(store)) == 1, "one column of times for all"
     assert sum(map(len, blocks(store))) / count < 2.5
 
 
-def test_a_channel_of_its_own_times_takes_less_than_seven_bytes_a_sample(store: Store) -> None:
+@pytest.mark.parametrize("sent", ["one by one", "ten at once"])
+def test_a_channel_of_its_own_times_takes_less_than_seven_bytes_a_sample(
+    sqlite_store: Store, sent: str
+) -> None:
+    store = sqlite_store
     rng = np.random.default_rng(4)
     times_us = START_US + np.sort(rng.integers(0, HOUR_US, 600))
     values = 2650 + np.cumsum(rng.normal(0, 0.5, 600)).round(2)
     store.samples.write(
         [
-            Sample("bench-1", "load_n", time_us, value, 192, 0)
-            for time_us, value in zip(times_us.tolist(), values.tolist(), strict=True)
+            Sample("bench-1", "load_n", time_us, value, 192, received_us)
+            for time_us, value, received_us in zip(
+                times_us.tolist(), values.tolist(), received(times_us, sent).tolist(), strict=True
+            )
         ]
     )
     packed(store)
@@ -190,7 +219,7 @@ def test_what_is_sent_again_leaves_an_hour_packed(store: Store) -> None:
     count = polled(store, seconds=100)
     packed(store)
     rows = store.samples.read("bench-1", None, 0, 2**62, 10_000)
-    again = [Sample("bench-1", *row, 0) for row in rows]
+    again = [Sample(*("bench-1", *row[:4], START_US + 9)) for row in rows]
     assert store.samples.write(again) == (0, count)
     assert in_table(store) == 0
     # One that is new brings back the hour of its channel, and of no other.
@@ -199,7 +228,9 @@ def test_what_is_sent_again_leaves_an_hour_packed(store: Store) -> None:
     assert in_table(store) == 101
     assert packed(store) == 1
     assert in_table(store) == 0
-    assert len(store.samples.read("bench-1", None, 0, 2**62, 10_000)) == count + 1
+    # What was sent again has changed no received time.
+    found = store.samples.read("bench-1", None, 0, 2**62, 10_000)
+    assert sorted(found) == sorted([*rows, late[1:]])
 
 
 @pytest.mark.parametrize("keeps_seconds", [True, False])
@@ -321,20 +352,34 @@ def test_salvage_brings_packed_hours_over_and_no_row_twice(tmp_path: Path) -> No
         assert len({(row.channel, row.time_us) for row in rows}) == 400
 
 
+#: Any, or one that nobody knows.
+RECEIVED = st.one_of(st.just(UNKNOWN_US), st.integers(0, 2**63 - 1))
+
+
 @given(
     st.lists(
-        st.tuples(st.integers(0, 2**62), st.floats(), st.integers(0, 255)),
+        st.tuples(st.integers(0, 2**63 - 1), st.floats(), st.integers(0, 255), RECEIVED),
         min_size=1, max_size=50, unique_by=lambda row: row[0],
-    )
+    ),
+    st.integers(-1, 10**6),
 )  # fmt: skip
-def test_a_block_holds_every_bit(rows: list[tuple[int, float, int]]) -> None:
-    times_us, values, qualities = zip(*sorted(rows, key=lambda row: row[0]), strict=True)
+@example([(0, 1.0, 192, 2**63 - 1), (2**63 - 1, 1.0, 192, 0)], -1)
+def test_a_block_holds_every_bit(rows: list[tuple[int, float, int, int]], step_us: int) -> None:
+    times_us, values, qualities, received_us = zip(
+        *sorted(rows, key=lambda row: row[0]), strict=True
+    )
     samples = Samples(
-        np.array(times_us, np.int64), np.array(values), np.array(qualities, np.uint16)
+        np.array(times_us, np.int64),
+        np.array(values),
+        np.array(qualities, np.uint16),
+        np.array(received_us, np.int64),
     )
     other = samples._replace(values=-samples.values)
-    block = pack([samples, other])
-    for position, expected in enumerate((samples, other)):
+    unknown = samples._replace(received_us=np.full(len(rows), UNKNOWN_US))
+    step = samples._replace(received_us=np.full(len(rows), step_us + 1))
+    channels = [samples, unknown, other, step]
+    block = pack(channels)
+    for position, expected in enumerate(channels):
         found = unpack(block, position)
         for mine, column in zip(found, expected, strict=True):
             assert mine.dtype == column.dtype
@@ -349,7 +394,7 @@ def test_salvage_joins_rows_and_a_block_of_one_hour(tmp_path: Path) -> None:
         path = Path(store._database.name)
         with store._database.writing() as connection:
             connection.execute(
-                text("INSERT INTO samples VALUES (1, :time_us, 7.0, 192)"),
+                text("INSERT INTO samples VALUES (1, :time_us, 7.0, 192, NULL)"),
                 {"time_us": START_US + 5},
             )
     salvaged = salvage_store(path, "a test")
@@ -358,7 +403,7 @@ def test_salvage_joins_rows_and_a_block_of_one_hour(tmp_path: Path) -> None:
 
 
 def test_a_block_of_a_later_version_says_so() -> None:
-    samples = Samples(np.array([1]), np.array([math.pi]), np.array([192], np.uint16))
+    samples = Samples(np.array([1]), np.array([math.pi]), np.array([192], np.uint16), np.array([1]))
     with pytest.raises(StoreError, match="codec 2: expected 1"):
         unpack(pack([samples])._replace(codec=2), 0)
     with pytest.raises(BlockDamagedError, match="1 channels"):

@@ -67,7 +67,7 @@ def test_a_partition_of_a_batch_that_failed_is_made_again(
 
     def write_and_fail(store: Store, channel_id: int) -> None:
         with store._database.writing() as connection:
-            columns = SampleColumns([channel_id], [5], [1.0], [192])
+            columns = SampleColumns([channel_id], [5], [1.0], [192], [5])
             assert store._database.dialect.upsert_samples(connection, columns) == 1
             raise LaterError
 

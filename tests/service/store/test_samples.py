@@ -28,7 +28,11 @@ def test_samples_come_back_in_order_of_time_then_channel(store: Store) -> None:
         [sample(20, 2.5, channel="b"), sample(10), sample(20, 3.5, channel="a")]
     )
     assert counts == WriteCounts(3, 0)
-    assert stored(store) == [("x", 10, 1.0, 192), ("a", 20, 3.5, 192), ("b", 20, 2.5, 192)]
+    assert stored(store) == [
+        ("x", 10, 1.0, 192, 10),
+        ("a", 20, 3.5, 192, 20),
+        ("b", 20, 2.5, 192, 20),
+    ]
     assert store.samples.channels("bench-1") == ["a", "b", "x"]
     assert store.samples.channels("bench-2") == []
 
@@ -57,13 +61,14 @@ def test_a_time_is_stored_once(
     counts: tuple[int, int],
     together: bool,
 ) -> None:
+    both = [sample(7, *first)._replace(received_us=8), sample(7, *second)._replace(received_us=9)]
     if together:
-        written = store.samples.write([sample(7, *first), sample(7, *second)])
-        assert written == (1 + counts[0], counts[1])
+        assert store.samples.write(both) == (1 + counts[0], counts[1])
     else:
-        assert store.samples.write([sample(7, *first)]) == (1, 0)
-        assert store.samples.write([sample(7, *second)]) == counts
-    assert stored(store) == [("x", 7, *kept)]
+        assert store.samples.write(both[:1]) == (1, 0)
+        assert store.samples.write(both[1:]) == counts
+    # What replaces another comes with its own received time.
+    assert stored(store) == [("x", 7, *kept, 8 + counts[0])]
 
 
 @given(
@@ -76,7 +81,7 @@ def test_a_time_is_stored_once(
                 time_us=st.integers(0, 8),
                 value=VALUES,
                 quality=QUALITIES,
-                received_us=st.just(0),
+                received_us=st.integers(0, 2**62),
             ),
             max_size=12,
         ),
@@ -89,7 +94,7 @@ def test_any_batches_give_what_the_rule_says_page_by_page(
     shared_store: Store, batches: list[list[Sample]], page: int
 ) -> None:
     asset = uuid.uuid4().hex
-    expected: dict[tuple[int, str], tuple[float | None, int]] = {}
+    expected: dict[tuple[int, str], tuple[float | None, int, int]] = {}
     changes = 0
     total = WriteCounts(0, 0)
     for batch in batches:
@@ -99,7 +104,7 @@ def test_any_batches_give_what_the_rule_says_page_by_page(
             quality = one.quality if finite or not is_good(one.quality) else 0
             old = expected.get((one.time_us, one.channel))
             if old is None or (not is_good(old[1]) and is_good(quality)):
-                expected[one.time_us, one.channel] = (value, quality)
+                expected[one.time_us, one.channel] = (value, quality, one.received_us)
                 changes += 1
         counts = shared_store.samples.write([one._replace(asset=asset) for one in batch])
         total = WriteCounts(*(a + b for a, b in zip(total, counts, strict=True)))
@@ -112,9 +117,8 @@ def test_any_batches_give_what_the_rule_says_page_by_page(
         paged += items
         if len(items) < page:
             break
-    assert [((s.time_us, s.channel), (s.value, s.quality)) for s in paged] == sorted(
-        expected.items()
-    )
+    assert {(one.time_us, one.channel): (one[2:]) for one in paged} == expected
+    assert [(one.time_us, one.channel) for one in paged] == sorted(expected)
 
 
 def test_a_batch_of_many_statements_follows_the_same_rule(store: Store) -> None:
@@ -142,15 +146,23 @@ def test_a_span_has_its_start_and_not_its_end(store: Store) -> None:
 
 def test_assets_do_not_see_each_other(store: Store) -> None:
     store.samples.write([sample(1), sample(1, 9.0)._replace(asset="bench-2")])
-    assert stored(store) == [("x", 1, 1.0, 192)]
-    assert stored(store, "bench-2") == [("x", 1, 9.0, 192)]
+    assert stored(store) == [("x", 1, 1.0, 192, 1)]
+    assert stored(store, "bench-2") == [("x", 1, 9.0, 192, 1)]
 
 
 @pytest.mark.parametrize(
-    "wrong", [sample(-1), sample(2**63), sample(1, quality=256), sample(1, quality=-1)]
+    "wrong",
+    [
+        sample(-1),
+        sample(2**63),
+        sample(1, quality=256),
+        sample(1, quality=-1),
+        sample(1)._replace(received_us=-1),
+        sample(1)._replace(received_us=2**63),
+    ],
 )
 def test_a_sample_that_cannot_be_is_refused_with_its_batch(store: Store, wrong: Sample) -> None:
-    with pytest.raises(ValueError, match="expected a time after 1970 and a quality byte"):
+    with pytest.raises(ValueError, match="expected times after 1970 and a quality byte"):
         store.samples.write([sample(5), wrong])
     assert stored(store) == []
     store.samples.write([sample(5)])
@@ -171,9 +183,9 @@ def test_latest_and_first_and_what_is_open(store: Store) -> None:
         ]
     )
     assert store.samples.latest("bench-1") == {
-        "x": ("x", 30, 3.0, 192),
-        "y": ("y", 25, None, 24),
-        "z": ("z", 40, 7.0, 64),
+        "x": ("x", 30, 3.0, 192, 30),
+        "y": ("y", 25, None, 24, 25),
+        "z": ("z", 40, 7.0, 64, 40),
     }
     assert store.samples.first_time_us("bench-1") == 10
     assert store.samples.open_ends() == {("bench-1", "x"): 30, ("bench-1", "z"): 40}

@@ -1,4 +1,5 @@
 import contextlib
+import math
 import os
 import re
 import signal
@@ -11,13 +12,14 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import create_engine, inspect
+from sqlalchemy import create_engine, insert, inspect
 
 from adapters.samples import Sample
 from service.store import DataDirectoryInUseError, Store, StoreError, lock_data_directory
 from service.store.migrations import upgrade
 from service.store.opening import FILE_NAME
-from service.store.tables import Base
+from service.store.postgresql import PARTITION_US
+from service.store.tables import Base, PackedHourRow, SampleBlockRow
 
 
 def python(code: str, *arguments: str) -> "subprocess.Popen[str]":
@@ -104,11 +106,82 @@ def test_an_older_file_loses_its_check_of_channels_and_no_sample(tmp_path: Path)
         old.execute("INSERT INTO samples VALUES (7, 5, 1.5, 192)")
         old.commit()
     with Store.open("", tmp_path) as store:
-        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192)]
+        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192, None)]
         assert store.samples.write([Sample("a", "y", 6, 2.5, 192, 6)]) == (1, 0)
     with contextlib.closing(sqlite3.connect(path)) as new:
         assert not new.execute("PRAGMA foreign_key_list(samples)").fetchall()
         assert new.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+
+
+#: Made by the version before, of samples 5, 1000007 and 2000001 us after a full hour: good, without
+#: a value (24), good.
+BLOCK = (1, 2676025315, bytes.fromhex(
+    "83a574696d6573c42370636f210300c104010402000000100028c0b653f5df3200ac0000004048e8f1117a00a676"
+    "616c75657391c42f70636f210300c1040106020000003200080000000000900618000000000000500d3000000000"
+    "000000fc7f00240000a97175616c697469657391c41770636f210300c1040107020000001000c00040a800a800"
+))  # fmt: skip
+HOUR_OF_BLOCK_US = 1_789_999_200_000_000
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_samples_from_before_received_times_stay_as_they_are(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    begin_us = HOUR_OF_BLOCK_US
+    url = engine_url = f"sqlite:///{tmp_path / FILE_NAME}"
+    if kind == "postgresql":
+        url = request.getfixturevalue("postgresql").database(empty=True)
+        engine_url = url.replace("postgresql:", "postgresql+psycopg:")
+    engine = create_engine(engine_url)
+    upgrade(engine, "0015")
+    where = "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
+    with engine.begin() as old:
+        old.exec_driver_sql("INSERT INTO channels VALUES (1, 'a', 'x'), (2, 'a', 'y')")
+        if kind == "postgresql":
+            where = "SELECT pg_relation_filenode('samples_p813')"
+            first_us = 813 * PARTITION_US
+            assert first_us <= begin_us < first_us + PARTITION_US
+            old.exec_driver_sql(
+                "CREATE TABLE samples_p813 PARTITION OF samples "
+                f"FOR VALUES FROM ({first_us}) TO ({first_us + PARTITION_US})"
+            )
+            old.exec_driver_sql("SELECT setval('channels_id_seq', 2)")
+        old.exec_driver_sql(f"INSERT INTO samples VALUES (1, {begin_us + 4 * 10**9}, 1.5, 192)")
+        codec, crc, data = BLOCK
+        old.execute(insert(SampleBlockRow).values(id=1, codec=codec, crc=crc, data=data))
+        old.execute(
+            insert(PackedHourRow).values(
+                channel_id=2, hour_us=begin_us, block_id=1, position=0, sample_count=3,
+                first_us=begin_us + 5, last_us=begin_us + 2_000_001,
+            )
+        )  # fmt: skip
+        place = old.exec_driver_sql(where).scalar()
+    engine.dispose()
+    with Store.open(url, tmp_path, migrate=True) as store:
+        with store._database.reading() as connection:
+            assert connection.exec_driver_sql(where).scalar() == place, "not written again"
+        before = [
+            ("y", begin_us + 5, 20.5, 192, None),
+            ("y", begin_us + 1_000_007, None, 24, None),
+            ("y", begin_us + 2_000_001, 21.25, 192, None),
+            ("x", begin_us + 4 * 10**9, 1.5, 192, None),
+        ]
+        assert store.samples.read("a", None, 0, 2**62, 9) == before
+        # One that mends and one that is late bring the hour back, with their own received times.
+        later = [
+            Sample("a", "y", begin_us + 1_000_007, 20.75, 192, begin_us + 7),
+            Sample("a", "y", begin_us + 3_000_000, math.nan, 24, begin_us + 8),
+            Sample("a", "y", begin_us + 5, 9.0, 192, begin_us + 9),
+        ]
+        assert store.samples.write(later) == (2, 1)
+        mended, late = tuple(later[0][1:]), ("y", begin_us + 3_000_000, None, 24, begin_us + 8)
+        after = [before[0], mended, before[2], late, before[3]]
+        assert store.samples.read("a", None, 0, 2**62, 9) == after
+        while store.rollups.refresh(begin_us + 10**11):
+            pass
+        assert store.packing.pack(begin_us + 10**11) == 2
+        assert store.samples.read("a", None, 0, 2**62, 9) == after
+        assert store.find_damage() is None
 
 
 @pytest.mark.parametrize(

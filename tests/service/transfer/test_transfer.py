@@ -60,6 +60,23 @@ def stored(tmp_path: Path) -> list[tuple[str, int, float | None, int]]:
     return [(row.channel, row.time_us, row.value, row.quality) for row in rows]
 
 
+def received_us(tmp_path: Path) -> list[int | None]:
+    with Store.open("", tmp_path / "data") as store:
+        return [row.received_us for row in store.samples.read("a", None, 0, 2**62, 10**6)]
+
+
+def test_a_received_time_may_be_missing_but_not_wrong(tmp_path: Path, run: Run) -> None:
+    header = "time,channel,value,received"
+    rows = [
+        f"{START},speed_rpm,{k},{cell}" for k, cell in enumerate(("soon", "1969-01-01T00:00:00Z"))
+    ]
+    rows.append(f"{START},load_n,3,")
+    status, report, text = run("import", table(tmp_path, *rows, header=header))
+    assert (status, report["stored"], report["rejected"]) == (2, 1, 2)
+    assert "line 2: received: " in text
+    assert "line 3: received: '1969-01-01T00:00:00Z': expected a time after 1970" in text
+
+
 def table(tmp_path: Path, *rows: str, header: str = HEADER) -> Path:
     path = tmp_path / "data.csv"
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8-sig")
@@ -171,19 +188,24 @@ def test_what_is_exported_can_be_imported_again(tmp_path: Path, run: Run, suffix
             START_US + k * 137_000,
             dice.choice([dice.uniform(20, 80), math.nan]),
             dice.choice([0, 24, 64, 192, 216]),
-            0,
+            START_US + k * 137_000 + dice.randrange(10**6),
         )
         for k in range(500)
     ]
     with Store.open("", tmp_path / "data") as store:
         store.samples.write(samples)
-    before = stored(tmp_path)
-    out = tmp_path / f"out.{suffix}"
+    before, received = stored(tmp_path), received_us(tmp_path)
+    out, full = tmp_path / f"out.{suffix}", tmp_path / f"full.{suffix}"
     assert run("export", "--out", out)[1]["rows"] == 500
-    (tmp_path / "data").rename(tmp_path / "elsewhere")
-    status, report, _ = run("import", out)
-    assert (status, report["stored"]) == (0, 500)
-    assert stored(tmp_path) == before
+    assert run("export", "--out", full, "--received")[1]["rows"] == 500
+    for number, file in enumerate((out, full)):
+        (tmp_path / "data").rename(tmp_path / f"elsewhere-{number}")
+        status, report, _ = run("import", file)
+        assert (status, report["stored"]) == (0, 500)
+        assert stored(tmp_path) == before
+        found = received_us(tmp_path)
+        assert (found == received) == (file == full)
+        assert (len(set(found)) == 1) == (file == out), "when it was imported"
 
 
 def test_parquet_carries_units_and_the_rollups_their_extremes(tmp_path: Path, run: Run) -> None:
@@ -228,6 +250,7 @@ def test_minutes_are_what_identify_reads(tmp_path: Path, run: Run) -> None:
         (("--out", "x.csv", "--channel", "t_gear_c"), "--channel t_gear_c"),
         (("--out", "x.csv", "--resolution", "2s3"), "--resolution 2s3"),
         (("--out", "x.csv", "--start", "now"), "--start: time 'now'"),
+        (("--out", "x.csv", "--received", "--resolution", "1min"), "--received: expected"),
         (("--out", "x.csv", "--start", START, "--end", START), "--end"),
     ],
 )

@@ -118,6 +118,13 @@ async def get_measurements(
             "`parquet` needs the extra `parquet`."
         ),
     ] = "json",
+    received: Annotated[
+        bool,
+        Query(
+            description="Also show when the service received each raw sample, as `received`; "
+            "buckets have no such time."
+        ),
+    ] = False,
     limit: Annotated[int | None, Query(ge=1, le=LIMIT_MAX, description=f"{LIMIT} if absent.")] = (
         None
     ),
@@ -134,7 +141,7 @@ async def get_measurements(
             raise parameter_problem("cursor", "expected the `next` of the page before")
     else:
         place = await turns.read(
-            caller, _new_query, context, asset, channel, start, end, resolution
+            caller, _new_query, context, asset, channel, start, end, resolution, received
         )
     rows_max = None if format == "parquet" or (format == "csv" and limit is None) else limit
     if rows_max is None and format == "json":
@@ -232,11 +239,12 @@ def _page(
     following = None if page.following is None else encode_cursor(page.following)
     begins = range(0, len(page.rows), _PIECE_ROWS)
     if format == "csv":
-        texts = (as_csv(page.rows[begin : begin + _PIECE_ROWS]).encode() for begin in begins)
-        return [csv_header(place.resolution).encode(), *texts], following
+        texts = (as_csv(page.rows[begin : begin + _PIECE_ROWS], place).encode() for begin in begins)
+        return [csv_header(place).encode(), *texts], following
     pieces = [b'{"resolution":' + to_json(place.resolution) + b',"items":[']
     for begin in begins:
-        items = to_json(as_items(page.rows[begin : begin + _PIECE_ROWS]), inf_nan_mode="null")
+        shown = as_items(page.rows[begin : begin + _PIECE_ROWS], place)
+        items = to_json(shown, inf_nan_mode="null")
         pieces.append((b"," if begin else b"") + items[1:-1])
     return [*pieces, b'],"next":' + to_json(following) + b"}"], following
 
@@ -248,9 +256,9 @@ async def _csv(
 
     def read(place: ExportPosition) -> tuple[bytes, ExportPosition | None]:
         page = read_page(store, asset, place, _CSV_PAGE_ROWS)
-        return as_csv(page.rows).encode(), page.following
+        return as_csv(page.rows, place).encode(), page.following
 
-    yield csv_header(place.resolution).encode()
+    yield csv_header(place).encode()
     following: ExportPosition | None = place
     while following is not None:
         text, following = await turns.read(caller, read, following)
@@ -324,6 +332,7 @@ def _new_query(
     start_us: int | None,
     end_us: int | None,
     resolution: Resolution,
+    received: bool,
 ) -> ExportPosition:
     store = context.store
     if channels is not None:
@@ -338,7 +347,13 @@ def _new_query(
     start_us = max(end_us - DEFAULT_SPAN_US, 0) if start_us is None else start_us
     if end_us <= start_us:
         raise parameter_problem("start", "expected a time before the end of the span")
+    if received and resolution not in ("raw", "auto"):
+        raise parameter_problem(
+            "received", f"expected resolution raw or auto, {resolution} has no such time"
+        )
     chosen: str = resolution
     if resolution == "auto":
         chosen = choose_resolution(store, asset.id, channels, start_us, end_us)
-    return ExportPosition(resolution=chosen, start_us=start_us, end_us=end_us, channels=channels)
+    return ExportPosition(
+        resolution=chosen, start_us=start_us, end_us=end_us, channels=channels, received=received
+    )

@@ -92,7 +92,10 @@ def test_history_is_read_for_a_screen_and_a_sample_has_its_price() -> None:
     assert found.extra["raw_rows"] == 6 * 3600
     assert 600 <= found.extra["points_per_channel"] <= 1800
     price = history.bytes_per_sample(quiet, days=1 / 24)
-    assert price.reference == 17.0
+    assert price.reference == 25.0
     assert 1.0 < price.extra["block_bytes_per_sample"] < 2.5
     assert price.value > price.extra["block_bytes_per_sample"]
+    for sent in ("one_by_one", "ten_at_once"):
+        assert 0.5 < price.extra[f"polled_{sent}_bytes_per_sample"] < 2.5
+        assert 3.0 < price.extra[f"irregular_{sent}_bytes_per_sample"] < 7.0
     assert price.extra["samples"] == 6 * 3600

@@ -186,6 +186,43 @@ async def test_csv_is_long_with_an_empty_cell_for_no_value(world: Any) -> None:
     ]
 
 
+async def test_received_times_are_shown_on_request_over_pages_and_in_files(world: Any) -> None:
+    samples = [
+        Sample("bench-1", INNER, START_US + k * 1_000_000, 60.0 + k, 192, START_US + 10**7 + k)
+        for k in range(5)
+    ]
+    world.store.samples.write(samples)
+    expected = [rfc3339_exact(one.received_us) for one in samples]
+    wanted = span(60) | {"received": "true"}
+    items = (await get(world, **wanted, resolution="auto", limit="3"))["items"]
+    assert items[0] == {
+        "channel": INNER,
+        "time": rfc3339(START_US),
+        "value": 60.0,
+        "quality": 192,
+        "received": expected[0],
+    }
+    client = world.client("viewer")
+    first = await client.get(PATH, params=wanted | {"limit": 3})
+    second = await client.get(first.links["next"]["url"])
+    found = [*first.json()["items"], *second.json()["items"]]
+    assert [item["received"] for item in found] == expected
+    text = (await client.get(PATH, params=wanted | {"format": "csv"})).text
+    assert text.startswith("time,channel,value,quality,received\r\n")
+    assert [row["received"] for row in csv.DictReader(io.StringIO(text))] == expected
+    file = await client.get(PATH, params=wanted | {"format": "parquet"})
+    column = parquet.read_table(io.BytesIO(file.content))["received"].cast("int64")
+    assert column.to_pylist() == [one.received_us for one in samples]
+    with world.store._database.writing() as connection:  # as an earlier version stored it
+        connection.exec_driver_sql("UPDATE samples SET received_us = NULL")
+    assert {item["received"] for item in (await get(world, **wanted))["items"]} == {None}
+    text = (await client.get(PATH, params=wanted | {"format": "csv"})).text
+    assert {row["received"] for row in csv.DictReader(io.StringIO(text))} == {""}
+    refused = await client.get(PATH, params=wanted | {"resolution": "1min"})
+    assert refused.status_code == 422
+    assert refused.json()["errors"][0]["parameter"] == "received"
+
+
 async def test_csv_without_limit_is_the_whole_span(world: Any) -> None:
     world.write("bench-1", INNER, START_US, list(range(12_345)))
     response = await world.client("viewer").get(PATH, params=span(86400) | {"format": "csv"})
