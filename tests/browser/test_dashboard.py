@@ -208,7 +208,7 @@ def test_a_viewer_sees_everything_and_changes_nothing(
     page.goto(f"http://127.0.0.1:{site.port}/#key={key}")
     expect(page.locator(".ans .word").first).to_have_text(re.compile("Safe"))
     tabs = page.locator("nav.tabs a[href]").all_inner_texts()
-    assert tabs == ["Operator", "Envelope", "History", "Alarms"]
+    assert tabs == ["Operator", "Envelope", "History", "Accuracy", "Alarms"]
     refused = page.locator("nav.tabs a[aria-disabled]", has_text="Engineer")
     expect(refused).to_have_attribute("title", re.compile("role engineer; you are .* viewer"))
 
