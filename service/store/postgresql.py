@@ -178,7 +178,10 @@ def _packed(columns: SampleColumns) -> bytes:
         name: np.array(column, dtype=_ROW[name])  # None becomes not a number
         for name, column in zip(_LENGTHS, columns, strict=True)
     }
-    kinds = np.isnan(arrays["value"]) + 2 * unknown
+    # Channel by channel, each in the order in which it came: next to each other in the index.
+    order = np.argsort(arrays["channel_id"], kind="stable")
+    arrays = {name: array[order] for name, array in arrays.items()}
+    kinds = np.isnan(arrays["value"]) + 2 * unknown[order]
     parts = [_COPY_HEADER]
     for kind, dtype in enumerate(_ROWS):
         chosen = kinds == kind

@@ -19,6 +19,7 @@ from service.store import DataDirectoryInUseError, Store, StoreError, lock_data_
 from service.store.migrations import upgrade
 from service.store.opening import FILE_NAME
 from service.store.postgresql import PARTITION_US
+from service.store.salvage import salvage_store
 from service.store.tables import Base, PackedHourRow, SampleBlockRow
 
 
@@ -182,6 +183,23 @@ def test_samples_from_before_received_times_stay_as_they_are(
         assert store.packing.pack(begin_us + 10**11) == 2
         assert store.samples.read("a", None, 0, 2**62, 9) == after
         assert store.find_damage() is None
+
+
+def test_salvage_finds_rows_from_before_received_times(tmp_path: Path) -> None:
+    path = tmp_path / FILE_NAME
+    engine = create_engine(f"sqlite:///{path}")
+    upgrade(engine, "0015")
+    engine.dispose()
+    with contextlib.closing(sqlite3.connect(path)) as old:
+        old.execute("INSERT INTO channels VALUES (7, 'a', 'x')")
+        old.execute("INSERT INTO samples VALUES (7, 5, 1.5, 192)")
+        # So that no tree leads to the row.
+        old.execute("PRAGMA writable_schema = ON")
+        old.execute("DELETE FROM sqlite_master WHERE name = 'samples'")
+        old.commit()
+    assert salvage_store(path, "a test").rows["samples"] == 1
+    with Store.open("", tmp_path) as store:
+        assert store.samples.read("a", None, 0, 9, 9) == [("x", 5, 1.5, 192, None)]
 
 
 @pytest.mark.parametrize(
