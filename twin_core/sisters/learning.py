@@ -1,0 +1,217 @@
+"""Identification of a machine with what its sisters know, and whether that is to be believed.
+
+Whether the sisters are sisters is asked of the machine's own data: their prior must explain these
+at least as well as the literature's. What decides is the evidence, the probability of all readings
+under a prior: the product of what would have been predicted for each reading from those before it.
+A narrow prior in the right place gains, in the wrong place it loses.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.identification.data import IdentificationData
+from twin_core.identification.identify import (
+    DEFAULT_SAMPLES,
+    IdentificationResult,
+    Progress,
+    identify,
+)
+from twin_core.identification.priors import NormalPrior
+from twin_core.identification.problem import IdentificationProblem
+from twin_core.identification.whitening import Loss
+from twin_core.models import ThermalModel
+from twin_core.sisters.calibration import calibration_runs
+from twin_core.sisters.population import (
+    FEWEST_SISTERS,
+    Sister,
+    knowledge_of,
+    population_prior,
+    strangers,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SisterVerdict:
+    """What became of the sisters.
+
+    Attributes
+    ----------
+    used
+        How many the prior was made of.
+    load_n_max, speed_rpm_max
+        Heaviest load in N and highest speed in rpm that any of them has seen.
+    accepted
+        Whether the model rests on them; if not, on the literature's prior as without sisters.
+    reason
+        Why, or why not.
+    evidence_gain
+        Natural logarithm of how many times more probable the data are under the sisters' prior than
+        under the literature's; None where it was not asked.
+    set_aside
+        Sisters that were not used, with the reason, by name.
+    calibrated_runs
+        How many sisters could be played as the target.
+    """
+
+    used: int
+    load_n_max: float
+    speed_rpm_max: float
+    accepted: bool
+    reason: str
+    evidence_gain: float | None
+    set_aside: Mapping[str, str]
+    calibrated_runs: int
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain JSON types."""
+        return {
+            "used": self.used,
+            "load_n_max": self.load_n_max,
+            "speed_rpm_max": self.speed_rpm_max,
+            "accepted": self.accepted,
+            "reason": self.reason,
+            "evidence_gain": self.evidence_gain,
+            "set_aside": dict(self.set_aside),
+            "calibrated_runs": self.calibrated_runs,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WithSisters:
+    """An identification with sisters.
+
+    Attributes
+    ----------
+    result
+        The one to use: with the sisters' prior if they were accepted, else the literature's.
+    verdict
+        What became of the sisters.
+    prior
+        The prior of ``result``; None for the literature's.
+    """
+
+    result: IdentificationResult
+    verdict: SisterVerdict
+    prior: NormalPrior | None
+
+
+def identify_with_sisters(
+    model: ThermalModel,
+    data: IdentificationData,
+    sisters: Sequence[Sister],
+    literature: IdentificationResult,
+    *,
+    seed: int = 0,
+    samples: int = DEFAULT_SAMPLES,
+    loss: Loss = "linear",
+    calibrate: bool = True,
+    progress: Callable[[Progress], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> WithSisters:
+    """Identify anew with the sisters' prior, and use it if the data speak for it.
+
+    Parameters
+    ----------
+    model, data
+        The machine and its own low-risk data.
+    sisters
+        Machines of its family, all of the same model; strangers among them are set aside.
+    literature
+        What the same data gave with the literature's prior.
+    seed, samples, loss
+        As of `identify`.
+    calibrate
+        Whether to play each sister that has rows as the target, for the band's width.
+    progress, cancelled
+        As of `identify`.
+    """
+    aside = strangers(model, sisters)
+    kept = [sister for sister in sisters if sister.name not in aside]
+    if len(kept) < FEWEST_SISTERS:
+        why = f"{len(kept)} of {len(sisters)} sisters left, expected at least {FEWEST_SISTERS}"
+        return WithSisters(literature, _verdict(kept, False, why, None, aside, 0), None)
+    prior = population_prior(kept)
+    result = identify(
+        model,
+        data,
+        method="refine",
+        guess_z=literature.posterior.z,
+        seed=seed,
+        samples=samples,
+        loss=loss,
+        prior=prior,
+        progress=progress,
+        cancelled=cancelled,
+    )
+    gain = log_evidence(
+        IdentificationProblem(model, data, literature.posterior.z, loss, prior=prior),
+        result.unknowns,
+    ) - log_evidence(
+        IdentificationProblem(model, data, literature.posterior.z, loss), literature.unknowns
+    )
+    if result.status != "converged" or not gain >= 0.0:
+        why = (
+            result.reason
+            if result.status != "converged"
+            else "the sisters' prior explains the machine's own data worse than the literature's "
+            f"(logarithm of the evidence {gain:+.1f})"
+        )
+        return WithSisters(literature, _verdict(kept, False, why, gain, aside, 0), None)
+    runs = (
+        calibration_runs(model, kept, result.posterior.trained, seed=seed, cancelled=cancelled)
+        if calibrate
+        else ()
+    )
+    known = replace(knowledge_of(kept), calibration=runs)
+    why = (
+        f"the prior of {len(kept)} sisters explains the machine's own data better than the "
+        f"literature's (logarithm of the evidence {gain:+.1f})"
+    )
+    posterior = replace(result.posterior, sisters=known)
+    return WithSisters(
+        replace(result, posterior=posterior),
+        _verdict(kept, True, why, gain, aside, len(runs)),
+        prior,
+    )
+
+
+def log_evidence(problem: IdentificationProblem, unknowns: FloatArray) -> float:
+    """Natural logarithm of the data's probability under the problem's prior, but for a constant.
+
+    By the Laplace approximation around the optimum. The constant is the same for all priors on the
+    same data.
+
+    Parameters
+    ----------
+    problem, unknowns
+        The problem and its optimum (d,).
+    """
+    residuals = problem.residuals(unknowns)[0]
+    jacobian = problem.jacobian(unknowns)
+    curvature = np.linalg.slogdet(jacobian.T @ jacobian)[1]
+    return float(-0.5 * residuals @ residuals - 0.5 * curvature - problem.prior.log_determinant)
+
+
+def _verdict(
+    kept: Sequence[Sister],
+    accepted: bool,
+    reason: str,
+    gain: float | None,
+    aside: Mapping[str, str],
+    runs: int,
+) -> SisterVerdict:
+    return SisterVerdict(
+        len(kept),
+        max((sister.trained.load_n_max for sister in kept), default=0.0),
+        max((sister.trained.speed_rpm_max for sister in kept), default=0.0),
+        accepted,
+        reason,
+        gain,
+        dict(aside),
+        runs,
+    )
