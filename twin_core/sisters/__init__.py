@@ -6,7 +6,7 @@ of the next one; see `docs/sisters.md` for what that buys and where it ends.
 
 from twin_core.sisters.calibration import calibration_runs
 from twin_core.sisters.learning import SisterVerdict, WithSisters, identify_with_sisters
-from twin_core.sisters.population import Sister, population_prior, strangers
+from twin_core.sisters.population import Sister, population_prior, same_run, strangers
 
 __all__ = [
     "Sister",
@@ -15,5 +15,6 @@ __all__ = [
     "calibration_runs",
     "identify_with_sisters",
     "population_prior",
+    "same_run",
     "strangers",
 ]

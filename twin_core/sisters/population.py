@@ -31,6 +31,8 @@ _STRANGE_SHARE, _STRANGE_GROWTH = 0.01, 0.10
 _MOST_STRANGERS = 4
 _FEWEST_TO_JUDGE = 6
 _FAR_APART = 1.25
+# Two machines do not read the same to a hundredth of a kelvin for long.
+_SAME_K, _SAME_SHARE, _ROWS_TO_COMPARE = 0.01, 0.9, 10
 _UNITS = {"load_n": "N", "speed_rpm": "rpm"}
 
 
@@ -146,6 +148,25 @@ def _outside(values: FloatArray) -> list[int]:
         if np.all(np.abs(far - np.mean(core)) > max(usual, _STRANGE_GROWTH)):
             return [int(row) for row in order[-group:]]
     return []
+
+
+def same_run(one: IdentificationData, other: IdentificationData) -> bool:
+    """Tell whether two data sets are of one run of one machine: it is no sister of itself.
+
+    Parameters
+    ----------
+    one, other
+        Compared are their temperatures at equal times since their first rows.
+    """
+    ours, theirs = one.windows[0].minutes, other.windows[0].minutes
+    our_s, their_s = ours.time_s - ours.time_s[0], theirs.time_s - theirs.time_s[0]
+    differences = [
+        np.abs(np.interp(our_s, their_s, theirs.temperatures_c[name], right=np.nan) - values)
+        for name, values in ours.temperatures_c.items()
+        if name in theirs.temperatures_c
+    ]
+    known = np.concatenate([found[np.isfinite(found)] for found in differences] or [np.zeros(0)])
+    return known.size >= _ROWS_TO_COMPARE and float(np.mean(known < _SAME_K)) > _SAME_SHARE
 
 
 def _reached(sister: Sister, name: str) -> list[float]:
