@@ -114,7 +114,8 @@ def tables(runs: Sequence[FamilyRun], document: Document) -> Iterator[Table]:
             ),
             f"Asked, {ASKED[name]}.",
             f"{apart}. A run is covered if its band holds 95 % of its readings; below "
-            f"{LEAST_COVERAGE:.0%} a band is wrong. Steady: last half hour of a stage.",
+            f"{LEAST_COVERAGE:.0%} a band is wrong. Steady: last half hour of a stage. Bands are "
+            "calibrated where all sisters are sisters, else as they are.",
         )
         strange = [row for row in rows if row["condition"] in (MIXED, STRANGE)]
         yield table(

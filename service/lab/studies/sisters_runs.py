@@ -231,7 +231,7 @@ def _of_target(
             _data(target.run, question.rows),
             sisters,
             target.low.result,
-            calibrate=condition in (ALL, MIXED),  # fewer sisters calibrate nothing
+            calibrate=condition == ALL,
         )
         said = found.verdict
         known = found.result.posterior
