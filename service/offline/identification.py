@@ -29,12 +29,14 @@ from twin_core.identification.whitening import Loss
 from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
-from twin_core.sisters import Sister, SisterVerdict, WithSisters, identify_with_sisters
+from twin_core.sisters import Sister, SisterVerdict, WithSisters, identify_with_sisters, part_of
 from twin_core.windows import MinuteData, is_at_rest
 
 _FEWEST_ROWS = 3
 _LEAST_BUDGET = 25
 _COLD_K = 3.0
+# Share of the progress in which a machine is identified without its sisters.
+_WITHOUT_SISTERS = 0.4
 # A naive forecast must be better by more than this before it is spoken of.
 _TIE_K = 0.25
 
@@ -274,7 +276,7 @@ def identify_recording(
             search=procedure.search,
             loss=procedure.loss,
             seed=seed,
-            progress=progress,
+            progress=progress if sisters is None else part_of(progress, 0.0, _WITHOUT_SISTERS),
         )
     except ValueError as error:
         # All input has been checked: what is left is that no simulation holds on these data.
@@ -288,7 +290,13 @@ def identify_recording(
     learned: WithSisters | None = None
     if sisters is not None:
         learned = identify_with_sisters(
-            model, data, sisters, result, seed=seed, loss=procedure.loss, progress=progress
+            model,
+            data,
+            sisters,
+            result,
+            seed=seed,
+            loss=procedure.loss,
+            progress=part_of(progress, _WITHOUT_SISTERS, 1.0),
         )
         result = learned.result
     report = judge(

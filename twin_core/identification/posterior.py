@@ -146,11 +146,11 @@ class Posterior:
 
     @property
     def std(self) -> FloatArray:
-        """(p,) standard deviations of the standard coordinates; 1 is the prior's."""
+        """(p,) standard deviations of the standard coordinates; 1 is the literature's prior's."""
         return np.sqrt(np.diag(self.covariance))
 
     def verdicts(self) -> list[Verdict]:
-        """What the data say about each parameter, by posterior over prior standard deviation."""
+        """What data and sisters say of each parameter, by posterior over literature's deviation."""
         return [verdict(float(ratio)) for ratio in self.std]
 
     def at_bound(self, model: ThermalModel) -> list[Literal["lower", "upper"] | None]:
@@ -184,7 +184,8 @@ class Posterior:
     def parameters(self, model: ThermalModel) -> dict[str, dict[str, Any]]:
         """Return value, unit, 95 % interval, verdict and informed share of every parameter.
 
-        The informed share is how much of the prior's variance the data have taken away, 0 to 1.
+        The informed share is how much of the literature's variance the data, and the sisters if
+        there are any, have taken away, 0 to 1.
         ``at_bound`` is ``"lower"`` or ``"upper"`` where the value lies on a bound, else None.
 
         Raises

@@ -5,7 +5,12 @@ of the next one; see `docs/sisters.md` for what that buys and where it ends.
 """
 
 from twin_core.sisters.calibration import calibration_runs
-from twin_core.sisters.learning import SisterVerdict, WithSisters, identify_with_sisters
+from twin_core.sisters.learning import (
+    SisterVerdict,
+    WithSisters,
+    identify_with_sisters,
+    part_of,
+)
 from twin_core.sisters.population import Sister, population_prior, same_run, strangers
 
 __all__ = [
@@ -14,6 +19,7 @@ __all__ = [
     "WithSisters",
     "calibration_runs",
     "identify_with_sisters",
+    "part_of",
     "population_prior",
     "same_run",
     "strangers",

@@ -38,6 +38,7 @@ def calibration_runs(
     trained: TrainedRange,
     *,
     seed: int = 0,
+    progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> tuple[CalibrationRun, ...]:
     """Play every sister whose rows are known as the target.
@@ -52,6 +53,8 @@ def calibration_runs(
         Where the target has been: that is each sister's easy part.
     seed
         Of identifications and forecasts.
+    progress
+        Told after each sister how far the work has come, 0 to 1.
     cancelled
         As of `twin_core.identification.identify`.
 
@@ -62,7 +65,9 @@ def calibration_runs(
         forecast.
     """
     runs = []
-    for sister in sisters:
+    for number, sister in enumerate(sisters):
+        if progress is not None:
+            progress(number / len(sisters))
         others = [one for one in sisters if one is not sister]
         if sister.data is None or len(others) < FEWEST_SISTERS:
             continue

@@ -18,9 +18,11 @@ from twin_core.identification import (
     IdentificationWindow,
     Posterior,
     identify,
+    prior_posterior,
 )
 from twin_core.identification.family import CalibrationRun, SisterKnowledge
 from twin_core.identification.posterior import TrainedRange
+from twin_core.identification.priors import NormalPrior
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate
@@ -32,6 +34,7 @@ from twin_core.sisters import (
     same_run,
     strangers,
 )
+from twin_core.sisters.learning import membership
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
@@ -245,6 +248,29 @@ def test_no_population_is_wider_than_the_literature(n: int, scatter: float, seed
     own = np.mean([one.covariance for one in sisters], axis=0)
     surplus = prior.covariance - np.minimum(1.0, np.linalg.eigvalsh(own)[0]) * np.eye(p)
     assert np.linalg.eigvalsh(surplus)[0] >= -1e-9  # never surer than the sisters are of themselves
+
+
+def test_members_are_told_from_others_by_what_their_own_data_say() -> None:
+    """Of normal populations seen by linear data one member of ten is as far off as one of ten."""
+    rng = np.random.default_rng(4)
+    p = 12
+    turned, _ = np.linalg.qr(rng.normal(size=(p, p)))
+    strengths = np.array([30.0, 10.0, 3.0, 1.0, 0.3, *np.zeros(7)])  # the rest is not seen at all
+    covariance = (turned / (1.0 + strengths**2)) @ turned.T
+    shrunk = np.eye(p) - covariance
+    prior = NormalPrior.of(rng.normal(0.0, 0.5, p), 0.02 * np.eye(p) + 0.03)
+    blank = prior_posterior(build_model(bearing=bearing("6016")))
+
+    def share(z: FloatArray) -> float:
+        noise = turned @ (strengths / (1.0 + strengths**2) * rng.standard_normal(p))
+        return membership(replace(blank, z=shrunk @ z + noise, covariance=covariance), prior)
+
+    members = [share(prior.mean + prior.factor @ rng.standard_normal(p)) for _ in range(400)]
+    assert np.mean(np.array(members) < 0.1) == pytest.approx(0.1, abs=0.05)
+    off = prior.mean + 2.0 * turned[:, 0]
+    assert share(off) < 1e-6
+    unseen = prior.mean + 2.0 * turned[:, -1]
+    assert share(unseen) > 1e-3  # what the data do not show cannot speak against a machine
 
 
 def test_a_machine_is_no_sister_of_itself(family: Family) -> None:
