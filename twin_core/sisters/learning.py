@@ -25,6 +25,7 @@ from twin_core.identification.identify import (
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.priors import NormalPrior
 from twin_core.identification.problem import IdentificationProblem
+from twin_core.identification.refinement import refine
 from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
 from twin_core.sisters.calibration import calibration_runs
@@ -165,9 +166,9 @@ def identify_with_sisters(
     )
     gain = log_evidence(
         IdentificationProblem(model, data, literature.posterior.z, loss, prior=prior),
-        result.unknowns,
+        result.posterior.z,
     ) - log_evidence(
-        IdentificationProblem(model, data, literature.posterior.z, loss), literature.unknowns
+        IdentificationProblem(model, data, literature.posterior.z, loss), literature.posterior.z
     )
     share = membership(literature.posterior, prior)
     why = ""
@@ -249,17 +250,22 @@ def membership(own: Posterior, prior: NormalPrior) -> float:
     return float(gammaincc(0.5 * np.count_nonzero(seen), 0.5 * distance))
 
 
-def log_evidence(problem: IdentificationProblem, unknowns: FloatArray) -> float:
+def log_evidence(problem: IdentificationProblem, z: FloatArray) -> float:
     """Natural logarithm of the data's probability under the problem's prior, but for a constant.
 
     By the Laplace approximation around the optimum. The constant is the same for all priors on the
-    same data.
+    same data, if their problems have the same guess of the initial states.
 
     Parameters
     ----------
-    problem, unknowns
-        The problem and its optimum (d,).
+    problem, z
+        The problem and its best parameters (p,); infinitely improbable where no simulation holds.
     """
+    # With the problem's own initial states, whatever guess the parameters were found with.
+    found = refine(problem, problem.with_nuisance(z))
+    if found is None:
+        return -np.inf
+    unknowns = found.unknowns
     residuals = problem.residuals(unknowns)[0]
     jacobian = problem.jacobian(unknowns)
     curvature = np.linalg.slogdet(jacobian.T @ jacobian)[1]

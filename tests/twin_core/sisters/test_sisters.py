@@ -23,6 +23,7 @@ from twin_core.identification import (
 from twin_core.identification.family import CalibrationRun, SisterKnowledge
 from twin_core.identification.posterior import TrainedRange
 from twin_core.identification.priors import NormalPrior
+from twin_core.identification.problem import IdentificationProblem
 from twin_core.models import ThermalModel, build_model
 from twin_core.operating_points import OperatingPoint
 from twin_core.simulation import OperatingProfile, simulate
@@ -34,7 +35,7 @@ from twin_core.sisters import (
     same_run,
     strangers,
 )
-from twin_core.sisters.learning import membership
+from twin_core.sisters.learning import log_evidence, membership
 from twin_core.windows import MinuteData
 
 FloatArray = NDArray[np.float64]
@@ -147,6 +148,25 @@ def test_sisters_teach_the_load_that_they_have_seen(family: Family) -> None:
     assert Posterior.from_dict(found.result.posterior.to_dict()).sisters == (
         found.result.posterior.sisters
     )
+
+
+def test_a_machine_that_was_warm_at_the_first_row_is_judged_alike(family: Family) -> None:
+    warm = family.target.take(slice(25, LOW_ROWS))
+    data = IdentificationData((IdentificationWindow(warm, at_rest=False),))
+    literature = identify(family.model, data, method="refine", samples=0)
+    prior = population_prior(family.sisters)
+
+    informed = identify(family.model, data, method="refine", samples=0, prior=prior)
+
+    def gain(guess: FloatArray) -> float:
+        """What the sisters gain, with initial states guessed at other parameters."""
+        with_sisters = IdentificationProblem(family.model, data, guess, prior=prior)
+        without = IdentificationProblem(family.model, data, guess)
+        best = informed.posterior.z, literature.posterior.z
+        return log_evidence(with_sisters, best[0]) - log_evidence(without, best[1])
+
+    assert gain(literature.posterior.z) > 0.0
+    assert gain(literature.posterior.z) == pytest.approx(gain(prior.mean), abs=1.0)
 
 
 def test_strangers_are_set_aside_and_do_no_harm(family: Family) -> None:
