@@ -5,8 +5,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, NamedTuple, get_args
 
 import typer
 from rich.console import Console
@@ -86,6 +87,36 @@ def identify(
             "otherwise the initial state is estimated.",
         ),
     ] = False,
+    sisters: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="MODEL.json …",
+            help="Models of machines of the same type, at least two: what they know is the prior, "
+            "where the data speak for it.",
+        ),
+    ] = None,
+    population: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FAMILY.json", help="The same from what 'bearing-twin population' wrote."
+        ),
+    ] = None,
+    skip_strangers: Annotated[
+        bool,
+        typer.Option(
+            "--skip-strangers",
+            help="Leave out sisters of another bearing, network, model or family, instead of "
+            "refusing them.",
+        ),
+    ] = False,
+    without_data: Annotated[
+        bool,
+        typer.Option(
+            "--without-data",
+            help="Leave the minute rows out of the model file; with them it can calibrate the "
+            "bands of its sisters.",
+        ),
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON document on standard output.")
     ] = False,
@@ -97,7 +128,11 @@ def identify(
     holds until the next row. For an asset with a network of its own the temperatures are those of
     its sensors and nodes.
     """
-    chosen_machine = _with_model(model, *_machine(bearing, config, asset))
+    chosen = _with_model(model, _machine(bearing, config, asset))
+    if sisters and population is not None:
+        raise BadInputError("--sisters with --population: expected one of them")
+    if skip_strangers and not sisters and population is None:
+        raise BadInputError("--skip-strangers without --sisters or --population")
     with exit_on_signals():
         # Imported here: the compiled twin takes a second to load, which --help should not pay.
         from service.offline.identification import (
@@ -105,12 +140,20 @@ def identify(
             check_options,
             identify_recording,
         )
+        from service.offline.sisters import Population
         from service.offline.tables import check_writable, read_recording
         from service.site.machines.machine import Machine
 
         procedure = check_options(method, budget, seed, loss)
         check_writable(out)
-        machine = Machine(*chosen_machine)
+        machine = Machine(*chosen[:3])
+        family: Population | None = None
+        if sisters:
+            family = Population.of_files(
+                sisters, machine=machine, family=chosen.family, skip_strangers=skip_strangers
+            )
+        elif population is not None:
+            family = Population.load(population)
         recording = read_recording(data, machine.network)
         began = time.monotonic()
         try:
@@ -121,30 +164,46 @@ def identify(
                     procedure=procedure,
                     seed=seed,
                     at_rest=at_rest,
+                    family=chosen.family,
+                    sisters_of=None
+                    if family is None
+                    else partial(
+                        family.for_machine, machine, chosen.family, skip_strangers=skip_strangers
+                    ),
                     progress=tell,
                 )
         except FailedFitError as error:
             sys.stderr.write(f"bearing-twin: {error}; {out} is not written\n")
             raise typer.Exit(1) from error
         seconds = time.monotonic() - began
-        found.model.save(out)
+        found.model.save(out, with_data=not without_data)
+    skipped = {} if family is None else family.skipped
     if as_json:
-        document = found.to_dict() | {"seconds": seconds, "out": str(out)}
+        document = found.to_dict() | {"seconds": seconds, "out": str(out), "skipped": skipped}
         typer.echo(json.dumps(document, allow_nan=False))
     else:
+        for path, why in skipped.items():
+            make_console().print(f"Skipped: {path}: {why}", soft_wrap=True)
         _print(found, seconds, out)
 
 
-def _machine(
-    bearing: str | None, config: Path | None, asset: str | None
-) -> tuple[str, BearingSection | None, NetworkSection | None]:
-    """Model, bearing and network, from the option or from a configuration's asset."""
+class _Chosen(NamedTuple):
+    """The parts of a machine as of `Machine`, and its family, empty where it is not known."""
+
+    model: str
+    bearing: BearingSection | None
+    network: NetworkSection | None
+    family: str = ""
+
+
+def _machine(bearing: str | None, config: Path | None, asset: str | None) -> _Chosen:
+    """Model, bearing, network and family, from the option or from a configuration's asset."""
     if config is None:
         if asset is not None:
             raise BadInputError(f"--asset {asset!r} without --config: expected both or none")
         if bearing is None:
             raise BadInputError("--bearing is missing; expected it, or --config and --asset")
-        return "default", _named(bearing, {}), None
+        return _Chosen("default", _named(bearing, {}), None)
     settings = load_settings(config)
     if asset is None:
         if bearing is None:
@@ -152,7 +211,7 @@ def _machine(
                 f"--config without --asset: expected one of its assets ({asset_names(settings)}), "
                 "or --bearing"
             )
-        return "default", _named(bearing, settings.bearings), None
+        return _Chosen("default", _named(bearing, settings.bearings), None)
     section = find_asset(settings, asset)
     if section is None:
         raise BadInputError(
@@ -169,25 +228,20 @@ def _machine(
             f"--bearing {bearing!r}: expected {known!r}, the bearing of asset {asset!r} in "
             f"{config}, or no --bearing"
         )
-    return section.model, section.bearing, section.network
+    return _Chosen(section.model, section.bearing, section.network, section.family)
 
 
-def _with_model(
-    model: str | None,
-    configured: str,
-    bearing: BearingSection | None,
-    network: NetworkSection | None,
-) -> tuple[str, BearingSection | None, NetworkSection | None]:
+def _with_model(model: str | None, chosen: _Chosen) -> _Chosen:
     """The machine with the model that the option names."""
     if model is None:
-        return configured, bearing, network
+        return chosen
     if model not in MODELS:
         raise BadInputError(f"--model {model!r}: expected one of {', '.join(MODELS)}")
-    if network is not None:
+    if chosen.network is not None:
         raise BadInputError(
-            f"--model {model!r}: expected none, network {network.name!r} is the model itself"
+            f"--model {model!r}: expected none, network {chosen.network.name!r} is the model itself"
         )
-    return model, bearing, network
+    return chosen._replace(model=model)
 
 
 def _named(bearing: str, known: Mapping[str, BearingSection]) -> BearingSection:
@@ -256,6 +310,13 @@ def _print(found: "Identified", seconds: float, out: Path) -> None:
             kind.replace("_", " "), *("–" if cell is None else f"{cell:.2f}" for cell in cells)
         )
     console.print(errors)
+    if found.sisters is not None and found.sisters.accepted:
+        said = found.sisters
+        console.print(
+            f"Sisters: {said.reason}; up to {said.load_n_max:.0f} N and {said.speed_rpm_max:.0f} "
+            f"rpm; bands calibrated on {said.calibrated_runs} runs of theirs",
+            soft_wrap=True,
+        )
     for check in found.gates.checks:
         if check.passed:
             console.print(f"Passed: {check.detail}", soft_wrap=True)

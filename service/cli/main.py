@@ -24,6 +24,8 @@ from service.cli.forecast import forecast
 from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
+from service.cli.many_values import with_many_values
+from service.cli.population import population
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.study import study
@@ -43,7 +45,8 @@ app.command()(serve)
 app.command()(check)
 app.command("virtual-bench")(virtual_bench)
 app.command("virtual-fleet")(virtual_fleet)
-app.command()(identify)
+app.command(cls=with_many_values("--sisters"))(identify)
+app.command()(population)
 app.command()(forecast)
 app.command()(simulate)
 app.command("export-fmu")(export_fmu)

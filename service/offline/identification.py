@@ -1,7 +1,7 @@
 """Identification from a file of recorded data."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import get_args
 
@@ -29,11 +29,14 @@ from twin_core.identification.whitening import Loss
 from twin_core.naive import NAIVE_KINDS, fit_naive
 from twin_core.reduced_paper import REDUCED_NAME
 from twin_core.simulation import OperatingProfile
+from twin_core.sisters import Sister, SisterVerdict, WithSisters, identify_with_sisters, part_of
 from twin_core.windows import MinuteData, is_at_rest
 
 _FEWEST_ROWS = 3
 _LEAST_BUDGET = 25
 _COLD_K = 3.0
+# Share of the progress in which a machine is identified without its sisters.
+_WITHOUT_SISTERS = 0.4
 # A naive forecast must be better by more than this before it is spoken of.
 _TIE_K = 0.25
 
@@ -68,6 +71,8 @@ class Identified:
     gates
         What would be asked of it before it may forecast in the service, with the prior's parameters
         in place of an active model: fit, ranges, residuals, predictions of what a fit had not seen.
+    sisters
+        What became of the sisters; None without any.
     """
 
     model: IdentifiedModel
@@ -79,6 +84,7 @@ class Identified:
     windows: int
     rows: int
     gates: GateReport
+    sisters: SisterVerdict | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -90,6 +96,12 @@ class Identified:
             for name, row in self.parameters.items()
             if row.at_bound
         ]
+        if self.sisters is not None:
+            found += [
+                f"not a sister: {name}: {why}" for name, why in self.sisters.set_aside.items()
+            ]
+            if not self.sisters.accepted:
+                found.append(f"sisters not used: {self.sisters.reason}")
         found += [
             f"gate not passed: {check.detail}" for check in self.gates.checks if not check.passed
         ]
@@ -143,6 +155,7 @@ class Identified:
             "rows": self.rows,
             "gates": self.gates.to_dict(),
             "warnings": self.warnings,
+            "sisters": None if self.sisters is None else self.sisters.to_dict(),
         } | ({} if view is None else {"paper_view": view})
 
 
@@ -218,6 +231,8 @@ def identify_recording(
     procedure: Procedure = NOA_REFINE,
     seed: int = 0,
     at_rest: bool = False,
+    family: str = "",
+    sisters_of: Callable[[IdentificationData], Sequence[Sister]] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Identified:
     """Identify a model from all rows of a recording.
@@ -234,6 +249,10 @@ def identify_recording(
         The machine stood at ambient at the first row. Then a window after a gap that shows a
         standing machine at ambient counts as such a start as well; otherwise every initial state
         is estimated.
+    family
+        Of the machine; empty where it is not known.
+    sisters_of
+        Gives the machine's sisters, by its own rows; none by default.
     progress
         Called at every sweep and iteration.
 
@@ -247,6 +266,7 @@ def identify_recording(
     model = machine.build()
     minutes = rows_of_recording(recording, step_of(recording, machine, model))
     data = data_set(recording, minutes, at_rest)
+    sisters = None if sisters_of is None else sisters_of(data)
     try:
         result = identify(
             model,
@@ -256,7 +276,7 @@ def identify_recording(
             search=procedure.search,
             loss=procedure.loss,
             seed=seed,
-            progress=progress,
+            progress=progress if sisters is None else part_of(progress, 0.0, _WITHOUT_SISTERS),
         )
     except ValueError as error:
         # All input has been checked: what is left is that no simulation holds on these data.
@@ -266,13 +286,38 @@ def identify_recording(
         if machine.network is not None:
             more = f"; {hint(model, data, result, procedure.loss)}"
         raise FailedFitError(f"{recording.name}: failed fit: {result.reason}{more}")
+    own = replace(result.posterior, samples=np.empty((0, result.posterior.z.size)))
+    learned: WithSisters | None = None
+    if sisters is not None:
+        learned = identify_with_sisters(
+            model,
+            data,
+            sisters,
+            result,
+            seed=seed,
+            loss=procedure.loss,
+            progress=part_of(progress, _WITHOUT_SISTERS, 1.0),
+        )
+        result = learned.result
     report = judge(
-        model, data, result, active=prior_posterior(model), seed=seed, loss=procedure.loss
+        model,
+        data,
+        result,
+        active=prior_posterior(model),
+        seed=seed,
+        loss=procedure.loss,
+        prior=None if learned is None else learned.prior,
     )
     rms_by_sensor = dict(result.posterior.train_rms_k)
     return Identified(
         model=IdentifiedModel(
-            machine, model, result.posterior, RunIn.of(recording, minutes, at_rest)
+            machine,
+            model,
+            result.posterior,
+            RunIn.of(recording, minutes, at_rest),
+            family,
+            data,
+            None if result.posterior.sisters is None else own,
         ),
         method=procedure.name,
         rms_k=_total_rms(data, rms_by_sensor),
@@ -282,6 +327,7 @@ def identify_recording(
         windows=len(data.windows),
         rows=sum(window.minutes.size for window in data.windows),
         gates=report,
+        sisters=None if learned is None else learned.verdict,
     )
 
 

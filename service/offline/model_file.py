@@ -9,11 +9,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.files import replacing
+from service.offline.packed_rows import pack_rows, unpack_rows
 from service.offline.rows import revolutions_at
 from service.offline.tables import FloatArray, Recording
 from service.site.configuration import describe
 from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine
+from twin_core.identification import IdentificationData
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel
 from twin_core.windows import MinuteData
@@ -157,20 +159,40 @@ class RunIn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedModel:
-    """A model, what it is built of, its posterior and the run-in of the grease over the data."""
+    """A model with everything that a forecast and its sisters need.
+
+    Attributes
+    ----------
+    machine, model
+        What it is built of, and the model.
+    posterior
+        What is known of its parameters.
+    run_in
+        Run-in of the grease over the data.
+    family
+        Of machines of one type, grease and arrangement; empty where it is not known.
+    data
+        The minute rows that it was identified from; None where the file does not have them.
+    own
+        The posterior that its own data give with the literature's prior, without samples; None
+        where that is `posterior`.
+    """
 
     machine: Machine
     model: ThermalModel
     posterior: Posterior
     run_in: RunIn
+    family: str = ""
+    data: IdentificationData | None = None
+    own: Posterior | None = None
 
     @property
     def values(self) -> FloatArray:
         """Most probable parameters, (p,), in physical units."""
         return self.model.parameters.values_from_z(self.posterior.z)
 
-    def save(self, path: Path) -> None:
-        """Write MODEL.json.
+    def save(self, path: Path, *, with_data: bool = True) -> None:
+        """Write MODEL.json; without its minute rows no sister can be calibrated by it.
 
         Raises
         ------
@@ -186,6 +208,12 @@ class IdentifiedModel:
             "posterior": self.posterior.to_dict(),
             "run_in": self.run_in.to_dict(),
         }
+        if self.family:
+            document["family"] = self.family
+        if self.own is not None:
+            document["own"] = self.own.to_dict()
+        if with_data and self.data is not None:
+            document["rows"] = pack_rows(self.data)
         with replacing(path) as file:
             json.dump(document, file, allow_nan=False)
 
@@ -218,7 +246,18 @@ class IdentifiedModel:
             machine = _machine(document)
             model = machine.build()
             posterior.check(model)
-            return cls(machine, model, posterior, RunIn.from_dict(document["run_in"]))
+            own = Posterior.from_dict(document["own"]) if "own" in document else None
+            if own is not None:
+                own.check(model)
+            return cls(
+                machine,
+                model,
+                posterior,
+                RunIn.from_dict(document["run_in"]),
+                str(document.get("family", "")),
+                unpack_rows(document["rows"]) if "rows" in document else None,
+                own,
+            )
         except (KeyError, TypeError, AttributeError) as error:
             raise ModelFileError(f"{path}: damaged model file ({error!r})") from error
         except ValidationError as error:

@@ -5,8 +5,9 @@ observer's, run over the profile ahead. To each sensor and node a slow deviation
 begins at zero (the state has just been observed) and grows to its stationary spread: what no
 parameter vector can express. Sensors further get their lag, constant offset, noise and resolution.
 
-Intervals are not shrunk by any calibration: a factor learned on machines that share one load law
-would be knowledge of those machines.
+Intervals are not shrunk by any general calibration: a factor learned on machines that share one
+load law would be knowledge of those machines. Only what sisters of this very machine needed counts,
+where enough of them have been (`twin_core.forecasting.calibrated`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.forecasting.calibrated import band_factor, spread_members, untrained_rows
 from twin_core.forecasting.draws import paired_draws, standard_normals
 from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
@@ -211,7 +213,7 @@ def forecast(
     rise_c = np.median(readings, axis=0) - profile.ambient_c[:, None]
     # The deviation follows the load within the time that it takes to build up.
     beyond = _following(
-        beyond_load(profile.load_n, posterior.trained.load_n_max),
+        beyond_load(profile.load_n, posterior.known_load_n),
         profile.time_s,
         model.errors.slow_s,
     )
@@ -242,7 +244,14 @@ def forecast(
     nodes, even = temperatures, np.ones(temperatures.shape[1:])
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
-    noisy = readings + noise_k * standard_normals(rng, readings.shape)
+    runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
+    noise = noise_k * standard_normals(rng, readings.shape)
+    factor = band_factor(posterior, profile)
+    if factor is not None:
+        noise *= spread_members(
+            readings, sensors, factor, untrained_rows(profile, posterior.trained)
+        )
+    noisy = readings + noise
     bodies, neighbours = between_joints(model)
     joints = JOINT_ERROR * paired_draws(rng, members, bodies.shape)
     shift_between(nodes, bodies, neighbours, joints)
@@ -251,7 +260,6 @@ def forecast(
     gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
     gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
     quantiles = _quantiles(ordered)
-    runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
     probability = float(np.mean(runaway))
     upper = quantiles[-1, :, : len(sensors)]
     names = (*sensors, *(model.node_names[k] for k in others))
@@ -274,6 +282,7 @@ def forecast(
             model.runaway,
             model.input_names,
         )
+        + (() if factor is None else (factor.label,))
         + doubts,
     )
 

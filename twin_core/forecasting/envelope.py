@@ -171,7 +171,7 @@ def envelope(
         table[row, : len(limits.get(name, ()))] = limits.get(name, ())
     table[:, most] = model.lost_c
     cells = np.tile(speeds, loads.size), np.repeat(loads, speeds.size)
-    beyond = beyond_load(cells[1], posterior.trained.load_n_max)
+    beyond = beyond_load(cells[1], posterior.known_load_n)
 
     def slow_k(rise_c: FloatArray) -> FloatArray:
         """Spread (points, ...) of the slow deviation at rises over ambient of that shape."""

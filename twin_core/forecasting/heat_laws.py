@@ -84,7 +84,7 @@ def growth_ratio(
     for k in range(posterior.z.size):
         below, above = posterior.z.copy(), posterior.z.copy()
         below[k], above[k] = low[k], high[k]
-        rise = _growth(model, above, trained, ahead) - _growth(model, below, trained, ahead)
+        rise = heat_growth(model, above, trained, ahead) - heat_growth(model, below, trained, ahead)
         gradient[k] = rise / max(float(high[k]) - float(low[k]), _STEP_Z)
     prior = float(gradient @ gradient)
     if prior < _LEAST_GROWTH**2:
@@ -93,13 +93,21 @@ def growth_ratio(
     return float(np.sqrt(max(variance, 0.0) / prior))
 
 
-def _growth(
+def heat_growth(
     model: ThermalModel,
     z: FloatArray,
     trained: tuple[float, float],
     ahead: tuple[float, float],
 ) -> float:
-    """Logarithm of the heat ahead over the trained one, everything as warm as a warm bearing."""
+    """Logarithm of the heat ahead over the trained one, everything as warm as a warm bearing.
+
+    Parameters
+    ----------
+    model, z
+        The model and its standard coordinates (p,).
+    trained, ahead
+        Speed in rpm and load in N.
+    """
     values = model.parameters.values_from_z(z)
     warm = np.full(len(model.node_names), _WARM_C)
     first, second = (

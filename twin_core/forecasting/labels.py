@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.heat_laws import Law
+from twin_core.identification.family import BEYOND
 from twin_core.identification.identifiability import Verdict
 from twin_core.identification.posterior import Posterior
 from twin_core.network_model import RunawayLimits
@@ -24,7 +25,6 @@ RUNAWAY = "runaway not excluded"
 
 TAUGHT: dict[Law, Verdict | None] = {"load": "informed", "speed": "informed"}
 BEARING_LIMITS = RunawayLimits()
-_BEYOND = 1.1
 _RUNAWAY_PROBABILITY = 0.005
 # A beginning whose 95 % band is wider than this to each side is spoken of.
 _DOUBTFUL_K = 5.0
@@ -67,7 +67,7 @@ def forecast_labels(
         loads and the data hold a single load, or hold several and yet left the law of load where
         the prior had it: a second load stage is needed. Where the duty varies, a law that the data
         inform counts as taught whatever loads lasted. ``"speed law from prior only"`` also for
-        speeds.
+        speeds. Where sisters have seen them the words are ``"load law from 12 sisters"``.
         ``"NAME beyond the identification data"`` when an input that drives a
         loss goes as far beyond them.
         ``"runaway not excluded"`` when the upper edge passes the limits' temperature (of a bearing
@@ -83,21 +83,29 @@ def forecast_labels(
         labels.append(NOT_IDENTIFIED)
     else:
         varying = bool(trained.duty)
-        if load_n > _BEYOND * trained.load_n_max and not _taught(
+        sisters = posterior.sisters
+        # With sisters a posterior may be narrow without any load or speed of the machine's own.
+        varying = varying and sisters is None
+        if load_n > BEYOND * trained.load_n_max and not _taught(
             trained.distinct_loads, laws["load"], varying
         ):
-            labels.append(LOAD_LAW)
-        if speed_rpm > _BEYOND * trained.speed_rpm_max and not _taught(
+            labels.append(_law("load", LOAD_LAW, sisters.with_load(load_n) if sisters else 0))
+        if speed_rpm > BEYOND * trained.speed_rpm_max and not _taught(
             trained.distinct_speeds, laws["speed"], varying
         ):
-            labels.append(SPEED_LAW)
+            labels.append(_law("speed", SPEED_LAW, sisters.with_speed(speed_rpm) if sisters else 0))
     for name, values in zip(inputs, profile.inputs.T, strict=True):
         most = trained.drives.get(name, 0.0)
-        if most > 0.0 and float(np.max(np.abs(values))) > _BEYOND * most:
+        if most > 0.0 and float(np.max(np.abs(values))) > BEYOND * most:
             labels.append(f"{name} beyond the identification data")
     if bool(runaway_not_excluded(posterior, load_n, hottest_c, runaway_probability, limits)):
         labels.append(RUNAWAY)
     return tuple(labels)
+
+
+def _law(law: Law, prior_only: str, sisters: int) -> str:
+    """Where a law comes from that the data do not teach."""
+    return f"{law} law from {sisters} sister{'s' * (sisters > 1)}" if sisters else prior_only
 
 
 def _taught(distinct: int, said: Verdict | None, varying: bool) -> bool:

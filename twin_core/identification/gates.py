@@ -21,6 +21,7 @@ from twin_core.identification.prediction_tests import (
     predict_rows,
     prediction_tests,
 )
+from twin_core.identification.priors import NormalPrior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.whitening import Loss
 from twin_core.models import ThermalModel
@@ -102,6 +103,7 @@ def judge(
     active: Posterior,
     seed: int = 0,
     loss: Loss = "linear",
+    prior: NormalPrior | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> GateReport:
     """Decide whether an identification's result may become the active model.
@@ -114,6 +116,8 @@ def judge(
         Posterior of the active model, of the same model structure.
     seed, loss
         For the nested fits; the loss is that of the candidate's own.
+    prior
+        The candidate's, for the nested fits; the literature's by default.
     cancelled
         Asked during the nested fits.
 
@@ -129,7 +133,7 @@ def judge(
     for test in prediction_tests(data):
         by_kind = naive_rms([window.minutes for window in test.training.windows], test.rows)
         change_k = _total(error for error in by_kind["persistence"].values() if error is not None)
-        nested_z = _nested(model, test, seed, loss, cancelled)
+        nested_z = _nested(model, test, seed, loss, prior, cancelled)
         check = _prediction(model, test, nested_z, result.posterior, active, change_k)
         checks.append(check)
         scores[test.name] = dict(check.values)
@@ -150,6 +154,7 @@ def _nested(
     test: PredictionTest,
     seed: int,
     loss: Loss,
+    prior: NormalPrior | None,
     cancelled: Callable[[], bool] | None,
 ) -> FloatArray | None:
     """Coordinates (p,) fitted without the test's part; None where no simulation holds."""
@@ -161,6 +166,7 @@ def _nested(
             seed=seed,
             samples=0,
             loss=loss,
+            prior=prior,
             cancelled=cancelled,
         )
     except ValueError:

@@ -111,6 +111,13 @@ class Identifiability:
         covariance = (self.directions.T / (1.0 + self.singular_values**2)) @ self.directions
         return np.asarray(0.5 * (covariance + covariance.T))
 
+    def covariance_with(self, factor: FloatArray) -> FloatArray:
+        """(p, p) posterior covariance with another prior, of covariance factor @ factor.T."""
+        seen = (self.singular_values[:, None] * self.directions) @ factor
+        p = len(factor)
+        covariance = factor @ np.linalg.solve(np.eye(p) + seen.T @ seen, factor.T)
+        return np.asarray(0.5 * (covariance + covariance.T))
+
     @property
     def informed_shares(self) -> FloatArray:
         """(p,) share of each parameter's prior variance that the data take away, 0 to 1."""

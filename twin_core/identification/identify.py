@@ -12,6 +12,7 @@ from twin_core.identification.checkpoint import Checkpoint
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.noa import Nutcracker
 from twin_core.identification.posterior import Posterior, posterior_at
+from twin_core.identification.priors import NormalPrior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, refine
 from twin_core.identification.searching import IdentificationSpace, Search, SearchEnd
@@ -114,6 +115,7 @@ def identify(
     search: Search | None = None,
     stopping: StoppingCriteria = BUDGET_ONLY,
     loss: Loss = "linear",
+    prior: NormalPrior | None = None,
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
     save: Save | None = None,
@@ -150,6 +152,9 @@ def identify(
         What ends the nutcracker search before its budget is used up.
     loss
         Of the measurements; a robust one keeps outliers from bending the fit.
+    prior
+        Of the parameters, such as sisters give; the literature's by default. The search still looks
+        through the literature's box, the other starts are taken around this prior's mean.
     progress
         Called at every sweep and iteration.
     cancelled
@@ -175,7 +180,7 @@ def identify(
         raise ValueError(f"warm with method {method!r}: expected 'refine' and a guess")
     if budget is None:
         budget = default_budget(method)
-    problem = IdentificationProblem(model, data, guess_z, loss)
+    problem = IdentificationProblem(model, data, guess_z, loss, prior=prior)
     state = Checkpoint(
         {
             "method": method,
@@ -204,11 +209,14 @@ def identify(
     if guess_z is not None and warm:
         starts["guess"] = guess_z
     else:
-        starts["prior"] = np.zeros(p)
+        around = problem.prior
+        starts["prior"] = around.mean.copy()
         if guess_z is not None:
             starts["guess"] = guess_z
         for number in range(2 if method == "refine" else 1):
-            starts[f"random {number + 1}"] = rng.normal(0.0, _RANDOM_START_SD, p)
+            starts[f"random {number + 1}"] = around.mean + around.factor @ rng.normal(
+                0.0, _RANDOM_START_SD, p
+            )
     if method == "noa":
         best = problem.with_nuisance(starts["search"])
         # The search's own cost has lag and initial states linearised.

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_core.identification.family import SisterKnowledge
 from twin_core.identification.identifiability import (
     Identifiability,
     Verdict,
@@ -114,6 +115,8 @@ class Posterior:
         The data.
     evaluations
         Simulations of the data set that the identification took.
+    sisters
+        Whose posteriors the prior was made of; None for the literature's prior.
     """
 
     model_name: str
@@ -129,6 +132,12 @@ class Posterior:
     informed_combinations: int
     trained: TrainedRange
     evaluations: int
+    sisters: SisterKnowledge | None = None
+
+    @property
+    def known_load_n(self) -> float:
+        """Heaviest load in N that the machine, or at least half of its sisters, has seen."""
+        return max(self.trained.load_n_max, self.sisters.usual_load_n if self.sisters else 0.0)
 
     @property
     def identified(self) -> bool:
@@ -137,11 +146,11 @@ class Posterior:
 
     @property
     def std(self) -> FloatArray:
-        """(p,) standard deviations of the standard coordinates; 1 is the prior's."""
+        """(p,) standard deviations of the standard coordinates; 1 is the literature's prior's."""
         return np.sqrt(np.diag(self.covariance))
 
     def verdicts(self) -> list[Verdict]:
-        """What the data say about each parameter, by posterior over prior standard deviation."""
+        """What data and sisters say of each parameter, by posterior over literature's deviation."""
         return [verdict(float(ratio)) for ratio in self.std]
 
     def at_bound(self, model: ThermalModel) -> list[Literal["lower", "upper"] | None]:
@@ -175,7 +184,8 @@ class Posterior:
     def parameters(self, model: ThermalModel) -> dict[str, dict[str, Any]]:
         """Return value, unit, 95 % interval, verdict and informed share of every parameter.
 
-        The informed share is how much of the prior's variance the data have taken away, 0 to 1.
+        The informed share is how much of the literature's variance the data, and the sisters if
+        there are any, have taken away, 0 to 1.
         ``at_bound`` is ``"lower"`` or ``"upper"`` where the value lies on a bound, else None.
 
         Raises
@@ -247,7 +257,7 @@ class Posterior:
                 "drives": dict(self.trained.drives),
             },
             "evaluations": self.evaluations,
-        }
+        } | ({} if self.sisters is None else {"sisters": self.sisters.to_dict()})
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> "Posterior":
@@ -275,6 +285,9 @@ class Posterior:
                 {name: float(most) for name, most in trained.get("drives", {}).items()},
             ),
             evaluations=int(document["evaluations"]),
+            sisters=None
+            if document.get("sisters") is None
+            else SisterKnowledge.from_dict(document["sisters"]),
         )
 
 
@@ -320,7 +333,7 @@ def posterior_at(
         model_name=problem.model.name,
         bearing=problem.model.machine,
         z=unknowns[:p].copy(),
-        covariance=informed.covariance,
+        covariance=informed.covariance_with(problem.prior.factor),
         samples=posterior_samples(problem, unknowns, sample_count, seed),
         sensor_lag_s=problem.lag_s(unknowns),
         train_rms_k=problem.rms_k(unknowns),

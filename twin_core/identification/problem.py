@@ -1,10 +1,10 @@
 """The identification of one model from one data set as a least-squares problem.
 
-Unknowns are the model's standard coordinates z (prior N(0, 1) each), the lag of the temperature
-sensors, and for every window standard coordinates of its initial temperatures: around what its
-first measurements suggest, or one common deviation from ambient if the machine stood at standstill.
-Residuals are those of all sensors, whitened, and the unknowns themselves (their priors); half the
-sum of their squares is the negative log posterior.
+Unknowns are the model's standard coordinates z (prior N(0, 1) each, or a narrower one), the lag of
+the temperature sensors, and for every window standard coordinates of its initial temperatures:
+around what its first measurements suggest, or one common deviation from ambient if the machine
+stood at standstill. Residuals are those of all sensors and the unknowns' deviations from their
+priors, all whitened; half the sum of their squares is the negative log posterior.
 """
 
 from collections.abc import Mapping
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin_core.identification.costs import SUM_OF_SQUARES, Cost, failed_as_infinite
 from twin_core.identification.data import IdentificationData, IdentificationWindow
+from twin_core.identification.priors import NormalPrior, literature_prior
 from twin_core.identification.whitening import Loss, Whitening, whitening
 from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
@@ -136,6 +137,8 @@ class IdentificationProblem:
         Of the measurements. With a robust one, residuals are such that their squares are the loss.
     cost
         What searches make small.
+    prior
+        Of the parameters; the literature's by default.
 
     Attributes
     ----------
@@ -152,13 +155,16 @@ class IdentificationProblem:
         guess_z: FloatArray | None = None,
         loss: Loss = "linear",
         cost: Cost = SUM_OF_SQUARES,
+        prior: NormalPrior | None = None,
     ) -> None:
         self.cost = cost
+        self.prior = literature_prior(model.parameters.size) if prior is None else prior
+        self._whitener = self.prior.whitener
         self.model = model
         self.data = data
         self.parameter_count = model.parameters.size
         self.evaluations = 0
-        guess = np.zeros(self.parameter_count) if guess_z is None else guess_z
+        guess = self.prior.mean if guess_z is None else guess_z
         values = model.parameters.values_from_z(guess)
         spans: list[_Span] = []
         unknown, residual = self.parameter_count + 1, 0
@@ -195,7 +201,9 @@ class IdentificationProblem:
         for span in self._spans:
             measured[:, span.residuals] = self._whitened(span, batch)
         measured[~np.all(np.isfinite(measured), axis=1)] = np.nan
-        return np.concatenate((measured, batch), axis=1)
+        p = self.parameter_count
+        known = (batch[:, :p] - self.prior.mean) @ self._whitener.T
+        return np.concatenate((measured, known, batch[:, p:]), axis=1)
 
     def _temperatures(self, span: _Span, batch: FloatArray) -> FloatArray:
         values = self.model.parameters.values_from_z(batch[:, : self.parameter_count])
@@ -244,6 +252,7 @@ class IdentificationProblem:
         by_lag = _LAG_SPREAD_S if inside[p] else 0.0
         jacobian = np.zeros((self.measurement_count + d, d))
         jacobian[self.measurement_count :] = np.eye(d)
+        jacobian[self.measurement_count : self.measurement_count + p, :p] = self._whitener
         for span in self._spans:
             try:
                 found = simulate_sensitivities(

@@ -1,0 +1,270 @@
+"""Sisters from model files, and populations of them as files of their own.
+
+Whoever is no sister is refused with one line; nothing is left out in silence.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from service.files import replacing
+from service.offline.model_file import IdentifiedModel
+from service.offline.packed_rows import pack_rows, unpack_rows
+from service.site.configuration import describe
+from service.site.machines.machine import Machine
+from twin_core.identification import IdentificationData
+from twin_core.identification.posterior import Posterior
+from twin_core.sisters import Sister, same_run
+from twin_core.sisters.population import FEWEST_SISTERS
+
+FORMAT = "bearing-twin population"
+FORMAT_VERSION = 1
+
+
+class SistersError(ValueError):
+    """Sisters that cannot be used; one line for the user."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """One machine of a population: a name, what its own data say, its minute rows if known."""
+
+    name: str
+    posterior: Posterior
+    data: IdentificationData | None
+
+    @property
+    def sister(self) -> Sister:
+        """The same for the computation."""
+        own = self.posterior
+        return Sister(self.name, own.z, own.covariance, own.trained, self.data)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Population:
+    """Identified machines of one family.
+
+    Attributes
+    ----------
+    machine
+        What each of them is.
+    family
+        Empty where it is not known.
+    members
+        At least two.
+    skipped
+        Files that are of no sister, with the reason, by path; not part of the file.
+    """
+
+    machine: Machine
+    family: str
+    members: tuple[Member, ...]
+    skipped: dict[str, str]
+
+    @classmethod
+    def of_files(
+        cls,
+        paths: Sequence[Path],
+        *,
+        machine: Machine | None = None,
+        family: str = "",
+        skip_strangers: bool = False,
+    ) -> Self:
+        """Read model files.
+
+        Parameters
+        ----------
+        paths
+            Of the files.
+        machine, family
+            What they have to be of; by default what the first one is of.
+        skip_strangers
+            Leave out files of another machine or family, instead of refusing them.
+
+        Raises
+        ------
+        ModelFileError, SistersError
+            If a file cannot be used, or is of another machine or family and such are not skipped;
+            if fewer than two are left.
+        """
+        members: list[Member] = []
+        skipped: dict[str, str] = {}
+        for path in paths:
+            found = IdentifiedModel.load(path)
+            machine = machine or found.machine
+            why = _not_one_of(machine, family, found.machine, found.family)
+            if why and not skip_strangers:
+                raise SistersError(f"{path}: {why}; or skip it with --skip-strangers")
+            if why:
+                skipped[str(path)] = why
+                continue
+            family = family or found.family
+            members.append(_member(str(path), found.own or found.posterior, found.data))
+        if machine is None:
+            raise SistersError("no model file; expected at least two")
+        return cls(machine, family, _together(members, "model files"), skipped)
+
+    def for_machine(
+        self, machine: Machine, family: str, data: IdentificationData, *, skip_strangers: bool
+    ) -> list[Sister]:
+        """Give the sisters of a machine.
+
+        Parameters
+        ----------
+        machine, family, data
+            The machine, its family if known, and its own rows.
+        skip_strangers
+            Leave out what is of the same run as these rows, instead of refusing it.
+
+        Raises
+        ------
+        SistersError
+            If they are of another machine or family, one of them is the machine itself, or fewer
+            than two are left.
+        """
+        why = _not_one_of(machine, family, self.machine, self.family)
+        if why:
+            raise SistersError(f"{self.members[0].name}: {why}")
+        members = []
+        for member in self.members:
+            if member.data is None or not same_run(data, member.data):
+                members.append(member)
+            elif skip_strangers:
+                self.skipped[member.name] = "the run that is identified"
+            else:
+                raise SistersError(
+                    f"{member.name}: the same run as the data, a machine is no sister of itself; "
+                    "leave it out, or skip it with --skip-strangers"
+                )
+        return [member.sister for member in _together(members, "sisters")]
+
+    def save(self, path: Path, *, with_data: bool = True) -> None:
+        """Write FAMILY.json.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
+        short = [Path(member.name).name for member in self.members]
+        names = short if len(set(short)) == len(short) else [one.name for one in self.members]
+        document = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "machine": self.machine.to_dict(),
+            "family": self.family,
+            "members": [
+                {"name": name, "posterior": member.posterior.to_dict()}
+                | (
+                    {"rows": pack_rows(member.data)}
+                    if with_data and member.data is not None
+                    else {}
+                )
+                for name, member in zip(names, self.members, strict=True)
+            ],
+        }
+        with replacing(path) as file:
+            json.dump(document, file, allow_nan=False)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read FAMILY.json.
+
+        Raises
+        ------
+        SistersError
+            If it cannot be read or is not such a file.
+        """
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise SistersError(f"{path}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise SistersError(f"{path}: not JSON ({error})") from error
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise SistersError(
+                f"{path}: not a population; expected what 'bearing-twin population' wrote"
+            )
+        if document.get("format_version") != FORMAT_VERSION:
+            raise SistersError(
+                f"{path}: format_version = {document.get('format_version')!r}: expected "
+                f"{FORMAT_VERSION}"
+            )
+        try:
+            return cls._of_document(document)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise SistersError(f"{path}: damaged population ({error!r})") from error
+        except ValidationError as error:
+            raise SistersError(f"{path}: {describe(error, 'machine')}") from error
+        except ValueError as error:
+            raise SistersError(f"{path}: {error}") from error
+
+    @classmethod
+    def _of_document(cls, document: dict[str, Any]) -> Self:
+        machine = Machine.from_dict(document["machine"])
+        model = machine.build()
+        members = []
+        for one in document["members"]:
+            posterior = Posterior.from_dict(one["posterior"])
+            posterior.check(model)
+            data = unpack_rows(one["rows"]) if "rows" in one else None
+            members.append(_member(str(one["name"]), posterior, data))
+        return cls(machine, str(document["family"]), _together(members, "members"), {})
+
+
+def _member(name: str, posterior: Posterior, data: IdentificationData | None) -> Member:
+    """A member; complains if its posterior is none."""
+    p = posterior.z.size
+    if not posterior.identified:
+        raise SistersError(f"{name}: identified from no data; expected an identified model")
+    shapes = posterior.z.shape == (p,) and posterior.covariance.shape == (p, p)
+    if not shapes or not (np.isfinite(posterior.z).all() and _is_definite(posterior.covariance)):
+        raise SistersError(f"{name}: damaged model file (its posterior is no distribution)")
+    bare = replace(posterior, samples=np.empty((0, p)), sisters=None)
+    return Member(name, bare, data)
+
+
+def _is_definite(covariance: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
+    if not np.isfinite(covariance).all():
+        return False
+    return bool(np.linalg.eigvalsh(covariance)[0] > 0.0)
+
+
+def _together(members: Sequence[Member], what: str) -> tuple[Member, ...]:
+    """The members; complains about too few, and about one that is there twice."""
+    for number, member in enumerate(members):
+        for earlier in members[:number]:
+            if np.array_equal(earlier.posterior.z, member.posterior.z):
+                raise SistersError(
+                    f"{member.name}: the same model as {earlier.name}; expected each machine once"
+                )
+    if len(members) < FEWEST_SISTERS:
+        raise SistersError(
+            f"{len(members)} of the {what} can be used: a population needs at least "
+            f"{FEWEST_SISTERS}"
+        )
+    return tuple(members)
+
+
+def _not_one_of(machine: Machine, family: str, other: Machine, other_family: str) -> str:
+    """Say why another machine is no sister of a machine; empty if it may be one."""
+    if (machine.network is None) != (other.network is None) or machine.name != other.name:
+        return f"{_kind(other)} {other.name!r}, expected {_kind(machine)} {machine.name!r}"
+    if machine.network != other.network:
+        return f"network {other.name!r} differs from the one of the same name that is expected"
+    if machine.network is None and machine.model_name != other.model_name:
+        return f"model {other.model_name!r}, expected {machine.model_name!r}"
+    if machine.bearing != other.bearing:
+        return f"bearing {other.name!r} has other dimensions than the one that is expected"
+    if family and other_family and family != other_family:
+        return f"family {other_family!r}, expected {family!r}"
+    return ""
+
+
+def _kind(machine: Machine) -> str:
+    return "bearing" if machine.network is None else "network"

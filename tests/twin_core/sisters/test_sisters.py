@@ -1,0 +1,322 @@
+"""Families made of the model itself: they test the computation, not how true the model is."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from twin_core.bearings import bearing
+from twin_core.filtering import begin, run_filter
+from twin_core.forecasting import Forecast, forecast
+from twin_core.identification import (
+    IdentificationData,
+    IdentificationResult,
+    IdentificationWindow,
+    Posterior,
+    identify,
+    prior_posterior,
+)
+from twin_core.identification.family import CalibrationRun, SisterKnowledge
+from twin_core.identification.posterior import TrainedRange
+from twin_core.identification.priors import NormalPrior
+from twin_core.identification.problem import IdentificationProblem
+from twin_core.models import ThermalModel, build_model
+from twin_core.operating_points import OperatingPoint
+from twin_core.simulation import OperatingProfile, simulate
+from twin_core.sisters import (
+    Sister,
+    calibration_runs,
+    identify_with_sisters,
+    population_prior,
+    same_run,
+    strangers,
+)
+from twin_core.sisters.learning import log_evidence, membership
+from twin_core.windows import MinuteData
+
+FloatArray = NDArray[np.float64]
+
+LIGHT = ((3, 0.0, 2650.0), (60, 5800.0, 2650.0))
+HEAVY = (*LIGHT, (60, 5800.0, 5500.0))
+LOW_ROWS = 63
+SISTERS = 8
+INNER = "t_inner_ring_c"
+
+
+@dataclass(frozen=True)
+class Family:
+    """Sisters that have seen the heavy load, and a target that has not, with what it then did."""
+
+    model: ThermalModel
+    sisters: tuple[Sister, ...]
+    target: MinuteData
+    literature: IdentificationResult
+
+    @property
+    def data(self) -> IdentificationData:
+        return of_rows(self.target.take(slice(0, LOW_ROWS)))
+
+
+def of_rows(minutes: MinuteData) -> IdentificationData:
+    return IdentificationData((IdentificationWindow(minutes, at_rest=True),))
+
+
+def run(model: ThermalModel, z: FloatArray, seed: int) -> MinuteData:
+    """What the sensors of a machine read that is the model with coordinates ``z``."""
+    speed = np.concatenate([np.full(count, rpm) for count, rpm, _ in HEAVY])
+    load = np.concatenate([np.full(count, newton) for count, _, newton in HEAVY])
+    time_s = 60.0 * np.arange(speed.size, dtype=np.float64)
+    profile = OperatingProfile(time_s, speed, load, np.full(speed.size, 22.0))
+    path = simulate(model, model.parameters.values_from_z(z), profile, np.full(13, 22.0))
+    rng = np.random.default_rng(seed)
+    read = {
+        name: path.temperatures_c @ model.sensor_row(name) + rng.normal(0.0, 0.08, speed.size)
+        for name in model.sensor_names
+    }
+    return MinuteData(time_s, speed, load, profile.ambient_c, read, np.ones(speed.size, np.bool_))
+
+
+def member(model: ThermalModel, seed: int, load_exponent_z: float) -> FloatArray:
+    """Coordinates of a machine of a family whose friction follows the load in its own way."""
+    z = np.random.default_rng(seed).normal(0.0, 0.25, model.parameters.size)
+    z[model.parameters.index("b")] += load_exponent_z
+    return np.asarray(np.clip(z, model.parameters.z_lower, model.parameters.z_upper))
+
+
+def sister(model: ThermalModel, seed: int, load_exponent_z: float) -> Sister:
+    data = of_rows(run(model, member(model, seed, load_exponent_z), seed))
+    found = identify(model, data, method="refine", samples=0).posterior
+    return Sister(f"number {seed}", found.z, found.covariance, found.trained, data)
+
+
+@pytest.fixture(scope="module")
+def family() -> Family:
+    model = build_model(bearing=bearing("6016"))
+    target = run(model, member(model, 99, -1.5), 99)
+    low = of_rows(target.take(slice(0, LOW_ROWS)))
+    return Family(
+        model,
+        tuple(sister(model, seed, -1.5) for seed in range(SISTERS)),
+        target,
+        identify(model, low, method="refine"),
+    )
+
+
+def heavy_forecast(family: Family, posterior: Posterior) -> Forecast:
+    """Forecast of the target's heavy load from its last light row."""
+    model, rows = family.model, family.target
+    profile = OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
+    observer = begin(
+        model,
+        model.parameters.values_from_z(posterior.z),
+        rows.readings(0),
+        profile.point(0),
+        True,
+    )
+    now = LOW_ROWS - 1
+    run_filter(observer, profile.rows(slice(now + 1)), [rows.readings(k) for k in range(now + 1)])
+    ahead = profile.rows(slice(now, rows.size))
+    return forecast(model, posterior, observer.state(22.0), ahead)
+
+
+def error_and_width(family: Family, posterior: Posterior) -> tuple[float, float]:
+    """Error and width of the band of the inner ring at the end of the heavy load, in K."""
+    low, _, median, _, high = heavy_forecast(family, posterior).quantile(INNER)[:, -10:]
+    error_k = np.mean(median - family.target.temperatures_c[INNER][-10:])
+    return float(abs(error_k)), float(np.mean(high - low))
+
+
+def test_sisters_teach_the_load_that_they_have_seen(family: Family) -> None:
+    found = identify_with_sisters(
+        family.model, family.data, family.sisters, family.literature, calibrate=False
+    )
+    assert found.verdict.accepted, found.verdict.reason
+    assert found.verdict.to_dict()["used"] == SISTERS
+    assert found.verdict.load_n_max == pytest.approx(5500.0)
+    before, after = (
+        error_and_width(family, one.posterior) for one in (family.literature, found.result)
+    )
+    assert after[0] < 0.6 * before[0]
+    assert after[1] < 0.6 * before[1]
+    labels = heavy_forecast(family, found.result.posterior).labels
+    assert "load law from 8 sisters" in labels
+    assert "load law from prior only" in heavy_forecast(family, family.literature.posterior).labels
+    assert Posterior.from_dict(found.result.posterior.to_dict()).sisters == (
+        found.result.posterior.sisters
+    )
+
+
+def test_a_machine_that_was_warm_at_the_first_row_is_judged_alike(family: Family) -> None:
+    warm = family.target.take(slice(25, LOW_ROWS))
+    data = IdentificationData((IdentificationWindow(warm, at_rest=False),))
+    literature = identify(family.model, data, method="refine", samples=0)
+    prior = population_prior(family.sisters)
+
+    informed = identify(family.model, data, method="refine", samples=0, prior=prior)
+
+    def gain(guess: FloatArray) -> float:
+        """What the sisters gain, with initial states guessed at other parameters."""
+        with_sisters = IdentificationProblem(family.model, data, guess, prior=prior)
+        without = IdentificationProblem(family.model, data, guess)
+        best = informed.posterior.z, literature.posterior.z
+        return log_evidence(with_sisters, best[0]) - log_evidence(without, best[1])
+
+    assert gain(literature.posterior.z) > 0.0
+    assert gain(literature.posterior.z) == pytest.approx(gain(prior.mean), abs=1.0)
+
+
+def test_strangers_are_set_aside_and_do_no_harm(family: Family) -> None:
+    strange = [replace(sister(family.model, seed, 1.5), name=f"odd {seed}") for seed in (50, 51)]
+    mixed = (*family.sisters, *strange)
+    assert set(strangers(family.model, mixed)) == {"odd 50", "odd 51"}
+    assert strangers(family.model, family.sisters) == {}
+    pure, harmed = (
+        identify_with_sisters(family.model, family.data, those, family.literature, calibrate=False)
+        for those in (family.sisters, mixed)
+    )
+    assert_array_equal(harmed.result.posterior.z, pure.result.posterior.z)
+    assert "friction heat grows" in harmed.verdict.set_aside["odd 50"]
+
+
+def test_sisters_that_the_machines_own_data_contradict_are_refused(family: Family) -> None:
+    hotter = family.model.parameters.index("M0")
+    others = []
+    for one in family.sisters:
+        z = one.z.copy()
+        z[hotter] += 2.5
+        others.append(replace(one, z=z))
+    found = identify_with_sisters(family.model, family.data, others, family.literature)
+    assert not found.verdict.accepted
+    assert "worse than the literature's" in found.verdict.reason
+    assert found.result is family.literature
+    assert found.prior is None
+
+
+def test_each_sister_is_played_as_the_target(family: Family) -> None:
+    trained = family.literature.posterior.trained
+    played = (*family.sisters[:2], replace(family.sisters[2], data=None), family.sisters[3])
+    runs = calibration_runs(family.model, played, trained)
+    assert [one.bearing for one in runs] == ["number 0", "number 1", "number 3"]
+    for one in runs:
+        assert one.load_n_max == 5500.0
+        assert 0.0 < one.needed[INNER] < 3.0  # a sister of the same make, in a band for it
+
+
+def test_a_calibrated_band_is_the_band_times_the_factor(family: Family) -> None:
+    needs = [CalibrationRun(f"{k}", 5500.0, 5800.0, {INNER: 0.02 * k}) for k in range(1, 20)]
+    known = SisterKnowledge(("a",) * 19, (5500.0,) * 19, (5800.0,) * 19)
+    plain, scaled = (
+        heavy_forecast(family, replace(family.literature.posterior, sisters=sisters))
+        for sisters in (known, replace(known, calibration=tuple(needs)))
+    )
+    assert scaled.labels[-1] == "calibrated on 19 runs, 19 bearings"
+    wide, narrow = (one.quantile(INNER) - one.quantile(INNER)[2] for one in (plain, scaled))
+    assert_allclose(narrow[:, 1:], 0.38 * wide[:, 1:], atol=0.05)  # the largest of 19
+    assert_array_equal(narrow[:, 0], wide[:, 0])  # the present row is not beyond
+    untouched = "t_outer_ring_c"  # no run says anything of it
+    assert_array_equal(plain.quantile(untouched), scaled.quantile(untouched))
+
+
+@pytest.mark.parametrize(
+    ("bearings", "runs_each", "load_n", "factor", "level"),
+    [
+        (8, 1, 5500.0, None, None),
+        (9, 1, 5500.0, 9.0, 0.90),
+        (18, 1, 5500.0, 18.0, 0.90),
+        (19, 1, 5500.0, 19.0, 0.95),
+        (39, 1, 5500.0, 38.0, 0.95),
+        (8, 5, 5500.0, None, None),  # many runs of few bearings are still few bearings
+        (19, 2, 5500.0, 19.5, 0.95),
+        (19, 1, 7000.0, None, None),  # where none of them has been
+    ],
+)
+def test_bearings_are_the_units_of_a_calibration(
+    bearings: int, runs_each: int, load_n: float, factor: float | None, level: float | None
+) -> None:
+    runs = tuple(
+        CalibrationRun(f"{k}", 5500.0, 5800.0, {INNER: k + 0.5 * again})
+        for k in range(1, bearings + 1)
+        for again in range(runs_each)
+    )
+    found = SisterKnowledge(("a",), (5500.0,), (5800.0,), runs).band_factor(load_n, 0.0)
+    if factor is None or level is None:
+        assert found is None
+        return
+    assert found is not None
+    assert (found.by_sensor[INNER], found.level, found.bearings) == (factor, level, bearings)
+    assert ("holds 90% of runs" in found.label) == (level == 0.90)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(2, 30), st.floats(0.01, 5.0), st.integers(0, 10_000))
+def test_no_population_is_wider_than_the_literature(n: int, scatter: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p = 12
+    sisters = []
+    for number in range(n):
+        turned, _ = np.linalg.qr(rng.normal(size=(p, p)))
+        covariance = (turned * rng.uniform(1e-4, 1.0, p)) @ turned.T
+        z = rng.normal(0.0, scatter, p)
+        sisters.append(Sister(f"{number}", z, covariance, TrainedRange()))
+    prior = population_prior(sisters)
+    assert np.linalg.eigvalsh(prior.covariance)[-1] <= 1.0 + 1e-9
+    assert_allclose(prior.mean, np.mean([one.z for one in sisters], axis=0))
+    own = np.mean([one.covariance for one in sisters], axis=0)
+    surplus = prior.covariance - np.minimum(1.0, np.linalg.eigvalsh(own)[0]) * np.eye(p)
+    assert np.linalg.eigvalsh(surplus)[0] >= -1e-9  # never surer than the sisters are of themselves
+
+
+def test_members_are_told_from_others_by_what_their_own_data_say() -> None:
+    """Of normal populations seen by linear data one member of ten is as far off as one of ten."""
+    rng = np.random.default_rng(4)
+    p = 12
+    turned, _ = np.linalg.qr(rng.normal(size=(p, p)))
+    strengths = np.array([30.0, 10.0, 3.0, 1.0, 0.3, *np.zeros(7)])  # the rest is not seen at all
+    covariance = (turned / (1.0 + strengths**2)) @ turned.T
+    shrunk = np.eye(p) - covariance
+    prior = NormalPrior.of(rng.normal(0.0, 0.5, p), 0.02 * np.eye(p) + 0.03)
+    blank = prior_posterior(build_model(bearing=bearing("6016")))
+
+    def share(z: FloatArray) -> float:
+        noise = turned @ (strengths / (1.0 + strengths**2) * rng.standard_normal(p))
+        return membership(replace(blank, z=shrunk @ z + noise, covariance=covariance), prior)
+
+    members = [share(prior.mean + prior.factor @ rng.standard_normal(p)) for _ in range(400)]
+    assert np.mean(np.array(members) < 0.1) == pytest.approx(0.1, abs=0.05)
+    off = prior.mean + 2.0 * turned[:, 0]
+    assert share(off) < 1e-6
+    unseen = prior.mean + 2.0 * turned[:, -1]
+    assert share(unseen) > 1e-3  # what the data do not show cannot speak against a machine
+
+
+def test_a_machine_is_no_sister_of_itself(family: Family) -> None:
+    first, second = family.sisters[:2]
+    assert first.data is not None
+    assert second.data is not None
+    assert same_run(family.data, of_rows(family.target))
+    assert same_run(of_rows(family.target), family.data)
+    assert not same_run(first.data, second.data)
+
+
+def test_one_machine_is_no_population(family: Family) -> None:
+    with pytest.raises(ValueError, match="1 sisters, expected at least 2"):
+        population_prior(family.sisters[:1])
+
+
+def test_what_sisters_have_seen_is_counted() -> None:
+    known = SisterKnowledge(("a", "b", "c"), (2650.0, 5500.0, 4000.0), (1500.0, 6200.0, 6200.0))
+    assert [known.with_load(load) for load in (2600.0, 4300.0, 5500.0, 9000.0)] == [3, 2, 1, 0]
+    assert known.with_speed(6200.0) == 2
+    assert known.usual_load_n == 4000.0
+    trained = TrainedRange((OperatingPoint(5800.0, 3000.0, 3600.0, 0.0),))
+    model = build_model(bearing=bearing("6016"))
+    posterior = replace(
+        identify(model, of_rows(run(model, np.zeros(24), 1)), method="refine", samples=0).posterior,
+        trained=trained,
+        sisters=known,
+    )
+    assert posterior.known_load_n == 4000.0
