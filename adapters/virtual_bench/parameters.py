@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from adapters.virtual_bench.bearings import BEARINGS
+
+FrictionLaw = Literal["skf", "palmgren"]
 
 # Levels differ between the two bearings by more than catalogue data explain (grease fill, fits):
 # friction scale and mounted clearance were set per bearing, see docs/virtual-bench.md.
@@ -26,8 +29,11 @@ class BenchParameters:
         Kinematic viscosity of the grease's base oil at 40 and 100 degC in mm2/s.
     friction_scale, rolling_scale, sliding_scale : float
         Factors on the whole frictional moment and on its two parts.
+    friction_law : str
+        ``"skf"``, or ``"palmgren"``: a viscous moment that does not depend on the load, and one
+        that depends on the load alone, instead of the rolling and the sliding moment.
     rolling_load_exponent : float
-        Exponent of the load in the rolling frictional moment (SKF: 0.54).
+        Exponent of the load in the rolling frictional moment (SKF: 0.54); of Palmgren's law 0.
     replenishment_constant : float
         K_rs of the SKF starvation factor (grease: 6e-8).
     replenishment_viscosity_mm2_s : float
@@ -66,6 +72,7 @@ class BenchParameters:
     friction_scale: float = 1.14
     rolling_scale: float = 1.0
     sliding_scale: float = 1.0
+    friction_law: FrictionLaw = "skf"
     rolling_load_exponent: float = 0.54
     replenishment_constant: float = 6.0e-8
     replenishment_viscosity_mm2_s: float = 35.0
