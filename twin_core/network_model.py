@@ -70,6 +70,9 @@ class RunawayLimits:
     lost_c
         A member in which any sensor passes this temperature in degC has run away: no grease
         survives it.
+    tested
+        Whether the probability of a runaway was tested on benches that ran away, up to
+        ``load_factor``; else the members' share stands for it.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class RunawayLimits:
     hot_c: float = 100.0
     load_factor: float = 1.5
     lost_c: float = 130.0
+    tested: bool = False
 
     def __post_init__(self) -> None:
         for name in ("hot_c", "load_factor", "lost_c"):

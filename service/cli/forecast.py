@@ -1,6 +1,7 @@
 """``bearing-twin forecast``: temperatures over a profile, from a model file."""
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -15,6 +16,7 @@ from service.offline.interruption import exit_on_signals
 
 if TYPE_CHECKING:
     from service.offline.forecasting import ProfileForecast
+    from twin_core.forecasting.runaway import RunawayMargin
 
 
 def forecast(
@@ -90,12 +92,34 @@ def forecast(
         "sensors": result.highest(),
         "labels": list(result.labels),
         "runaway_probability": result.runaway_probability,
+        "runaway_margin": _finite(result.runaway_margin),
         "initial_state": result.initial_state,
     }
     if as_json:
         typer.echo(json.dumps(document, allow_nan=False))
     else:
         _print(result, out)
+
+
+def _finite(margin: "RunawayMargin | None") -> dict[str, float | None] | None:
+    """The margin for JSON; null where there is none, or where a figure is not finite."""
+    if margin is None:
+        return None
+    return {
+        name: value if math.isfinite(value) else None
+        for name in margin.__slots__
+        for value in (getattr(margin, name),)
+    }
+
+
+def _margin_text(margin: "RunawayMargin") -> str:
+    at = f"{margin.speed_rpm:.0f} rpm, {margin.load_n:.0f} N"
+    parts = [f"Runaway at {at}: {100.0 * margin.probability:.1f} %"]
+    if math.isfinite(margin.margin_k):
+        parts.append(f"margin {margin.margin_k:.0f} K")
+    if math.isfinite(margin.margin_n):
+        parts.append(f"{margin.margin_n:+.0f} N to 5 %")
+    return ", ".join(parts)
 
 
 def _print(result: "ProfileForecast", out: Path) -> None:
@@ -106,4 +130,6 @@ def _print(result: "ProfileForecast", out: Path) -> None:
     console.print(table)
     for label in result.labels:
         console.print(f"Note: {label}")
+    if (margin := result.runaway_margin) is not None:
+        console.print(_margin_text(margin))
     console.print(f"Forecast: {out}", soft_wrap=True)

@@ -57,10 +57,31 @@ class SensorMaps(Document):
 class RunawayMap(Document):
     """Thermal runaway: beyond the limit (130 °C of a bearing), or without a steady state."""
 
-    probability: Matrix = Field(description="Share of the members that run away.")
+    probability: Matrix = Field(
+        description="That the machine runs away, held at the point: of the default model from the "
+        "upper edges of its loop gain and of its hottest sensor; else, and before any "
+        "identification, the share of the members that run away."
+    )
     not_excluded: list[list[bool]] = Field(
-        description="True where the upper edge passes 100 °C, the load is beyond 1.5 times what "
-        "the data hold, or members run away."
+        description="True where the probability is above 5 %, the upper edge passes 110 °C, or the "
+        "load is beyond 2.1 times what the data hold; of other models 100 °C, 1.5 times, or one "
+        "member that runs away."
+    )
+    loop_gain: Matrix = Field(
+        description="Heat that a rise gives back over heat that it carries away, median of the "
+        "members; a machine runs away above 1. Null where half of the members run away."
+    )
+    loop_gain_upper: Matrix = Field(
+        description="The same, 97.5 % of the members; null where so many run away."
+    )
+    margin_k: Matrix = Field(
+        description="How much hotter the hottest sensor may become until the loop gain is 1 or the "
+        "limit (130 °C of a bearing) is passed: 95 % of the members have more, K. Null where there "
+        "is no limit."
+    )
+    margin_n: Matrix = Field(
+        description="How much more load until the probability is 5 %, N; negative where it is more "
+        "already. Null where no load of the map is as bad."
     )
 
 
@@ -147,6 +168,10 @@ def envelope_maps(
         runaway=RunawayMap(
             probability=_matrix(found.runaway_probability, 4),
             not_excluded=found.runaway_not_excluded.tolist(),
+            loop_gain=_matrix(found.loop_gain[0], 3),
+            loop_gain_upper=_matrix(found.loop_gain[1], 3),
+            margin_k=_matrix(found.margin_k, 1),
+            margin_n=_matrix(found.margin_n, 0),
         ),
         low_risk=low_risk,
         labels=labels,

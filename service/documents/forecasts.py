@@ -44,7 +44,9 @@ class ForecastDocument(Document):
         description="What the result rests on.", examples=[["load law from prior only"]]
     )
     runaway_probability: float = Field(
-        ge=0, le=1, description="Share of the members that run away thermally."
+        ge=0,
+        le=1,
+        description="That the machine runs away thermally; see `runaway` of the envelope.",
     )
 
 

@@ -79,7 +79,7 @@ def keep_ensemble(
         By sensor or node.
     """
     members = len(result.members_c)
-    if result.runaway_probability > _NEAR_SHARE or not _is_clear(result, limits):
+    if result.runaway_share > _NEAR_SHARE or not _is_clear(result, limits):
         return None
     # Moved and widened as far as may be, none of the others reaches a limit.
     near = np.zeros(members, np.bool_)

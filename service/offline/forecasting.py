@@ -18,6 +18,8 @@ from service.offline.tables import FloatArray, PlannedRows, Recording
 from service.site.machines.machine import Machine
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import forecast
+from twin_core.forecasting.envelope import runaway_margin
+from twin_core.forecasting.runaway import RunawayMargin
 from twin_core.machine_state import MachineState
 from twin_core.minute_rows import MOST_ROWS, row_step_s
 from twin_core.models import ThermalModel
@@ -48,7 +50,10 @@ class FollowError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileForecast:
-    """Quantiles (5, n, names) at the profile's rows, and what must be said with them."""
+    """Quantiles (5, n, names) at the profile's rows, and what must be said with them.
+
+    The margin is that of the row with the most speed times load; None if the machine stands still.
+    """
 
     time_s: FloatArray
     names: tuple[str, ...]
@@ -56,6 +61,7 @@ class ProfileForecast:
     quantiles: FloatArray
     labels: tuple[str, ...]
     runaway_probability: float
+    runaway_margin: RunawayMargin | None
     initial_state: dict[str, dict[str, float]]
 
     def highest(self) -> dict[str, dict[str, float]]:
@@ -205,8 +211,24 @@ def forecast_profile(
         quantiles,
         result.labels,
         result.runaway_probability,
+        _margin(identified, state, profile),
         _initial_state(result.names, result.quantiles[:, 0]),
     )
+
+
+def _margin(
+    identified: IdentifiedModel, state: MachineState, profile: OperatingProfile
+) -> RunawayMargin | None:
+    """How far the profile's heaviest row is from a runaway, held with its inputs and ambient."""
+    power = np.abs(profile.speed_rpm) * profile.load_n
+    row = int(np.argmax(power))
+    if not power[row] > 0.0:
+        return None
+    there = replace(
+        state, ambient_c=float(profile.ambient_c[row]), inputs=tuple(profile.inputs[row])
+    )
+    speed_rpm, load_n = abs(float(profile.speed_rpm[row])), float(profile.load_n[row])
+    return runaway_margin(identified.model, identified.posterior, there, speed_rpm, load_n)
 
 
 def _initial_state(names: Sequence[str], quantiles_c: FloatArray) -> dict[str, dict[str, float]]:

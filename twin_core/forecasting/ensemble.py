@@ -22,6 +22,7 @@ from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
 from twin_core.forecasting.limits import first_crossings
 from twin_core.forecasting.members import (
+    Members,
     beyond_load,
     draw_members,
     goes_on_as,
@@ -29,6 +30,7 @@ from twin_core.forecasting.members import (
     stands,
 )
 from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
+from twin_core.forecasting.runaway import gain_at, runaway_probability
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
@@ -60,6 +62,8 @@ SENSOR_RESOLUTION_K = 0.1
 # What a failed simulation counts as: over every limit, and finite, so that it can be drawn.
 _CEILING_C = 500.0
 _EARLIEST = 0.025
+# As many as the envelope has: pairs, so that these are centred as well.
+_GAIN_MEMBERS = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +103,12 @@ class Forecast:
     sensors
         Names of the members' last axis.
     runaway_probability
-        Share of the members that run away: a sensor passes the temperature of the model's limits
-        (of a bearing 130 degC), or the simulation fails.
+        That the machine runs away; see `twin_core.forecasting.runaway`.
     labels
         What must be said with this forecast; see `twin_core.forecasting.labels`.
+    runaway_share
+        Share of the members that run away: a sensor passes the temperature of the model's limits
+        (of a bearing 130 degC), or the simulation fails.
     """
 
     time_s: FloatArray
@@ -112,6 +118,7 @@ class Forecast:
     sensors: tuple[str, ...]
     runaway_probability: float
     labels: tuple[str, ...]
+    runaway_share: float = 0.0
 
     def quantile(self, name: str) -> FloatArray:
         """Return the (5, n) quantiles of a sensor or node."""
@@ -260,8 +267,10 @@ def forecast(
     gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
     gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
     quantiles = _quantiles(ordered)
-    probability = float(np.mean(runaway))
-    upper = quantiles[-1, :, : len(sensors)]
+    share = float(np.mean(runaway))
+    hottest_c = float(np.max(quantiles[-1, :, : len(sensors)]))
+    gain = _heaviest_gain(model, drawn, state, profile) if _is_asked(model, posterior) else 0.0
+    probability = float(runaway_probability(posterior, hottest_c, gain, share, model.runaway))
     names = (*sensors, *(model.node_names[k] for k in others))
     doubts: tuple[str, ...] = ()
     if state.course_known < 1.0:
@@ -272,11 +281,12 @@ def forecast(
         quantiles=quantiles,
         members_c=readings,
         sensors=sensors,
+        runaway_share=share,
         runaway_probability=probability,
         labels=forecast_labels(
             posterior,
             profile,
-            float(np.max(upper)),
+            hottest_c,
             probability,
             law_verdicts(model, posterior, profile),
             model.runaway,
@@ -284,6 +294,31 @@ def forecast(
         )
         + (() if factor is None else (factor.label,))
         + doubts,
+    )
+
+
+def _is_asked(model: ThermalModel, posterior: Posterior) -> bool:
+    return model.runaway is not None and model.runaway.tested and posterior.identified
+
+
+def _heaviest_gain(
+    model: ThermalModel, drawn: Members, state: MachineState, profile: OperatingProfile
+) -> float:
+    """97.5 % of the loop gain where speed times load is highest."""
+    row = int(np.argmax(np.abs(profile.speed_rpm) * profile.load_n))
+    point = (
+        float(profile.speed_rpm[row]),
+        float(profile.load_n[row]),
+        float(profile.ambient_c[row]),
+    )
+    members = slice(0, _GAIN_MEMBERS)
+    return gain_at(
+        model,
+        drawn.values[members],
+        drawn.start_c[members],
+        state.revolutions,
+        drawn.heat_w[members],
+        point,
     )
 
 

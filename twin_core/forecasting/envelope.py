@@ -26,6 +26,12 @@ from twin_core.forecasting.ensemble import (
 )
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.members import beyond_load, draw_members
+from twin_core.forecasting.runaway import (
+    RunawayMargin,
+    newtons_left,
+    runaway_probability,
+    upper_gain,
+)
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
@@ -42,6 +48,7 @@ _EARLIEST = 0.025
 _CEILING_C = 500.0
 _CHUNKS_PER_THREAD = 4
 _NARROWEST_K = 0.05
+_MARGIN_LOADS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,10 +95,22 @@ class Envelope:
         temperatures no longer change, in degC; 500 stands for a member that has run away.
     limits
         Per sensor, one map for each of its limits.
-    runaway_probability
+    runaway_share
         (loads, speeds) share of the members that run away.
+    runaway_probability
+        (loads, speeds) probability that the machine runs away; see
+        `twin_core.forecasting.runaway`.
     runaway_not_excluded
         (loads, speeds) verdict by the rule of `twin_core.forecasting.labels`.
+    loop_gain
+        (2, loads, speeds) median and 97.5 % of the members' loop gain in their steady state;
+        infinite where so many have none.
+    margin_k
+        (loads, speeds) how much hotter the hottest sensor may become until the gain is 1 or the
+        model's limit is passed: 95 % of the members have more. Infinite without a limit.
+    margin_n
+        (loads, speeds) how much more load it takes until the probability is 5 %, negative beyond;
+        NaN where no load of the grid is as bad.
     """
 
     speed_rpm: FloatArray
@@ -102,8 +121,12 @@ class Envelope:
     sensors: tuple[str, ...]
     steady_c: Mapping[str, FloatArray]
     limits: Mapping[str, tuple[LimitMap, ...]]
+    runaway_share: FloatArray
     runaway_probability: FloatArray
     runaway_not_excluded: NDArray[np.bool_]
+    loop_gain: FloatArray
+    margin_k: FloatArray
+    margin_n: FloatArray
 
 
 def envelope(
@@ -179,7 +202,7 @@ def envelope(
         return np.asarray(model.errors.scale * np.hypot(DEVIATION_K, by_load))
 
     at_limits = np.where(np.isfinite(table), np.maximum(table - ambient_c, 0.0), 0.0)
-    steady, crossing = _hold(
+    steady, crossing, gain, room = _hold(
         model,
         drawn.values,
         drawn.start_c,
@@ -198,8 +221,12 @@ def envelope(
     away = np.any((readings > model.lost_c) | np.isfinite(crossing[..., most]), axis=2)
     shape = (loads.size, speeds.size)
     quantiles = np.quantile(readings + noise[:, None], ENVELOPE_LEVELS, axis=0)
-    probability = np.mean(away, axis=0)
+    share = np.mean(away, axis=0)
     hottest = np.max(quantiles[-1], axis=1)
+    gains = upper_gain(gain, away)
+    probability = runaway_probability(posterior, hottest, gains[1], share, model.runaway)
+    # What a member has left: until its gain is 1, or until its hottest sensor is beyond the limit.
+    left_k = np.where(away[..., None], 0.0, np.minimum(room, model.lost_c - readings)).min(axis=2)
     return Envelope(
         speed_rpm=speeds,
         load_n=loads,
@@ -218,10 +245,55 @@ def envelope(
             )
             for row, name in enumerate(sensors)
         },
+        runaway_share=share.reshape(shape),
         runaway_probability=probability.reshape(shape),
         runaway_not_excluded=runaway_not_excluded(
             posterior, cells[1], hottest, probability, model.runaway
         ).reshape(shape),
+        loop_gain=gains.reshape(2, *shape),
+        margin_k=np.quantile(np.maximum(left_k, 0.0), 0.05, axis=0, method="lower").reshape(shape),
+        margin_n=newtons_left(loads, probability.reshape(shape)),
+    )
+
+
+def runaway_margin(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    speed_rpm: float,
+    load_n: float,
+) -> RunawayMargin:
+    """Tell how far a machine is from a thermal runaway at one operating point, held for hours.
+
+    Loads from half to twice that of the point are looked at for the margin in newtons.
+
+    Parameters
+    ----------
+    model, posterior, state
+        As for `envelope`.
+    speed_rpm, load_n
+        The operating point; not negative, the load above 0.
+
+    Raises
+    ------
+    ValueError
+        As `envelope`.
+    """
+    loads = load_n * _MARGIN_LOADS
+    row = int(np.argmin(np.abs(_MARGIN_LOADS - 1.0)))
+    found = envelope(model, posterior, state, [speed_rpm], loads, {})
+    return RunawayMargin(
+        speed_rpm,
+        load_n,
+        *(
+            float(values[row, 0])
+            for values in (
+                found.runaway_probability,
+                *found.loop_gain,
+                found.margin_k,
+                found.margin_n,
+            )
+        ),
     )
 
 
@@ -266,12 +338,18 @@ def _hold(
     limit_c: FloatArray,
     deviation_k: FloatArray,
     horizon_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Steady temperatures (B, points, sensors) and crossing times (B, points, sensors, limits)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Steady temperatures (B, points, sensors), crossing times (B, points, sensors, limits).
+
+    Then loop gains (B, points), and how much hotter sensors may become until they are 1, in K
+    (B, points, sensors).
+    """
     members, sensors, limits = limit_c.shape
     points = cells[0].size
     steady = np.empty((members, points, sensors))
     crossing = np.empty((members, points, sensors, limits))
+    gain = np.empty((members, points))
+    room = np.empty((members, points, sensors))
 
     def run(first: int, last: int) -> None:
         holding.hold_points_range(
@@ -292,6 +370,8 @@ def _hold(
             last,
             steady,
             crossing,
+            gain,
+            room,
         )
 
     threads = min(int(numba_config.NUMBA_NUM_THREADS), members)
@@ -299,7 +379,7 @@ def _hold(
     with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(run, chunks[:-1].tolist(), chunks[1:].tolist()):
             pass
-    return steady, crossing
+    return steady, crossing, gain, room
 
 
 def _axis(name: str, values: ArrayLike) -> FloatArray:

@@ -2,7 +2,8 @@
 
 The rules come from an offline study on random virtual benches: a load law learned from one load is
 only the prior's, whatever the residuals say; about one machine in thirty runs away thermally under
-heavy load although a moderate load looks normal, and nothing in low-risk data shows which.
+heavy load although a moderate load looks normal. Which, the ensemble tells with a probability
+(`twin_core.forecasting.runaway`); where that was not tested, simple limits stand in for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin_core.forecasting.heat_laws import Law
+from twin_core.forecasting.runaway import LIKELY
 from twin_core.identification.family import BEYOND
 from twin_core.identification.identifiability import Verdict
 from twin_core.identification.posterior import Posterior
@@ -25,7 +27,8 @@ RUNAWAY = "runaway not excluded"
 
 TAUGHT: dict[Law, Verdict | None] = {"load": "informed", "speed": "informed"}
 BEARING_LIMITS = RunawayLimits()
-_RUNAWAY_PROBABILITY = 0.005
+# Share of an ensemble that is more than chance.
+_SOME_MEMBERS = 0.005
 # A beginning whose 95 % band is wider than this to each side is spoken of.
 _DOUBTFUL_K = 5.0
 
@@ -50,7 +53,7 @@ def forecast_labels(
     hottest_c
         Highest upper edge (97.5 %) of any sensor.
     runaway_probability
-        Share of the members that run away.
+        From `twin_core.forecasting.runaway`.
     laws
         What the data say about the growth of the heat with load and speed up to those ahead, from
         `twin_core.forecasting.heat_laws.law_verdicts`; None where there is nothing to know.
@@ -70,9 +73,10 @@ def forecast_labels(
         speeds. Where sisters have seen them the words are ``"load law from 12 sisters"``.
         ``"NAME beyond the identification data"`` when an input that drives a
         loss goes as far beyond them.
-        ``"runaway not excluded"`` when the upper edge passes the limits' temperature (of a bearing
-        100 degC), a load beyond the limits' factor (of a bearing 1.5) of the trained one lies
-        ahead, or members run away.
+        ``"runaway not excluded"`` when its probability is above 5 %, the upper edge passes the
+        limits' temperature (of the default model 110 degC, of another bearing's 100), or a load
+        beyond the limits' factor (2.1; 1.5) of the trained one lies ahead. Where the probability
+        was not tested, and before any identification, one member that runs away is enough.
     """
     trained = posterior.trained
     running = np.abs(profile.speed_rpm) >= STANDING_RPM
@@ -157,12 +161,14 @@ def runaway_not_excluded(
     posterior
         What the forecast rests on.
     load_n, hottest_c, runaway_probability
-        Heaviest load, highest upper edge of any sensor and share of the members that run away;
-        arrays of one shape, or scalars.
+        Heaviest load, highest upper edge of any sensor and probability of a runaway; arrays of one
+        shape, or scalars.
     limits
         The model's; None for none: then only members that run away count.
     """
-    away = np.asarray(np.asarray(runaway_probability) > _RUNAWAY_PROBABILITY)
+    known = limits is not None and limits.tested and posterior.identified
+    bar = LIKELY if known else _SOME_MEMBERS
+    away = np.asarray(np.asarray(runaway_probability) > bar)
     if limits is None:
         return away
     most_n = limits.load_factor * posterior.trained.load_n_max

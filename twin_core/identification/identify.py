@@ -12,6 +12,7 @@ from twin_core.identification.checkpoint import Checkpoint
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.noa import Nutcracker
 from twin_core.identification.posterior import Posterior, posterior_at
+from twin_core.identification.preload import preload_warning
 from twin_core.identification.priors import NormalPrior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled, refine
@@ -226,6 +227,8 @@ def identify(
     run.tell(state.fraction, "sampling")
     posterior = posterior_at(problem, best, samples, seed)
     reason = fit_problem(posterior, model.errors)
+    if reason and model.runaway is not None:
+        reason += preload_warning(data)
     run.tell(1.0, "done")
     return IdentificationResult(
         posterior=posterior,

@@ -26,6 +26,7 @@ from twin_core.simulation.laws import (
     friction_heat_w,
 )
 from twin_core.simulation.linear import solve_in_place
+from twin_core.simulation.stability import loop_gain
 
 
 class HeldPoint(NamedTuple):
@@ -81,6 +82,8 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     stop,
     steady,
     crossing,
+    gain,
+    room,
 ):
     """Hold each of many operating points, for candidates start..stop-1 of a batch.
 
@@ -91,7 +94,9 @@ def hold_points_range(  # type: ignore[no-untyped-def]
     sensors) with the steady temperatures and `crossing` (B, points, sensors, limits) with the
     times in s at which they first reach the limits, infinite if not within the horizon. NaN steady
     temperatures mean that there is no steady state within TEMPERATURE_LIMIT_C; what had been
-    crossed by then stays.
+    crossed by then stays. Fills `gain` (B, points) with the steady states' loop gains and `room`
+    (B, points, sensors) with how much hotter the sensors may become until it is 1, see
+    `twin_core.simulation.stability.loop_gain`; infinite and 0 without a steady state.
 
     Steps grow with the time since the start: nothing but slow modes is left then.
     """
@@ -157,9 +162,9 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                 to_outside = np.zeros(temperature.size)
                 from_outside = loss_heats_w(net, coefficient, cold, n)
                 # What the losses gain with temperature, W/K.
-                gain = loss_heats_w(net, coefficient, warm, n)
+                rising = loss_heats_w(net, coefficient, warm, n)
                 for i in range(cold.size):
-                    gain[i] -= from_outside[i]
+                    rising[i] -= from_outside[i]
                 for b in range(1 + net.boundary_input.size):
                     for i in range(cold.size):
                         to_outside[i] += outer[b, i]
@@ -169,10 +174,16 @@ def hold_points_range(  # type: ignore[no-untyped-def]
                     matrix,
                     to_outside,
                     from_outside,
-                    gain,
+                    rising,
                     ambient,
                     turned,
                     temperature,
+                )
+            gain[member, cell] = math.inf
+            room[member, cell] = 0.0
+            if alive:
+                gain[member, cell] = loop_gain(
+                    held, matrix, ambient, turned, rows, temperature, room[member, cell]
                 )
             for s in range(sensors):
                 steady[member, cell, s] = dot(rows[s], temperature) if alive else math.nan

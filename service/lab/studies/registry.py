@@ -41,6 +41,7 @@ STUDIES = {
     "reference-nodes": Entry("reference_nodes", takes=_BENCHES),
     "variable-load": Entry("variable_load", takes=_BENCHES),
     "sisters": Entry("sisters", takes=_BENCHES),
+    "runaway": Entry("runaway", takes=_BENCHES),
     "advice": Entry("advice", takes=_BENCHES),
     "drift": Entry("drift", takes=_BENCHES),
     "alarms": Entry("alarms", takes=_BENCHES),

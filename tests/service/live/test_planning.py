@@ -83,6 +83,10 @@ async def test_envelope_document_has_the_shape_it_promises(live: Any) -> None:
         warning.earliest_s,
         shown.runaway.probability,
         shown.runaway.not_excluded,
+        shown.runaway.loop_gain,
+        shown.runaway.loop_gain_upper,
+        shown.runaway.margin_k,
+        shown.runaway.margin_n,
     ):
         assert np.shape(matrix) == shape
     assert shown.model_version == 3
@@ -194,7 +198,14 @@ def maps_of(steady: list[list[float]], likely: list[list[float]]) -> EnvelopeMap
         speed_rpm=[1000.0, 2000.0],
         load_n=[1000.0, 3000.0],
         sensors={RING: SensorMaps(steady_c=shown, limits=limits)},
-        runaway=RunawayMap(probability=cool, not_excluded=[[False, False]] * 2),
+        runaway=RunawayMap(
+            probability=cool,
+            not_excluded=[[False, False]] * 2,
+            loop_gain=cool,
+            loop_gain_upper=cool,
+            margin_k=cool,
+            margin_n=cool,
+        ),
         low_risk=LowRisk(speed_rpm_max=4300.0, load_n_max=3000.0),
         labels=[],
     )

@@ -306,6 +306,11 @@ def test_a_cold_machine_starts_everywhere_at_the_given_temperature(
         assert 0.2 < forecast[f"{name}_q975"][0] - forecast[f"{name}_q025"][0] < 3.0
     assert (np.diff(forecast["t_inner_ring_c_q50"]) > 1.0).all()
     assert told["labels"] == ["not identified yet: prior parameters only"]
+    margin = told["runaway_margin"]
+    assert (margin["speed_rpm"], margin["load_n"]) == (4200.0, 2650.0)
+    assert set(margin) >= {"probability", "loop_gain", "loop_gain_upper", "margin_k", "margin_n"}
+    assert margin["probability"] < 0.05
+    assert 0.0 < margin["margin_k"] < 130.0
 
 
 def test_before_the_first_row_the_last_point_of_the_history_holds(

@@ -181,10 +181,13 @@ export class EnvelopeView {
           ['earliest time', first === null ? '–' : spanText(first)]);
       }
     }
-    const { probability, not_excluded: notExcluded } = this.answer.runaway;
-    const open = nearestAt(plane, notExcluded, speed, load);
-    rows.push(['Thermal runaway', open ? `not ruled out, ${percent(at(probability))}`
-      : 'ruled out']);
+    const { runaway } = this.answer;
+    const open = nearestAt(plane, runaway.not_excluded, speed, load);
+    rows.push(['Thermal runaway', `${open ? 'not ruled out' : 'unlikely'}, ${percent(at(runaway.probability))}`]);
+    const [kelvins, newtons] = [runaway.margin_k, runaway.margin_n].map(
+      (matrix) => nearestAt(plane, matrix, speed, load));
+    if (isNumber(kelvins)) rows.push(['margin', `${fixed(kelvins, 0)} K`]);
+    if (isNumber(newtons)) rows.push(['load to 5 %', `${newtons > 0 ? '+' : ''}${fixed(newtons, 0)} N`]);
     put(this.side.point, h('header', {},
       h('h2', {}, `At ${fixed(speed, 0)} rpm, ${fixed(load, 0)} N`)), head,
     h('dl', { class: 'kv' }, rows.map(([name, value]) => [h('dt', {}, name), h('dd', {}, value)])),
