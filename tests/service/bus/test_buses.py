@@ -251,7 +251,7 @@ async def test_a_command_that_waited_for_a_dead_cell_is_not_done_afterwards(tmp_
         assert isinstance(reader, LocalReaderBus)
         # As if it had been queued while the cell was away.
         late = Request(1, time.monotonic() - 0.001, "Double", encode(Double(1)))  # type: ignore[arg-type]
-        reader._send(encode(late))
+        reader._send(encode(late), 30.0)
         await reader.ask(Double(2), 30)
         assert done == [2]
 
