@@ -1,4 +1,8 @@
-"""Runs of the study ``sisters``: benches of one family, each the target of the others once."""
+"""Runs of the study ``sisters``: benches of one family, each the target of the others once.
+
+The runs that calibrate are made once for all targets: in them a sister learns from all others, the
+target among them, which is one of nineteen. The product makes them anew without it.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +24,8 @@ from service.lab.studies.bench_runs import (
 from service.lab.studies.bench_scores import RingScores, score_rings
 from twin_core.forecasting import Forecast
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior
-from twin_core.sisters import Sister, identify_with_sisters
+from twin_core.identification.family import CalibrationRun
+from twin_core.sisters import Sister, calibration_runs, identify_with_sisters
 
 SISTERS, FEW, STRANGERS = 19, 5, 3
 STEADY_ROWS = 30
@@ -173,8 +178,12 @@ def examine(task: Task) -> FamilyRun:
     strange = _benches(task, other, task.first_seed + _OTHER_SEEDS, 2 * STRANGERS, [], [])
     strangers = [bench.sister for bench in strange]
     outcomes: dict[str, list[Outcome]] = {condition: [] for condition in CONDITIONS}
+    runs: tuple[CalibrationRun, ...] = ()
+    if benches:
+        trained = benches[0].low.posterior.trained
+        runs = calibration_runs(benches[0].low.model, [one.sister for one in benches], trained)
     for target in benches:
-        for condition, outcome in _of_target(task.question, target, benches, strangers):
+        for condition, outcome in _of_target(task.question, target, benches, strangers, runs):
             outcomes[condition].append(outcome)
     return FamilyRun(
         task,
@@ -216,7 +225,11 @@ def _data(run: BenchRun, rows: int) -> IdentificationData:
 
 
 def _of_target(
-    question: Question, target: _Bench, benches: Sequence[_Bench], strangers: Sequence[Sister]
+    question: Question,
+    target: _Bench,
+    benches: Sequence[_Bench],
+    strangers: Sequence[Sister],
+    runs: Sequence[CalibrationRun],
 ) -> Iterator[tuple[str, Outcome]]:
     """Outcomes of all conditions for one target."""
     others = [bench.sister for bench in benches if bench is not target][:SISTERS]
@@ -231,15 +244,18 @@ def _of_target(
             _data(target.run, question.rows),
             sisters,
             target.low.result,
-            calibrate=condition == ALL,
+            calibrate=False,
         )
         said = found.verdict
         known = found.result.posterior
         seen = (said.used, said.set_aside, strangers, said.accepted)
-        yield condition, _outcome(question, target, known, *seen)
+        yield PLAIN if condition == ALL else condition, _outcome(question, target, known, *seen)
         if condition == ALL:
-            plain = known.sisters and replace(known.sisters, calibration=())
-            yield PLAIN, _outcome(question, target, replace(known, sisters=plain), *seen)
+            if known.sisters is not None:
+                names = set(known.sisters.names)
+                own = tuple(run for run in runs if run.bearing in names)
+                known = replace(known, sisters=replace(known.sisters, calibration=own))
+            yield ALL, _outcome(question, target, known, *seen)
 
 
 def _outcome(
