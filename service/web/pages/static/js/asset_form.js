@@ -163,7 +163,8 @@ export class AssetForm {
       known.wrong.hidden = false;
       known.control.setAttribute('aria-invalid', 'true');
     }
-    put(this.problem, faults.length > 0 && h('p', {}, this.asset ? 'The asset was not changed.' : 'The asset was not added.'),
+    const refused = this.asset ? 'The asset was not changed.' : 'The asset was not added.';
+    put(this.problem, faults.length > 0 && h('p', {}, refused),
       others.map((line) => h('p', {}, line)));
     this.element.querySelector('[aria-invalid]')?.focus();
   }

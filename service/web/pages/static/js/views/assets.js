@@ -56,7 +56,8 @@ export class AssetsView {
           h('span', { class: 'row filters' }, this.search, this.removal, this.importing, this.add)),
         this.status, this.problem,
         scrollable('scroll', 'All assets', h('table', { class: 'at' },
-          h('thead', {}, h('tr', {}, h('th', { class: 'tick' }, this.all), HEAD.map((text) => h('th', { scope: 'col' }, text)))),
+          h('thead', {}, h('tr', {}, h('th', { class: 'tick' }, this.all),
+            HEAD.map((text) => h('th', { scope: 'col' }, text)))),
           this.body), this.more)), this.nights.element);
     this.timer = setInterval(() => this.load(), REFRESH_MS);
     this.show();
