@@ -44,6 +44,38 @@ class Trained(_Part):
     )
 
 
+class CalibrationRun(_Part):
+    """One sister played as the target: forecast from its easy part, scored over the rest."""
+
+    bearing: str = Field(description="Which sister.")
+    load_n_max: float = Field(description="Heaviest load in N of the part that was forecast.")
+    speed_rpm_max: float = Field(description="Highest speed in rpm of that part.")
+    needed: dict[str, float] = Field(
+        description="By sensor: the factor on its band that would have held 95 % of the readings."
+    )
+
+
+class Sisters(_Part):
+    """Which sisters the prior was made of."""
+
+    names: list[str] = Field(description="Of the sisters.")
+    loads_n: list[float] = Field(description="Heaviest load in N that each has seen.")
+    speeds_rpm: list[float] = Field(description="Highest speed in rpm that each has seen.")
+    calibration: list[CalibrationRun] = Field(description="Empty where their rows are not known.")
+
+
+class Window(_Part):
+    """Minute rows of one window, packed."""
+
+    at_rest: bool = Field(description="Whether the machine stood at ambient at the first row.")
+    revolutions: float = Field(description="Revolutions since fresh grease, at the first row.")
+    rows: int = Field(ge=0, description="How many rows.")
+    columns: str = Field(
+        description="NumPy's compressed arrays (.npz) in base64: time_s, speed_rpm, load_n, "
+        "ambient_c, and temperature.NAME or input.NAME for each sensor and input."
+    )
+
+
 class Posterior(_Part):
     """What is known of the parameters, in standard coordinates z.
 
@@ -64,6 +96,7 @@ class Posterior(_Part):
     informed_combinations: int = Field(ge=0, description="Combinations that the data decide.")
     trained: Trained
     evaluations: int = Field(ge=0, description="Simulations of the data that it took.")
+    sisters: Sisters | None = Field(None, description="Missing without sisters.")
 
 
 class RunIn(_Part):
@@ -105,6 +138,13 @@ class ModelFile(BaseModel):
     machine: Machine
     posterior: Posterior
     run_in: RunIn
+    family: str = Field("", description="Of machines of one type, grease and arrangement.")
+    own: Posterior | None = Field(
+        None, description="What its own data say without sisters; missing where that is the same."
+    )
+    rows: list[Window] | None = Field(
+        None, description="The minute rows of the data; missing with --without-data."
+    )
 
 
 def schema() -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jsonschema_rs
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -13,6 +14,7 @@ from adapters.virtual_bench import BenchParameters
 from service.cli.many_values import spread
 from service.lab.studies.bench_runs import RINGS, Stage, run_bench
 from service.offline.model_file import IdentifiedModel, ModelFileError
+from service.offline.model_schema import schema
 from service.offline.sisters import Population
 
 from .files import write
@@ -117,6 +119,10 @@ def test_a_model_file_carries_its_minute_rows(
         )
     )  # fmt: skip
     assert (told["sisters"]["used"], told["sisters"]["calibrated_runs"]) == (3, 2)
+    of_the_schema = jsonschema_rs.Draft202012Validator(schema())
+    for name in (folder / "1.json", tmp_path / "4.json"):
+        faults = list(of_the_schema.iter_errors(json.loads(name.read_text())))
+        assert not faults, faults[0].message[:500]
 
 
 def test_who_is_no_sister_is_refused_in_one_line(
