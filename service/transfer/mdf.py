@@ -6,6 +6,7 @@ byte stands in a channel beside it, ``NAME.quality``.
 
 import contextlib
 import struct
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -71,6 +72,8 @@ def load_asammdf() -> Any:
     TableFileError
         If it is not installed; says how to install it.
     """
+    if sys.modules.get("asammdf", sys) is None:  # the mark of `adapters.drivers.can`
+        del sys.modules["asammdf"]
     try:
         import asammdf
     except ImportError:

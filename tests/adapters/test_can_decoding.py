@@ -1,5 +1,7 @@
 import math
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -231,3 +233,12 @@ def test_a_channel_is_bound_once_and_a_plan_not_at_all() -> None:
         check(source(), [channel("c", **SPEED), channel("c", **LOAD)], [])
     with pytest.raises(ConfigurationError, match="a plan needs a Modbus source"):
         check(source(), [], [PlanBinding("bench", CanChannel(source="drive", **SPEED))])
+
+
+def test_the_library_does_not_load_what_no_driver_needs() -> None:
+    """python-can would load asammdf, and that pandas: 60 MiB in every process of a service."""
+    program = "import sys, adapters.drivers.can.driver; print('pandas' in sys.modules)"
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert told.stdout == "False\n"
