@@ -229,6 +229,14 @@ def test_a_time_of_no_zone_is_asked_for(tmp_path: Path, run: Run) -> None:
     assert [row[1] for row in stored(tmp_path)] == [START_US, START_US + 500_000]
 
 
+class _NotInstalled:
+    """Finds no asammdf."""
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name == "asammdf":
+            raise ModuleNotFoundError(name)
+
+
 def test_a_file_that_is_none_and_a_missing_library_are_one_line(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,7 +254,8 @@ def test_a_file_that_is_none_and_a_missing_library_are_one_line(
         status, _, text = run("import", path)
         assert (status, said in text) == (2, True), text
     assert "cannot be read" in run("import", tmp_path / "none.mf4")[2]
-    monkeypatch.setitem(sys.modules, "asammdf", None)
+    monkeypatch.setattr(sys, "meta_path", [_NotInstalled(), *sys.meta_path])
+    monkeypatch.delitem(sys.modules, "asammdf")
     for command in (("import", path), ("export", "--out", tmp_path / "out.mf4")):
         assert run(*command)[2] == "MDF 4 needs asammdf: pip install 'bearing-twin[mdf]'"
     assert not (tmp_path / "out.mf4").exists()
