@@ -53,7 +53,8 @@ def test_reference_and_product_write_the_same_rows() -> None:
     samples = [one for _ in range(len(rows) // 512) for one in source._samples()]
     numbers = {name: number for number, name in enumerate(ingest._CHANNELS, 1)}
     assert rows == [
-        (numbers[one.channel], one.time_us, one.value, int(one.quality)) for one in samples
+        (numbers[one.channel], one.time_us, one.value, int(one.quality), one.received_us)
+        for one in samples
     ]
     assert {row[3] for row in rows} == {int(Quality.GOOD)}
 
