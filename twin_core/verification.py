@@ -1,6 +1,6 @@
 """Verification of kept forecasts: did the machine follow their plan, and how good were they.
 
-A forecast is held against what came only as far as the machine did what it assumed. Whether it did
+A forecast is compared with what came only as far as the machine did what it assumed. Whether it did
 is judged minute by minute from the measured speed and load.
 """
 
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 Course = Literal["followed", "left", "unknown"]
 
 LEAD_TIMES_S = (300, 600, 1800, 3600, 7200, 14400)
-"""How far ahead forecasts are held against what came."""
+"""How far ahead forecasts are compared with what came."""
 MINUTE_S = 60.0
 SHIFT_S = 120.0
 """By so much a step may begin earlier or later than was assumed."""

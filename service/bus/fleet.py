@@ -261,7 +261,7 @@ class Fleet:
                 )
             case commands.ApplyAssets():
                 wrong = await self._all(command, patience_s)
-                await self._until_learned(patience_s)
+                await self._learn_all()
                 return {name: why for one in wrong.values() for name, why in one.items()}
             case commands.Flush():
                 return all((await self._all(command, patience_s)).values())
@@ -427,12 +427,8 @@ class Fleet:
         ]
         return ("\n".join(lines) + "\n").encode()
 
-    async def _until_learned(self, patience_s: float) -> None:
-        """Wait until the cells' names are those of after a change."""
-        ends_s = time.monotonic() + patience_s
-        for cell in self.alive():
-            with contextlib.suppress(CellUnavailableError):
-                await cell.ask(commands.AssetNames(), max(ends_s - time.monotonic(), 0.1))
+    async def _learn_all(self) -> None:
+        """Know the names of all cells as they are after a change."""
         await asyncio.gather(*(self._learn(cell) for cell in self.alive()))
 
 

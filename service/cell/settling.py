@@ -162,14 +162,14 @@ class Settling:
             minutes.append(end_us, {name: means[asset, name] for name in minutes.means})
 
     def _minutes_of(
-        self, asset: str, forecasts: Sequence[StoredForecast], end_us: int, anew: bool = False
+        self, asset: str, forecasts: Sequence[StoredForecast], end_us: int, again: bool = False
     ) -> _Minutes:
         """Give the minutes since the first of these forecasts was made."""
         oldest_us = min(one.issued.time_us for one in forecasts)
         channels = {name for one in forecasts for name in one.issued.content.channels}
         known = self._minutes.get(asset)
         if (
-            not anew
+            not again
             and known is not None
             and known.start_us <= oldest_us
             and known.end_us >= end_us
@@ -201,7 +201,7 @@ class Settling:
         found = [_settled(one, minutes, ready_us) for one in forecasts]
         if any(missing for _, missing in found):
             # It may have come late.
-            minutes = self._minutes_of(asset, judged, end_us, anew=True)
+            minutes = self._minutes_of(asset, judged, end_us, again=True)
             found = [_settled(one, minutes, ready_us) for one in forecasts]
         return [one for one, _ in found]
 

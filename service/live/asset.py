@@ -76,7 +76,7 @@ class AssetRuntime:
     save_state : callable
         Keeps the estimate, so that a restart goes on from it.
     keep_forecast : callable
-        Takes forecasts that are to be held against what comes.
+        Takes forecasts that are to be compared with what comes.
     doubt : callable
         Why the latest sample of a channel is not good, where a check or the source can tell.
 
@@ -362,7 +362,7 @@ class AssetRuntime:
             self._watch.forecast(self._clock.now_us(), summary.crossings if summary else {})
 
     def _note_forecast(self) -> None:
-        """Keep the latest forecast where it is one that is held against what comes."""
+        """Keep the latest forecast where it is one that is compared with what comes."""
         issue = self._forecasting.issue
         reason = None if issue is None else self._ledger_rule.reason(issue)
         if issue is None or reason is None:

@@ -1,4 +1,4 @@
-"""Which forecasts are kept to be held against what comes, and what is kept of each."""
+"""Which forecasts are kept to be compared with what comes, and what is kept of each."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -129,7 +129,7 @@ def issued_forecast(
     region
         The low-risk region.
     measured
-        Channels of the asset: only what is measured can be held against a forecast.
+        Channels of the asset: only what is measured can be compared with a forecast.
     readings_c
         What the sensors say now; None or absent where that is not good.
     """

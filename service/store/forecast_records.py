@@ -1,4 +1,4 @@
-"""Forecasts that are kept to be held against what comes: as the store takes and gives them."""
+"""Forecasts that are kept to be compared with what comes: as the store takes and gives them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ Reason = Literal["step", "period", "model", "asked"]
 """Why a forecast was kept: a step of the plan began, ten minutes went by, another model version
 became active, somebody asked for it."""
 PointState = Literal["waiting", "scored", "plan", "data", "model"]
-"""What became of a forecast reading: its time has not come; it is held against a measurement; or it
-is set aside, since the plan was not followed, the data are missing, or the model version is gone.
+"""What became of a forecast reading: its time has not come; it is compared with a measurement; or
+it is set aside, since the plan was not followed, the data are missing, or the model version is gone.
 """
 SET_ASIDE: Final[tuple[PointState, ...]] = ("plan", "data", "model")
 _HUNDREDTHS: Final = 100.0

@@ -2,7 +2,7 @@
 
 A 6016 runs at 5800 rpm under 2650 N for six hours; then 4000 and 5500 N follow, three hours each.
 Benches of three families are mounted with less clearance than they should have, so that some run
-away. What the forecast says of it before the step is held against what happened: the probability
+away. What the forecast says of it before the step is compared with what happened: the probability
 with the verdict that follows from it, and the rule of thumb that it replaced.
 """
 

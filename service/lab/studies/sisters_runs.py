@@ -1,7 +1,7 @@
 """Runs of the study ``sisters``: benches of one family, each the target of the others once.
 
 The runs that calibrate are made once for all targets: in them a sister learns from all others, the
-target among them, which is one of nineteen. The product makes them anew without it.
+target among them, which is one of nineteen. The product makes them again without it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ from twin_core.sisters import Sister, calibration_runs, identify_with_sisters
 
 SISTERS, FEW, STRANGERS = 19, 5, 3
 STEADY_ROWS = 30
-# Benches are drawn until enough of them have not run away; not for ever.
+# Benches are drawn until enough of them have not run away, up to a limit.
 _MOST_DRAWN = 3
 # Seeds of strangers lie this far from those of the family.
 _OTHER_SEEDS = 500

@@ -1,4 +1,4 @@
-"""Forecasts that are held against what comes; the table begins empty."""
+"""Forecasts that are compared with what comes; the table begins empty."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -55,7 +55,7 @@ async def post_forecast(
 ) -> Response:
     """Nothing is commanded, and nothing is kept unless `keep` asks for it.
 
-    What is kept is held against what comes, if the machine follows the profile from now on; see
+    What is kept is compared with what comes, if the machine follows the profile from now on; see
     `GET …/forecasts`.
 
     One is computed at a time, and four more of each key may wait; keys take turns.
@@ -97,7 +97,7 @@ async def post_forecast(
 
 
 def _check_room(store: Store, asset: str, body: ForecastRequest) -> None:
-    """Refuse what cannot be held against anything, and more than anybody can mean."""
+    """Refuse what cannot be compared with anything, and more than anybody can mean."""
     total_s = sum(step.duration_s for step in body.profile)
     if total_s < LEAD_TIMES_S[0]:
         raise RequestRefusedError(
