@@ -13,7 +13,8 @@ Reason = Literal["step", "period", "model", "asked"]
 became active, somebody asked for it."""
 PointState = Literal["waiting", "scored", "plan", "data", "model"]
 """What became of a forecast reading: its time has not come; it is compared with a measurement; or
-it is set aside, since the plan was not followed, the data are missing, or the model version is gone.
+it is set aside, since the plan was not followed, the data are missing, or the model version is
+gone.
 """
 SET_ASIDE: Final[tuple[PointState, ...]] = ("plan", "data", "model")
 _HUNDREDTHS: Final = 100.0
