@@ -37,6 +37,7 @@ from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.models import machine_of
 from service.jobs.runner import JobRunner
+from service.jobs.teaching import Teaching
 from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
 from service.live.kept import KeptState
@@ -441,4 +442,6 @@ class Cell:
                 await asyncio.sleep(STORE_RETRY_WALL_S)
             else:
                 break
-        await identify_by_itself(self.jobs, self.histories, self.clock)
+        async with asyncio.TaskGroup() as group:
+            group.create_task(identify_by_itself(self.jobs, self.histories, self.clock))
+            group.create_task(Teaching(self.jobs.runner, self.clock).run())

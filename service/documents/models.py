@@ -118,6 +118,32 @@ class GatesDocument(StoredDocument):
     naive: NaiveScores
 
 
+class SistersDocument(StoredDocument):
+    """What machines of the asset's family have given to a version."""
+
+    used: int = Field(ge=0, description="Number of sisters that the prior was made of.")
+    names: list[str] = Field(description="Their assets.")
+    loads_n: list[float] = Field(description="Heaviest load that each has seen, N; in their order.")
+    speeds_rpm: list[float] = Field(description="Highest speed that each has seen, rpm.")
+    load_n_max: float = Field(description="Heaviest load that any of them has seen, N.")
+    speed_rpm_max: float = Field(description="Highest speed that any of them has seen, rpm.")
+    accepted: bool = Field(
+        description="Whether the version rests on them; if not, on its own data alone."
+    )
+    reason: str = Field(description="Why, or why not.")
+    evidence_gain: Number = Field(
+        description="Natural logarithm of how much more probable they make the machine's own data."
+    )
+    membership: Number = Field(
+        description="Share of the family's members whose own data would be further off, 0 to 1."
+    )
+    set_aside: dict[str, str] = Field(description="Assets that were not used, with the reason.")
+    calibrated_runs: int = Field(ge=0, description="Number of sisters that calibrate the band.")
+    without_them: dict[str, Interval] = Field(
+        description="The parameters without sisters; empty where the version rests on its own data."
+    )
+
+
 class ModelDocument(Document):
     """One model version with its parameters, the data it comes from and its scores."""
 
@@ -143,10 +169,31 @@ class ModelDocument(Document):
     drift: DriftDocument | None = Field(
         description="Comparison with earlier versions; see `GET …/drift`. Null: none made."
     )
+    sisters: SistersDocument | None = Field(
+        description="Null where the family has taught nothing yet, or the asset has none."
+    )
     method: Literal["noa+refine", "refine", "noa"] | None = Field(
         description="Of the identification; null for the priors."
     )
     seed: int | None
+
+
+class SisterLine(Document):
+    """What one machine of the family can teach."""
+
+    asset: str
+    machine: str = Field(description="Its bearing or network.", examples=["6016"])
+    load_n_max: float = Field(description="Heaviest load that it has seen, N.")
+    speed_rpm_max: float = Field(description="Highest speed that it has seen, rpm.")
+    minutes: int = Field(ge=0, description="Minutes of operation behind it.")
+    until: Time = Field(description="End of these data.")
+
+
+class SisterList(Document):
+    """The other machines of an asset's family that have something to teach, the farthest first."""
+
+    family: str | None = Field(description="Null: the asset belongs to no family.")
+    items: list[SisterLine]
 
 
 class ModelList(Page):
@@ -205,6 +252,7 @@ def model_document(version: ModelVersion, combinations: bool = True) -> ModelDoc
         if paper_view is None
         else {name: Interval.model_validate(one) for name, one in paper_view.items()},
         drift=DriftDocument.read(stored.get("drift")),
+        sisters=SistersDocument.read(stored.get("sisters")),
         method=stored.get("method"),
         seed=stored.get("seed"),
     )

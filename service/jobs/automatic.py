@@ -24,10 +24,13 @@ async def identify_by_itself(
 ) -> None:
     """Look at every asset's windows from time to time and queue a job where they are worth it.
 
+    So is it when sisters have been where the asset has not, and its model does not know of them.
+
     What was tried once is not tried again until new data have come, also when the job failed or
     someone cancelled it.
     """
     tried: dict[str, list[Window]] = {}
+    learned: dict[str, frozenset[str]] = {}
     while True:
         await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
         for asset_id, history in list(histories.items()):
@@ -35,10 +38,17 @@ async def identify_by_itself(
                 continue
             try:
                 found = await history.windows()
-                if not await history.are_worth_identifying(found, tried.get(asset_id, [])):
+                news = await jobs.news_of_sisters(asset_id) if found else frozenset()
+                if news == learned.get(asset_id, frozenset()):
+                    news = frozenset()
+                if not news and not await history.are_worth_identifying(
+                    found, tried.get(asset_id, [])
+                ):
                     continue
                 await jobs.create(asset_id, IdentificationRequest(), None, AUTOMATIC)
                 tried[asset_id] = found
+                if news:
+                    learned[asset_id] = news
             except (JobConflictError, RequestRefusedError) as error:
                 _log.info("automatic_identification_put_off", asset=asset_id, reason=str(error))
             except Exception:

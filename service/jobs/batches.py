@@ -16,6 +16,7 @@ import numba
 
 from service.domain.errors import ServiceError
 from service.jobs.drift import EarlierVersion
+from service.jobs.relatives import NO_RELATIVES, Relatives
 from service.jobs.worker import JobResult, assessed, fitness_of
 from service.site.machines.machine import Machine, shared_model
 from twin_core.identification.data import IdentificationData
@@ -50,6 +51,8 @@ class MachineOrder:
         Versions that the result is compared with, oldest first.
     seed : int
         Same seed, same result.
+    relatives : Relatives
+        The other machines of its family.
     """
 
     asset: str
@@ -58,6 +61,7 @@ class MachineOrder:
     active: Posterior
     earlier: Sequence[EarlierVersion]
     seed: int = 0
+    relatives: Relatives = NO_RELATIVES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +160,8 @@ def identify_machine(order: MachineOrder) -> tuple[JobResult, Method]:
                 active=order.active,
                 active_fitness=active_fitness,
                 earlier=order.earlier,
+                relatives=order.relatives,
+                seed=order.seed,
             )
             if found.gates.accepted:
                 return found, "refine"
@@ -167,6 +173,8 @@ def identify_machine(order: MachineOrder) -> tuple[JobResult, Method]:
         active=order.active,
         active_fitness=active_fitness,
         earlier=order.earlier,
+        relatives=order.relatives,
+        seed=order.seed,
     )
     return found, _FULL
 

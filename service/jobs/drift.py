@@ -39,7 +39,9 @@ _COMPARED: Final = (
     ("drift",),
     ("job",),
     *(
-        ("posterior", key)
+        (of, key)
+        # With sisters it is the machine's own data that are compared.
+        for of in ("posterior", "own")
         for key in (
             "model",
             "bearing",
@@ -55,6 +57,7 @@ _COMPARED: Final = (
             "evaluations",
         )
     ),
+    ("posterior", "sisters"),
 )
 # Every version in the series costs a quarter of a second.
 _LONGEST_SERIES = 12
@@ -99,7 +102,9 @@ def comparable_versions(store: Store, asset_id: str) -> list[ModelVersion]:
     """
     found = store.models.parts(asset_id, _COMPARED, _MOST_VERSIONS)
     for version in found:
-        version.document.get("posterior", {})["samples"] = []
+        for part in ("posterior", "own"):
+            if version.document.get(part) is not None:
+                version.document[part]["samples"] = []
     return found
 
 
@@ -116,7 +121,7 @@ def earlier_versions(versions: Sequence[ModelVersion]) -> list[EarlierVersion]:
         try:
             known = EarlierVersion(
                 version.version,
-                Posterior.from_dict(version.document["posterior"]),
+                Posterior.from_dict(version.document.get("own") or version.document["posterior"]),
                 [Window.from_dict(one) for one in version.document["window_records"]],
                 None if point is None else ReferencePoint(**point),
                 bool(drift.get("changed")),

@@ -36,6 +36,7 @@ from service.jobs.batches import (
 from service.jobs.drift import comparable_versions, earlier_versions, report_of, with_drift
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of, prior, why_not_of_this_asset
+from service.jobs.sisters import relatives_of
 from service.site.asset_section import AssetSection
 from service.store import AuditEntry, Store
 from service.store.fleet_runs import MOST_PROBLEMS, FleetRun
@@ -324,8 +325,14 @@ class _Run:
             posterior = Posterior.from_dict(active.document["posterior"])
         # Without its samples, which no gate asks for and which are most of it.
         posterior = replace(posterior, samples=posterior.samples[:0])
-        earlier = earlier_versions(versions)
-        order = MachineOrder(asset.id, machine_of(asset), data, posterior, earlier)
+        order = MachineOrder(
+            asset.id,
+            machine_of(asset),
+            data,
+            posterior,
+            earlier_versions(versions),
+            relatives=await in_thread(relatives_of, store, asset),
+        )
         return _Prepared(order, asset, spans_us, active, clock.now_us())
 
     async def _results(self, orders: Sequence[MachineOrder]) -> list[MachineResult]:

@@ -20,6 +20,7 @@ from twin_core.time_constants import fastest_time_s
 from twin_core.windows import (
     MEASURED_TOLERANCE,
     STANDING_RPM,
+    LowRiskRegion,
     MinuteData,
     Window,
     find_windows,
@@ -35,6 +36,7 @@ FEWEST_MINUTES = 10
 # them, and so much of the channel's usual number of samples in a minute.
 GOOD_FOR_EACH_DOUBTFUL = 3
 FEWEST_OF_USUAL = 0.75
+_ANYWHERE = LowRiskRegion(np.inf, np.inf)
 # What the drivers and the sample writer may still hold, in wall seconds.
 SETTLING_WALL_S = 1.0
 # What must have come again at one operating point before a re-identification is worth its while.
@@ -93,6 +95,27 @@ class AssetHistory:
             for window in version.document["window_records"]
         ]
         return varied(used + tried, found, NEW_POINT_S)
+
+    async def all_operation(self, look_back_us: int) -> list[Window]:
+        """Give every window of good data, whatever the machine ran, oldest first.
+
+        Parameters
+        ----------
+        look_back_us
+            How far to look back.
+        """
+        minutes = await self._minutes(self._clock.now_us() - look_back_us)
+        if minutes is None:
+            return []
+        return list(find_windows(minutes, _ANYWHERE, SHORTEST_WINDOW_S))
+
+    async def running_minutes(self, since_us: int) -> MinuteData | None:
+        """Give the good rows of the running machine since a time; None without any."""
+        minutes = await self._minutes(since_us)
+        if minutes is None:
+            return None
+        running = minutes.take(minutes.good & (np.abs(minutes.speed_rpm) >= STANDING_RPM))
+        return running if running.size else None
 
     def span_us(self, window: Window) -> tuple[int, int]:
         """Start and end of a window as process time."""

@@ -20,6 +20,7 @@ from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestR
 from service.domain.requests import IdentificationRequest
 from service.jobs.documents import shown
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
+from service.jobs.sisters import news_of
 from service.jobs.workspace import JobFolder, clear_folders
 from service.store import ActiveJobError, AuditEntry, Job, NotOwnerError, StoreUnavailableError
 
@@ -160,6 +161,13 @@ class IdentificationJobs:
             self.runner.publish(job)
             self.runner.begin(job)
         return shown(job), created
+
+    async def news_of_sisters(self, asset_id: str) -> frozenset[str]:
+        """Name the sisters that an asset should be identified again for; mostly none."""
+        asset = self._assets[asset_id]
+        return await anyio.to_thread.run_sync(
+            news_of, self._store, asset.settings, asset.active.posterior
+        )
 
     async def _windows(
         self, asset_id: str, request: IdentificationRequest

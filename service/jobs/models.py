@@ -63,6 +63,7 @@ def _prior(parts: str) -> tuple[Posterior, JsonDocument]:
         "naive": {},
         "gates": None,
         "drift": None,
+        "sisters": None,
         "job": None,
     }
 
@@ -92,11 +93,27 @@ def identified_document(job: Job, result: JobResult, asset: AssetSection) -> Jso
         "naive_models": result.naive.to_dict(),
         "gates": result.gates.to_dict(),
         "drift": result.drift.model_dump(),
+        "sisters": _sisters(model, result),
+        "own": None if result.own is None else result.own.to_dict(),
         "job": job.id,
         "method": job.request["method"],
         "seed": job.request["seed"],
         "active_fitness": result.active_fitness,
         "convergence": result.convergence,
+    }
+
+
+def _sisters(model: ThermalModel, result: JobResult) -> JsonDocument | None:
+    """What became of the sisters, and what each parameter is without them."""
+    if result.sisters is None:
+        return None
+    own = result.own
+    parameters = {} if own is None else own.parameters(model)
+    return result.sisters.to_dict() | {
+        "without_them": {
+            name: {key: row[key] for key in ("value", "low", "high")}
+            for name, row in parameters.items()
+        },
     }
 
 

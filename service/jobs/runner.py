@@ -23,6 +23,7 @@ from service.jobs.drift import comparable_versions, tell, with_drift
 from service.jobs.executor import STALLED_AFTER_WALL_S, WorkerStalledError, watched
 from service.jobs.history import AssetHistory
 from service.jobs.models import identified_document, machine_of
+from service.jobs.sisters import relatives_of
 from service.jobs.worker import JobOrder, JobResult, run_identification
 from service.jobs.workers import Worker, Workers
 from service.jobs.workspace import JobFolder
@@ -229,6 +230,7 @@ class JobRunner:
         spans = [(int(start), int(end)) for start, end in job.request["windows_us"]]
         data = await history.identification_data(spans)
         versions = await anyio.to_thread.run_sync(comparable_versions, self.store, job.asset)
+        relatives = await anyio.to_thread.run_sync(relatives_of, self.store, asset.settings)
         order = JobOrder(
             folder=folder,
             machine=machine_of(asset.settings),
@@ -238,6 +240,7 @@ class JobRunner:
             method=job.request["method"],
             seed=job.request["seed"],
             budget=job.request["budget"],
+            relatives=relatives,
         )
         future = asyncio.wrap_future(worker.executor.submit(run_identification, order))
         return await watched(

@@ -3,13 +3,14 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from service.documents.drift import DriftDocument
 from service.jobs.drift import EarlierVersion, drift_document, earlier_versions
+from service.jobs.relatives import NO_RELATIVES, Relatives
 from service.jobs.workspace import Convergence, JobFolder, Progress
 from service.site.machines.machine import Machine
 from service.store.records import ModelVersion
@@ -27,11 +28,20 @@ from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import IdentificationCancelled
 from twin_core.models import ThermalModel
 from twin_core.naive import NaiveForecasts, fit_naive
+from twin_core.sisters import (
+    SisterVerdict,
+    WithSisters,
+    identify_with_sisters,
+    part_of,
+    same_run,
+)
 from twin_core.windows import Window, window_of
 
 PROGRESS_EVERY_WALL_S = 0.25
 CHECKPOINT_EVERY_WALL_S = 0.5
 _FIT_SHARE = 0.8
+# Share of the fit's progress in which the machine is identified without its sisters.
+_WITHOUT_SISTERS = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +66,8 @@ class JobOrder:
         Most evaluations; None takes the method's own.
     earlier : sequence of ModelVersion
         Versions that the result is compared with, oldest first.
+    relatives : Relatives
+        The other machines of its family.
     """
 
     folder: JobFolder
@@ -66,6 +78,7 @@ class JobOrder:
     seed: int
     budget: int | None
     earlier: Sequence[ModelVersion] = ()
+    relatives: Relatives = NO_RELATIVES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +103,11 @@ class JobResult:
         Comparison with earlier versions.
     naive : NaiveForecasts
         The simple forecasts that its own must beat, fitted to the same windows.
+    own : Posterior or None
+        What the data say with the literature's prior, without samples; None where `posterior` says
+        just that.
+    sisters : SisterVerdict or None
+        What became of the sisters; None without any.
     """
 
     posterior: Posterior
@@ -101,6 +119,8 @@ class JobResult:
     gates: GateReport
     drift: DriftDocument
     naive: NaiveForecasts
+    own: Posterior | None = None
+    sisters: SisterVerdict | None = None
 
 
 def run_identification(order: JobOrder) -> JobResult | None:
@@ -111,12 +131,16 @@ def run_identification(order: JobOrder) -> JobResult | None:
     """
     model = order.machine.build()
     active_fitness = fitness_of(model, order.data, order.active)
+    share = _WITHOUT_SISTERS if order.relatives.sisters else 1.0
+    resume = order.folder.read_checkpoint()
+    told = _ProgressReporter(order.folder, active_fitness, (resume or {}).get("history", ()))
     try:
         try:
-            fit = _fit(order, model, active_fitness, order.folder.read_checkpoint())
+            fit = _fit(order, model, part_of(told, 0.0, share), resume)
         except CheckpointMismatchError:
             # More data have come, or this is another version of the software.
-            fit = _fit(order, model, active_fitness, None)
+            told = _ProgressReporter(order.folder, active_fitness, ())
+            fit = _fit(order, model, part_of(told, 0.0, share), None)
         return assessed(
             model,
             order.data,
@@ -124,6 +148,9 @@ def run_identification(order: JobOrder) -> JobResult | None:
             active=order.active,
             active_fitness=active_fitness,
             earlier=earlier_versions(order.earlier),
+            relatives=order.relatives,
+            seed=order.seed,
+            progress=part_of(told, share, 1.0),
             cancelled=lambda: _is_stopped(order.folder),
         )
     except IdentificationCancelled:
@@ -138,9 +165,15 @@ def assessed(
     active: Posterior,
     active_fitness: float | None,
     earlier: Sequence[EarlierVersion],
+    relatives: Relatives = NO_RELATIVES,
+    seed: int = 0,
+    progress: Callable[[FitProgress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> JobResult:
-    """Let the gates judge a fit, and compare it with earlier versions.
+    """Learn from sisters, let the gates judge, and compare with earlier versions.
+
+    Where the gates refuse what the sisters brought but not what the data say alone, that is taken.
+    A drift is always one of the machine's own data: new sisters are no change of the machine.
 
     Parameters
     ----------
@@ -150,19 +183,34 @@ def assessed(
         Of the active model.
     earlier
         Versions that it is compared with, oldest first.
+    relatives
+        The other machines of the family.
+    seed, progress
+        Of the identification with sisters.
     cancelled
-        Asked during the fits of the gates.
+        Asked during all fits.
 
     Raises
     ------
     IdentificationCancelled
         When ``cancelled`` says so.
     """
-    report = judge(model, data, fit, active=active, cancelled=cancelled)
+    chosen, verdict, prior = fit, None, None
+    if relatives.sisters or relatives.left_out:
+        learned = _learned(model, data, fit, active, relatives, seed, progress, cancelled)
+        chosen, verdict, prior = learned.result, learned.verdict, learned.prior
+    report = judge(model, data, chosen, active=active, prior=prior, cancelled=cancelled)
+    if verdict is not None and verdict.accepted and not report.accepted:
+        alone = judge(model, data, fit, active=active, cancelled=cancelled)
+        if alone.accepted:
+            why = f"a gate refuses the model with the sisters' prior ({report.reason})"
+            verdict = replace(verdict, accepted=False, reason=why)
+            chosen, report = fit, alone
     windows = [window_of(window.minutes) for window in data.windows]
+    own = replace(fit.posterior, samples=fit.posterior.samples[:0])
     return JobResult(
-        posterior=fit.posterior,
-        best_fitness=fit.best_fitness,
+        posterior=chosen.posterior,
+        best_fitness=chosen.best_fitness,
         active_fitness=active_fitness,
         evaluations=fit.evaluations,
         convergence=Convergence([*fit.history, (fit.evaluations, fit.best_fitness)]).points,
@@ -170,7 +218,81 @@ def assessed(
         gates=report,
         drift=drift_document(model, fit.posterior, windows, earlier),
         naive=fit_naive([window.minutes for window in data.windows]),
+        own=None if chosen is fit else own,
+        sisters=verdict,
     )
+
+
+def _learned(
+    model: ThermalModel,
+    data: IdentificationData,
+    fit: IdentificationResult,
+    active: Posterior,
+    relatives: Relatives,
+    seed: int,
+    progress: Callable[[FitProgress], None] | None,
+    cancelled: Callable[[], bool] | None,
+) -> WithSisters:
+    """Learn from the relatives that are no copies of the machine itself."""
+    left_out = dict(relatives.left_out)
+    for sister in relatives.sisters:
+        if sister.data is not None and same_run(data, sister.data):
+            left_out[sister.name] = "the same run as the data: a machine is no sister of itself"
+    sisters = [one for one in relatives.sisters if one.name not in left_out]
+    learned = identify_with_sisters(
+        model,
+        data,
+        sisters,
+        fit,
+        seed=seed,
+        earlier=active,
+        progress=progress,
+        cancelled=cancelled,
+    )
+    verdict = learned.verdict
+    aside = left_out | dict(verdict.set_aside)
+    return replace(learned, verdict=replace(verdict, set_aside=aside))
+
+
+@dataclass(frozen=True, slots=True)
+class TeachingOrder:
+    """A machine that is identified from all that it has run, for its sisters.
+
+    Attributes
+    ----------
+    folder, machine, seed
+        As of `JobOrder`.
+    data : IdentificationData
+        Windows at any speed and load.
+    """
+
+    folder: JobFolder
+    machine: Machine
+    data: IdentificationData
+    seed: int = 0
+
+
+def run_teaching(order: TeachingOrder) -> Posterior | str | None:
+    """Identify a machine from all that it has run.
+
+    Returns
+    -------
+    Posterior, str or None
+        What it teaches its sisters; why it teaches nothing; None when the work was cancelled.
+    """
+    try:
+        fit = identify(
+            order.machine.build(),
+            order.data,
+            method="noa+refine",
+            seed=order.seed,
+            cancelled=lambda: _is_stopped(order.folder),
+        )
+    except IdentificationCancelled:
+        return None
+    except ValueError as error:
+        return str(error)
+    return fit.posterior if fit.status == "converged" else fit.reason
 
 
 def fitness_of(model: ThermalModel, data: IdentificationData, posterior: Posterior) -> float | None:
@@ -182,7 +304,7 @@ def fitness_of(model: ThermalModel, data: IdentificationData, posterior: Posteri
 def _fit(
     order: JobOrder,
     model: ThermalModel,
-    active_fitness: float | None,
+    progress: Callable[[FitProgress], None] | None,
     resume: Mapping[str, Any] | None,
 ) -> IdentificationResult:
     return identify(
@@ -191,7 +313,7 @@ def _fit(
         method=order.method,
         budget=order.budget,
         seed=order.seed,
-        progress=_ProgressReporter(order.folder, active_fitness, (resume or {}).get("history", ())),
+        progress=progress,
         cancelled=lambda: _is_stopped(order.folder),
         save=_CheckpointWriter(order.folder),
         resume=resume,
@@ -244,7 +366,7 @@ class _ProgressReporter:
             Progress(
                 # The gates take the last part of the bar.
                 fraction=_FIT_SHARE * progress.fraction,
-                phase="gates" if progress.phase == "done" else progress.phase,
+                phase="gates" if progress.fraction >= 1.0 else progress.phase,
                 evaluations=progress.evaluations,
                 best_fitness=fitness if math.isfinite(fitness) else None,
                 active_fitness=self._active_fitness,

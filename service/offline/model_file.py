@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.files import replacing
-from service.offline.packed_rows import pack_rows, unpack_rows
 from service.offline.rows import revolutions_at
 from service.offline.tables import FloatArray, Recording
 from service.site.configuration import describe
 from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine
+from service.site.machines.packed_rows import pack_rows, unpack_rows
 from twin_core.identification import IdentificationData
 from twin_core.identification.posterior import Posterior
 from twin_core.models import ThermalModel

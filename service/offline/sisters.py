@@ -14,12 +14,12 @@ from pydantic import ValidationError
 
 from service.files import replacing
 from service.offline.model_file import IdentifiedModel
-from service.offline.packed_rows import pack_rows, unpack_rows
 from service.site.configuration import describe
-from service.site.machines.machine import Machine
+from service.site.machines.machine import Machine, why_no_sister
+from service.site.machines.packed_rows import pack_rows, unpack_rows
 from twin_core.identification import IdentificationData
 from twin_core.identification.posterior import Posterior
-from twin_core.sisters import Sister, same_run
+from twin_core.sisters import Sister, same_run, sister_of
 from twin_core.sisters.population import FEWEST_SISTERS
 
 FORMAT = "bearing-twin population"
@@ -41,8 +41,7 @@ class Member:
     @property
     def sister(self) -> Sister:
         """The same for the computation."""
-        own = self.posterior
-        return Sister(self.name, own.z, own.covariance, own.trained, self.data)
+        return sister_of(self.name, self.posterior, self.data)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +96,7 @@ class Population:
         for path in paths:
             found = IdentifiedModel.load(path)
             machine = machine or found.machine
-            why = _not_one_of(machine, family, found.machine, found.family)
+            why = why_no_sister(machine, family, found.machine, found.family)
             if why and not skip_strangers:
                 raise SistersError(f"{path}: {why}; or skip it with --skip-strangers")
             if why:
@@ -127,7 +126,7 @@ class Population:
             If they are of another machine or family, one of them is the machine itself, or fewer
             than two are left.
         """
-        why = _not_one_of(machine, family, self.machine, self.family)
+        why = why_no_sister(machine, family, self.machine, self.family)
         if why:
             raise SistersError(f"{self.members[0].name}: {why}")
         members = []
@@ -219,20 +218,13 @@ class Population:
 
 def _member(name: str, posterior: Posterior, data: IdentificationData | None) -> Member:
     """A member; complains if its posterior is none."""
-    p = posterior.z.size
-    if not posterior.identified:
-        raise SistersError(f"{name}: identified from no data; expected an identified model")
-    shapes = posterior.z.shape == (p,) and posterior.covariance.shape == (p, p)
-    if not shapes or not (np.isfinite(posterior.z).all() and _is_definite(posterior.covariance)):
-        raise SistersError(f"{name}: damaged model file (its posterior is no distribution)")
-    bare = replace(posterior, samples=np.empty((0, p)), sisters=None)
-    return Member(name, bare, data)
-
-
-def _is_definite(covariance: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
-    if not np.isfinite(covariance).all():
-        return False
-    return bool(np.linalg.eigvalsh(covariance)[0] > 0.0)
+    bare = replace(posterior, samples=np.empty((0, posterior.z.size)), sisters=None)
+    member = Member(name, bare, data)
+    try:
+        _ = member.sister
+    except ValueError as error:
+        raise SistersError(f"{name}: {error}") from error
+    return member
 
 
 def _together(members: Sequence[Member], what: str) -> tuple[Member, ...]:
@@ -249,22 +241,3 @@ def _together(members: Sequence[Member], what: str) -> tuple[Member, ...]:
             f"{FEWEST_SISTERS}"
         )
     return tuple(members)
-
-
-def _not_one_of(machine: Machine, family: str, other: Machine, other_family: str) -> str:
-    """Say why another machine is no sister of a machine; empty if it may be one."""
-    if (machine.network is None) != (other.network is None) or machine.name != other.name:
-        return f"{_kind(other)} {other.name!r}, expected {_kind(machine)} {machine.name!r}"
-    if machine.network != other.network:
-        return f"network {other.name!r} differs from the one of the same name that is expected"
-    if machine.network is None and machine.model_name != other.model_name:
-        return f"model {other.model_name!r}, expected {machine.model_name!r}"
-    if machine.bearing != other.bearing:
-        return f"bearing {other.name!r} has other dimensions than the one that is expected"
-    if family and other_family and family != other_family:
-        return f"family {other_family!r}, expected {family!r}"
-    return ""
-
-
-def _kind(machine: Machine) -> str:
-    return "bearing" if machine.network is None else "network"

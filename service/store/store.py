@@ -21,6 +21,7 @@ from service.store.provisioned_assets import ProvisionedAssets
 from service.store.rollups import Rollups
 from service.store.salvage import damage_of
 from service.store.samples import Samples
+from service.store.sister_records import SisterRecords
 
 
 class Store(Closable):
@@ -51,6 +52,8 @@ class Store(Closable):
         What came of identifying a fleet.
     fleet_runs : FleetRuns
         Runs that identify a fleet, their progress and cost.
+    sisters : SisterRecords
+        What machines of a family teach each other.
     states : AssetStates
         The latest state of each twin.
     alarms : AlarmJournal
@@ -75,6 +78,7 @@ class Store(Closable):
         self.jobs = Jobs(database)
         self.nights = Nights(database)
         self.fleet_runs = FleetRuns(database)
+        self.sisters = SisterRecords(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
         self.forecasts = KeptForecasts(database)

@@ -223,6 +223,22 @@ class FleetRunRow(Base):
     document: Mapped[JsonDocument]
 
 
+class SisterRecordRow(Base):
+    """What a machine teaches its sisters; see `service.store.sister_records`."""
+
+    __tablename__ = "sister_records"
+    __table_args__ = (Index("ix_sister_records_family", "family"),)
+
+    asset: Mapped[str] = mapped_column(primary_key=True)
+    family: Mapped[str]
+    machine: Mapped[JsonDocument]
+    until_us: Mapped[int]
+    minutes: Mapped[int]
+    load_n_max: Mapped[float]
+    speed_rpm_max: Mapped[float]
+    document: Mapped[JsonDocument]
+
+
 class AssetStateRow(Base):
     """What the live twin of an asset needs to go on after a restart."""
 

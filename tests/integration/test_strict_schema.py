@@ -20,13 +20,17 @@ import websockets
 from processes import Site, wait_until
 
 from service.lab.demo.configuration import ASSET
+from service.site.machines.bearings import named_bearing
+from service.site.machines.machine import Machine
 from service.store.fleet_runs import FleetRun
+from service.store.sister_records import SisterRecord
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
 
 A = f"/api/v1/assets/{ASSET}"
 ALARMS = "/api/v1/alarms"
 PUSHED = "t_node_5_c"
+FAMILY = "6311 grease-L"
 LATCHED = "\n[assets.alarms.stale_data]\nlatched = true\n"
 MESSAGES_S = 400.0
 STEP = {"duration_s": 600, "speed_rpm": 4200, "load_n": 2650}
@@ -118,8 +122,10 @@ class Published:
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Published]:
     site = Site(tmp_path_factory.mktemp("site"), "demo", 100.0, pushed=PUSHED)
-    with site.configuration.open("a") as configuration:
-        configuration.write(LATCHED)
+    text = site.configuration.read_text() + LATCHED
+    named = text.replace("[[assets]]\n", f'[[assets]]\nfamily = "{FAMILY}"\n', 1)
+    assert named != text
+    site.configuration.write_text(named)
     try:
         site.start_bench()
         site.start_service()
@@ -253,6 +259,11 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     newest = call("GET", f"{A}/models", 200)["items"][0]["version"]
     call("GET", f"{A}/models/{newest}", 200)
     call("GET", f"{A}/drift", 200)
+    machine = dict(Machine("default", named_bearing("6311", {}), None).to_dict())
+    sister = SisterRecord("another", FAMILY, machine, 1, 90, 5500.0, 6200.0, {})
+    with site.open_store() as store:
+        store.sisters.put(sister)
+    assert [one["asset"] for one in call("GET", f"{A}/sisters", 200)["items"]] == ["another"]
     call("POST", f"{A}/models/1/activate", 200, json={"comment": "back to the priors"})
     call("GET", f"{A}/models/activations", 200)
     call("POST", f"{A}/grease-renewed", 200, json={"comment": "regreased"})

@@ -11,7 +11,13 @@ from twin_core.sisters.learning import (
     identify_with_sisters,
     part_of,
 )
-from twin_core.sisters.population import Sister, population_prior, same_run, strangers
+from twin_core.sisters.population import (
+    Sister,
+    population_prior,
+    same_run,
+    sister_of,
+    strangers,
+)
 
 __all__ = [
     "Sister",
@@ -22,5 +28,6 @@ __all__ = [
     "part_of",
     "population_prior",
     "same_run",
+    "sister_of",
     "strangers",
 ]

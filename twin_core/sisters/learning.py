@@ -22,7 +22,7 @@ from twin_core.identification.identify import (
     Progress,
     identify,
 )
-from twin_core.identification.posterior import Posterior
+from twin_core.identification.posterior import Posterior, TrainedRange
 from twin_core.identification.priors import NormalPrior
 from twin_core.identification.problem import IdentificationProblem
 from twin_core.identification.refinement import refine
@@ -43,6 +43,8 @@ FloatArray = NDArray[np.float64]
 # Among 40 development targets the least was .04; of twelve of another family five lay below.
 _RAREST = 0.01
 _LEAST_VARIANCE = 1e-4
+# Ranges of loads and speeds that differ by less, as by their noise, are the same.
+_SAME_RANGE = 0.02
 # Share of the progress with which the machine itself is identified; the rest is its sisters'.
 _IDENTIFIED = 0.2
 
@@ -53,10 +55,9 @@ class SisterVerdict:
 
     Attributes
     ----------
-    used
-        How many the prior was made of.
-    load_n_max, speed_rpm_max
-        Heaviest load in N and highest speed in rpm that any of them has seen.
+    names, loads_n, speeds_rpm
+        Of those that the prior was made of; the heaviest load in N and highest speed in rpm that
+        each has seen.
     accepted
         Whether the model rests on them; if not, on the literature's prior as without sisters.
     reason
@@ -72,9 +73,9 @@ class SisterVerdict:
         How many sisters could be played as the target.
     """
 
-    used: int
-    load_n_max: float
-    speed_rpm_max: float
+    names: Sequence[str]
+    loads_n: Sequence[float]
+    speeds_rpm: Sequence[float]
     accepted: bool
     reason: str
     evidence_gain: float | None
@@ -82,10 +83,28 @@ class SisterVerdict:
     set_aside: Mapping[str, str]
     calibrated_runs: int
 
+    @property
+    def used(self) -> int:
+        """How many the prior was made of."""
+        return len(self.names)
+
+    @property
+    def load_n_max(self) -> float:
+        """Heaviest load in N that any of them has seen."""
+        return max(self.loads_n, default=0.0)
+
+    @property
+    def speed_rpm_max(self) -> float:
+        """Highest speed in rpm that any of them has seen."""
+        return max(self.speeds_rpm, default=0.0)
+
     def to_dict(self) -> dict[str, object]:
         """Return plain JSON types."""
         return {
             "used": self.used,
+            "names": list(self.names),
+            "loads_n": list(self.loads_n),
+            "speeds_rpm": list(self.speeds_rpm),
             "load_n_max": self.load_n_max,
             "speed_rpm_max": self.speed_rpm_max,
             "accepted": self.accepted,
@@ -126,6 +145,7 @@ def identify_with_sisters(
     samples: int = DEFAULT_SAMPLES,
     loss: Loss = "linear",
     calibrate: bool = True,
+    earlier: Posterior | None = None,
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> WithSisters:
@@ -143,6 +163,9 @@ def identify_with_sisters(
         As of `identify`.
     calibrate
         Whether to play each sister that has rows as the target, for the band's width.
+    earlier
+        A posterior of this machine from before: its calibration is used again if it was made with
+        the same sisters and over the same range of loads and speeds.
     progress, cancelled
         As of `identify`.
     """
@@ -194,8 +217,9 @@ def identify_with_sisters(
             if onwards is not None:
                 onwards(Progress(fraction, "sampling", result.evaluations, result.best_fitness))
 
-        runs = calibration_runs(
-            model, kept, result.posterior.trained, seed=seed, progress=tell, cancelled=cancelled
+        trained = result.posterior.trained
+        runs = _made_before(earlier, kept, trained) or calibration_runs(
+            model, kept, trained, seed=seed, progress=tell, cancelled=cancelled
         )
     known = replace(knowledge_of(kept), calibration=runs)
     why = (
@@ -208,6 +232,25 @@ def identify_with_sisters(
         _verdict(kept, True, why, aside, gain, share, len(runs)),
         prior,
     )
+
+
+def _made_before(
+    earlier: Posterior | None, kept: Sequence[Sister], trained: TrainedRange
+) -> tuple[CalibrationRun, ...]:
+    """Give the calibration of an earlier posterior if it would be the same now."""
+    if earlier is None or earlier.sisters is None:
+        return ()
+    known, range_then = earlier.sisters, earlier.trained
+    same = set(known.names) == {sister.name for sister in kept} and np.allclose(
+        [range_then.load_n_max, range_then.speed_rpm_max],
+        [trained.load_n_max, trained.speed_rpm_max],
+        rtol=_SAME_RANGE,
+    )
+    reached = sorted(known.loads_n) + sorted(known.speeds_rpm)
+    reach = sorted(sister.trained.load_n_max for sister in kept) + sorted(
+        sister.trained.speed_rpm_max for sister in kept
+    )
+    return known.calibration if same and np.allclose(reached, reach, rtol=_SAME_RANGE) else ()
 
 
 def part_of(
@@ -282,9 +325,9 @@ def _verdict(
     runs: int = 0,
 ) -> SisterVerdict:
     return SisterVerdict(
-        len(kept),
-        max((sister.trained.load_n_max for sister in kept), default=0.0),
-        max((sister.trained.speed_rpm_max for sister in kept), default=0.0),
+        [sister.name for sister in kept],
+        [sister.trained.load_n_max for sister in kept],
+        [sister.trained.speed_rpm_max for sister in kept],
         accepted,
         reason,
         gain,

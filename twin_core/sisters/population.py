@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 from twin_core.forecasting.heat_laws import heat_growth
 from twin_core.identification.data import IdentificationData
 from twin_core.identification.family import SisterKnowledge
-from twin_core.identification.posterior import TrainedRange
+from twin_core.identification.posterior import Posterior, TrainedRange
 from twin_core.identification.priors import NormalPrior
 from twin_core.models import ThermalModel
 from twin_core.operating_points import STANDING_RPM
@@ -58,6 +58,32 @@ class Sister:
     covariance: FloatArray
     trained: TrainedRange
     data: IdentificationData | None = None
+
+
+def sister_of(name: str, own: Posterior, data: IdentificationData | None) -> Sister:
+    """Make a sister of what a machine's own data say.
+
+    Parameters
+    ----------
+    name
+        For messages.
+    own
+        Its posterior with the literature's prior.
+    data
+        Its minute rows, if they are known.
+
+    Raises
+    ------
+    ValueError
+        If that is no identified machine.
+    """
+    p = own.z.size
+    if not own.identified:
+        raise ValueError("identified from no data; expected an identified model")
+    shapes = own.z.shape == (p,) and own.covariance.shape == (p, p)
+    if not shapes or not (np.isfinite(own.z).all() and _is_definite(own.covariance)):
+        raise ValueError("damaged model (its posterior is no distribution)")
+    return Sister(name, own.z, own.covariance, own.trained, data)
 
 
 def population_prior(sisters: Sequence[Sister]) -> NormalPrior:
@@ -136,6 +162,12 @@ def strangers(model: ThermalModel, sisters: Sequence[Sister]) -> dict[str, str]:
                 f"{top:.0f} {_UNITS[name]}, that of its sisters {np.exp(centre):.2f} times"
             )
     return found
+
+
+def _is_definite(covariance: FloatArray) -> bool:
+    if not np.isfinite(covariance).all():
+        return False
+    return bool(np.linalg.eigvalsh(covariance)[0] > 0.0)
 
 
 def _outside(values: FloatArray) -> list[int]:

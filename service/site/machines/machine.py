@@ -111,6 +111,33 @@ class Machine:
         )
 
 
+def why_no_sister(machine: Machine, family: str, other: Machine, other_family: str) -> str:
+    """Say why another machine is no sister of a machine; empty if it may be one.
+
+    Parameters
+    ----------
+    machine, other
+        The two.
+    family, other_family
+        Their families; empty where it is not known.
+    """
+    if (machine.network is None) != (other.network is None) or machine.name != other.name:
+        return f"{_kind(other)} {other.name!r}, expected {_kind(machine)} {machine.name!r}"
+    if machine.network != other.network:
+        return f"network {other.name!r} differs from the one of the same name that is expected"
+    if machine.network is None and machine.model_name != other.model_name:
+        return f"model {other.model_name!r}, expected {machine.model_name!r}"
+    if machine.bearing != other.bearing:
+        return f"bearing {other.name!r} has other dimensions than the one that is expected"
+    if family and other_family and family != other_family:
+        return f"family {other_family!r}, expected {family!r}"
+    return ""
+
+
+def _kind(machine: Machine) -> str:
+    return "bearing" if machine.network is None else "network"
+
+
 def shared_model(machine: Machine) -> ThermalModel:
     """Give the model of a machine, as `Machine.build`; equal machines share one."""
     return model_of_parts(json.dumps(machine.to_dict()))

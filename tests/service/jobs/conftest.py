@@ -1,8 +1,9 @@
 """A store with two hours of a real run in it: simulated, sampled, with sensor noise."""
 
 import shutil
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,24 +147,24 @@ def start_us() -> int:
     return START_US
 
 
-@pytest.fixture
-async def shop(
-    run_store: Store, clock: Any, make_section: Callable[..., Any], tmp_path: Path
+@asynccontextmanager
+async def opened_shop(
+    store: Store, clock: Any, folder: Path, sections: Sequence[AssetSection]
 ) -> AsyncIterator[Shop]:
+    """A shop for these assets, each with its priors as the active version."""
     bus = Bus(clock)
-    outbox = Outbox.open(tmp_path, run_store)
+    outbox = Outbox.open(folder, store)
     alarms = AlarmBook(outbox, clock, lambda _: None)
     assets, histories = {}, {}
     with ThreadPoolExecutor(1) as executor:
-        for asset_id in (ASSET, "bench-2"):
-            settings = make_section(id=asset_id)
-            number = run_store.models.add(asset_id, "candidate", "", first_model(settings), 1)
-            first = run_store.models.activate(asset_id, number, "service", "first", 1)
+        for settings in sections:
+            number = store.models.add(settings.id, "candidate", "", first_model(settings), 1)
+            first = store.models.activate(settings.id, number, "service", "first", 1)
 
             async def nothing(*_: Any) -> list[Any]:
                 return []
 
-            assets[asset_id] = AssetRuntime(
+            assets[settings.id] = AssetRuntime(
                 settings,
                 {},
                 active_model(settings, first),
@@ -174,9 +175,18 @@ async def shop(
                 store_samples=lambda _: None,
                 save_state=nothing,  # type: ignore[arg-type]
             )
-            histories[asset_id] = AssetHistory(settings, run_store, clock)
-        shop = Shop(run_store, outbox, clock, tmp_path / "jobs", assets, histories, bus, alarms)
+            histories[settings.id] = AssetHistory(settings, store, clock)
+        shop = Shop(store, outbox, clock, folder / "jobs", assets, histories, bus, alarms)
         yield shop
         for jobs in shop.managers:
             await jobs.stop()
     outbox.close()
+
+
+@pytest.fixture
+async def shop(
+    run_store: Store, clock: Any, make_section: Callable[..., Any], tmp_path: Path
+) -> AsyncIterator[Shop]:
+    sections = [make_section(id=asset_id) for asset_id in (ASSET, "bench-2")]
+    async with opened_shop(run_store, clock, tmp_path, sections) as shop:
+        yield shop

@@ -54,6 +54,7 @@ LEAST = {
     ("POST", "/api/v1/assets/{asset_id}/models/{version}/activate"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/models/activations"): "engineer",
     ("GET", "/api/v1/assets/{asset_id}/drift"): "engineer",
+    ("GET", "/api/v1/assets/{asset_id}/sisters"): "engineer",
     ("GET", "/api/v1/fleet"): "viewer",
     ("GET", "/api/v1/fleet/map"): "viewer",
     ("GET", "/api/v1/fleet/nights"): "engineer",

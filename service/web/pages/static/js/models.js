@@ -28,7 +28,7 @@ function scaleOf(parameters) {
   return (value) => (place(value) - from) / (to - from) * 100;
 }
 
-function intervalBar(parameter, at) {
+function intervalBar(parameter, at, alone) {
   const { low, high, value, verdict, unit } = parameter;
   if (!isNumber(low) || !isNumber(high)) return '';
   const text = `${significant(low)} … ${significant(high)}${unit && unit !== '-' ? ` ${unit}` : ''}`;
@@ -37,7 +37,9 @@ function intervalBar(parameter, at) {
   },
   h('i', { style: { left: `${at(low)}%`, right: `${100 - at(high)}%` } }),
   h('b', { style: { left: `${at(value)}%` } })),
-  h('small', { class: 'mut nw' }, `${significant(low)} … ${significant(high)}`)];
+  h('small', { class: 'mut nw' }, `${significant(low)} … ${significant(high)}`),
+  alone && h('small', { class: 'mut nw' },
+    `without sisters ${significant(alone.low)} … ${significant(alone.high)}`)];
 }
 
 /** Parameters of one version, and of another next to it. */
@@ -50,7 +52,8 @@ export function parameterTable(left, right) {
     const at = scaleOf(known);
     const cells = both.map((parameter, i) => [
       h('td', { class: i ? 'r b' : 'r' }, significant(parameter?.value)),
-      h('td', { class: 'iv' }, parameter && intervalBar(parameter, at)),
+      h('td', { class: 'iv' }, parameter
+        && intervalBar(parameter, at, models[i].sisters?.without_them[name])),
       h('td', { class: 'vd' }, parameter && verdictChip(parameter.verdict)),
     ]);
     const { unit: unitText, description } = known[0];
@@ -140,6 +143,29 @@ export function combinationList(model) {
       : h('tr', {}, h('td', {}, one.combination.replaceAll('-', '−')),
         h('td', { class: 'r' }, `${fixed(one.std_over_prior * 100, 1)} %`),
         h('td', {}, verdictChip(one.verdict))))))));
+}
+
+const REASON_LENGTH = 400;
+
+/** The machines of the family that a version has learned from, or why it has not. */
+export function sisterList(model) {
+  const { sisters } = model;
+  if (!sisters) return h('p', { class: 's mut' }, `v${model.version}: no sisters.`);
+  const { used, accepted, reason, set_aside: aside, calibrated_runs: runs } = sisters;
+  const head = accepted
+    ? `v${model.version}: learned from ${counted(used, 'sister')}`
+      + (runs ? `; ${counted(runs, 'run')} of theirs ${runs === 1 ? 'tests' : 'test'} the band` : '')
+    : `v${model.version}: rests on its own data, ${counted(used, 'sister')} asked`;
+  const others = Object.entries(aside);
+  return h('div', {}, h('p', { class: 's b' }, head),
+    h('p', { class: 's' }, plainText(reason.slice(0, REASON_LENGTH))),
+    h('table', {}, h('thead', {}, h('tr', {}, ['Sister', 'load seen, N', 'speed seen, rpm'].map((text, i) =>
+      h('th', { class: i ? 'r' : null }, text)))),
+    h('tbody', {}, sisters.names.map((name, i) => h('tr', {}, h('td', {}, name),
+      h('td', { class: 'r' }, fixed(sisters.loads_n[i], 0)),
+      h('td', { class: 'r' }, fixed(sisters.speeds_rpm[i], 0)))))),
+    others.length ? h('p', { class: 's' }, 'Not used: ',
+      others.map(([name, why]) => `${name} (${why})`).join('; ')) : '');
 }
 
 /** The windows a version was learned from. */

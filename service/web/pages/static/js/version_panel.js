@@ -5,7 +5,7 @@ import { h, put, scrollable, setText } from './dom.js';
 import { dayTime, milliseconds, timeElement } from './format.js';
 import { icon } from './icons.js';
 import {
-  combinationList, parameterTable, plainText, scoreTable, statusChip, trainingText, windowList,
+  combinationList, parameterTable, plainText, scoreTable, sisterList, statusChip, trainingText, windowList,
 } from './models.js';
 
 /**
@@ -143,7 +143,8 @@ export class VersionPanel {
       scrollable('wide', 'Scores', scoreTable(models)),
       models.map((model) => h('p', { class: 's mut' }, `v${model.version}, ${trainingText(model)}`)),
       more('Identifiability', wholes.map(combinationList), 0),
-      more('Windows used', models.map(windowList), 1));
+      more('Windows used', models.map(windowList), 1),
+      models.some((model) => model.sisters) ? more('Sisters', models.map(sisterList), 2) : '');
   }
 
   showActions() {

@@ -1,0 +1,116 @@
+"""What the machines of a family know: each keeps its own, and the others ask for it."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from service.jobs.models import machine_of, thermal_model
+from service.jobs.relatives import NO_RELATIVES, Relatives
+from service.site.asset_section import AssetSection
+from service.site.machines.machine import Machine, why_no_sister
+from service.site.machines.packed_rows import pack_rows, unpack_rows
+from service.store import Store
+from service.store.sister_records import SisterRecord
+from twin_core.identification.data import IdentificationData
+from twin_core.identification.family import BEYOND
+from twin_core.identification.posterior import Posterior
+from twin_core.sisters import sister_of
+from twin_core.sisters.population import FEWEST_SISTERS
+
+#: Of a larger family, those that have seen the heaviest loads. Nineteen calibrate a band of 95 %.
+MOST_SISTERS: Final = 30
+
+
+def relatives_of(store: Store, asset: AssetSection) -> Relatives:
+    """Read what the other machines of an asset's family know; none without a family.
+
+    Raises
+    ------
+    StoreUnavailableError
+        If the store does not answer.
+    """
+    if not asset.family:
+        return NO_RELATIVES
+    machine, model = machine_of(asset), thermal_model(asset)
+    sisters, left_out = [], {}
+    for record in store.sisters.of_family(asset.family, asset.id, MOST_SISTERS):
+        try:
+            other = Machine.from_dict(record.machine)  # type: ignore[arg-type]
+            why = why_no_sister(machine, asset.family, other, record.family)
+            if why:
+                left_out[record.asset] = why
+                continue
+            own = Posterior.from_dict(record.document["posterior"])
+            own.check(model)
+            sisters.append(sister_of(record.asset, own, unpack_rows(record.document["rows"])))
+        except (KeyError, TypeError, ValueError) as error:
+            left_out[record.asset] = f"not readable ({error})"
+    return Relatives(sisters, left_out)
+
+
+def news_of(store: Store, asset: AssetSection, active: Posterior) -> frozenset[str]:
+    """Name the sisters that have been where an asset has not, if they are many more than before.
+
+    Empty where they are not worth another identification: fewer than two, or less than half as
+    many again as those that the newest version has asked.
+
+    Parameters
+    ----------
+    store, asset
+        Where the records are; whose family.
+    active
+        Of the asset's active version.
+
+    Raises
+    ------
+    StoreUnavailableError
+        If the store does not answer.
+    """
+    if not asset.family or not active.identified:
+        return frozenset()
+    trained, machine = active.trained, dict(machine_of(asset).to_dict())
+    farther = frozenset(
+        record.asset
+        for record in store.sisters.summaries_of_family(asset.family, asset.id, MOST_SISTERS)
+        if record.machine == machine
+        and (
+            record.load_n_max > BEYOND * trained.load_n_max
+            or record.speed_rpm_max > BEYOND * trained.speed_rpm_max
+        )
+    )
+    newest = store.models.parts(asset.id, [("sisters",)], 1)
+    asked = frozenset(
+        name
+        for version in newest
+        for key in ("names", "set_aside")
+        for name in version.document.get("sisters", {}).get(key, ())
+    )
+    new = farther - asked
+    enough = len(farther) >= FEWEST_SISTERS and 2 * len(new) >= len(farther & asked)
+    return farther if new and enough else frozenset()
+
+
+def record_of(
+    asset: AssetSection, own: Posterior, data: IdentificationData, until_us: int
+) -> SisterRecord:
+    """Make the record of what a machine teaches its sisters.
+
+    Parameters
+    ----------
+    asset, until_us
+        Whose machine, and the end of its data.
+    own, data
+        What all that it has run says of it with the literature's prior, and these rows.
+    """
+    bare = replace(own, samples=np.empty((0, own.z.size)), sisters=None)
+    return SisterRecord(
+        asset=asset.id,
+        family=asset.family,
+        machine=dict(machine_of(asset).to_dict()),
+        until_us=until_us,
+        minutes=sum(int(window.minutes.good.sum()) for window in data.windows),
+        load_n_max=own.trained.load_n_max,
+        speed_rpm_max=own.trained.speed_rpm_max,
+        document={"posterior": bare.to_dict(), "rows": pack_rows(data)},
+    )

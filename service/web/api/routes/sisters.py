@@ -1,0 +1,43 @@
+"""What the other machines of an asset's family can teach it."""
+
+from fastapi import APIRouter
+from starlette.responses import Response
+
+from service.clock import rfc3339
+from service.documents.models import SisterLine, SisterList
+from service.domain.roles import ENGINEER
+from service.jobs.sisters import MOST_SISTERS
+from service.site.machines.machine import Machine
+from service.web.api.access import secured
+from service.web.api.deps import Asset, Context, json_response
+
+router = APIRouter(prefix="/assets/{asset_id}", tags=["models"])
+
+
+@router.get(
+    "/sisters",
+    response_model=SisterList,
+    summary="Sisters: what the family can teach",
+    **secured(ENGINEER, 404),
+)
+def get_sisters(context: Context, asset: Asset) -> Response:
+    """Other machines of the family that a model may learn from, and where they have been.
+
+    What a version has learned from them, and whom it left out, stands in its `sisters`.
+    """
+    family = asset.summary().family
+    records = []
+    if family:
+        records = context.store.sisters.summaries_of_family(family, asset.id, MOST_SISTERS)
+    items = [
+        SisterLine(
+            asset=record.asset,
+            machine=Machine.from_dict(record.machine).name,  # type: ignore[arg-type]
+            load_n_max=record.load_n_max,
+            speed_rpm_max=record.speed_rpm_max,
+            minutes=record.minutes,
+            until=rfc3339(record.until_us),
+        )
+        for record in records
+    ]
+    return json_response(SisterList(family=family, items=items))
