@@ -11,6 +11,7 @@ from service.domain.requests import IdentificationRequest
 from service.jobs.history import AssetHistory
 from service.jobs.manager import IdentificationJobs
 from service.jobs.runner import AUTOMATIC
+from service.jobs.sisters import News
 from twin_core.windows import Window
 
 LOOK_EVERY_S = 300.0
@@ -30,7 +31,7 @@ async def identify_by_itself(
     someone cancelled it.
     """
     tried: dict[str, list[Window]] = {}
-    learned: dict[str, frozenset[str]] = {}
+    learned: dict[str, News] = {}
     while True:
         await asyncio.sleep(max(LOOK_EVERY_S / clock.rate, LOOK_LEAST_WALL_S))
         for asset_id, history in list(histories.items()):
@@ -38,9 +39,9 @@ async def identify_by_itself(
                 continue
             try:
                 found = await history.windows()
-                news = await jobs.news_of_sisters(asset_id) if found else frozenset()
-                if news == learned.get(asset_id, frozenset()):
-                    news = frozenset()
+                news = await jobs.news_of_sisters(asset_id) if found else None
+                if news == learned.get(asset_id):
+                    news = None
                 if not news and not await history.are_worth_identifying(
                     found, tried.get(asset_id, [])
                 ):

@@ -20,7 +20,7 @@ from service.domain.errors import JobConflictError, KeyUsedBeforeError, RequestR
 from service.domain.requests import IdentificationRequest
 from service.jobs.documents import shown
 from service.jobs.runner import AUTOMATIC, STOP_WALL_S, JobRunner, audit_line
-from service.jobs.sisters import news_of
+from service.jobs.sisters import News, news_of
 from service.jobs.workspace import JobFolder, clear_folders
 from service.store import ActiveJobError, AuditEntry, Job, NotOwnerError, StoreUnavailableError
 
@@ -162,7 +162,7 @@ class IdentificationJobs:
             self.runner.begin(job)
         return shown(job), created
 
-    async def news_of_sisters(self, asset_id: str) -> frozenset[str]:
+    async def news_of_sisters(self, asset_id: str) -> News:
         """Name the sisters that an asset should be identified again for; mostly none."""
         asset = self._assets[asset_id]
         return await anyio.to_thread.run_sync(

@@ -1,5 +1,6 @@
 """What the machines of a family know: each keeps its own, and the others ask for it."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -20,6 +21,10 @@ from twin_core.sisters.population import FEWEST_SISTERS
 
 #: Of a larger family, those that have seen the heaviest loads. Nineteen calibrate a band of 95 %.
 MOST_SISTERS: Final = 30
+
+
+#: Sisters by name, with the heaviest load and the highest speed that each has seen.
+News = frozenset[tuple[str, float, float]]
 
 
 def relatives_of(store: Store, asset: AssetSection) -> Relatives:
@@ -49,11 +54,11 @@ def relatives_of(store: Store, asset: AssetSection) -> Relatives:
     return Relatives(sisters, left_out)
 
 
-def news_of(store: Store, asset: AssetSection, active: Posterior) -> frozenset[str]:
-    """Name the sisters that have been where an asset has not, if they are many more than before.
+def news_of(store: Store, asset: AssetSection, active: Posterior) -> News:
+    """Name the sisters that have been where an asset has not, if many of them are news to it.
 
     Empty where they are not worth another identification: fewer than two, or less than half as
-    many again as those that the newest version has asked.
+    many new ones as the newest version has asked. New is, too, who has been farther since.
 
     Parameters
     ----------
@@ -70,25 +75,32 @@ def news_of(store: Store, asset: AssetSection, active: Posterior) -> frozenset[s
     if not asset.family or not active.identified:
         return frozenset()
     trained, machine = active.trained, dict(machine_of(asset).to_dict())
-    farther = frozenset(
-        record.asset
+    farther = [
+        record
         for record in store.sisters.summaries_of_family(asset.family, asset.id, MOST_SISTERS)
         if record.machine == machine
         and (
             record.load_n_max > BEYOND * trained.load_n_max
             or record.speed_rpm_max > BEYOND * trained.speed_rpm_max
         )
-    )
-    newest = store.models.parts(asset.id, [("sisters",)], 1)
-    asked = frozenset(
-        name
-        for version in newest
-        for key in ("names", "set_aside")
-        for name in version.document.get("sisters", {}).get(key, ())
-    )
-    new = farther - asked
-    enough = len(farther) >= FEWEST_SISTERS and 2 * len(new) >= len(farther & asked)
-    return farther if new and enough else frozenset()
+    ]
+    asked: dict[str, tuple[float, float]] = {}
+    for version in store.models.parts(asset.id, [("sisters",)], 1):
+        told = version.document.get("sisters", {})
+        asked = dict.fromkeys(told.get("set_aside", ()), (np.inf, np.inf))
+        reach = zip(told.get("loads_n", ()), told.get("speeds_rpm", ()), strict=True)
+        asked |= dict(zip(told.get("names", ()), reach, strict=True))
+    new = [record for record in farther if _has_gone_on(record, asked)]
+    enough = len(farther) >= FEWEST_SISTERS and 2 * len(new) >= len(farther) - len(new)
+    if not (new and enough):
+        return frozenset()
+    return frozenset((one.asset, one.load_n_max, one.speed_rpm_max) for one in farther)
+
+
+def _has_gone_on(record: SisterRecord, asked: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether a sister was not asked yet, or has been farther since."""
+    load_n, speed_rpm = asked.get(record.asset, (0.0, 0.0))
+    return record.load_n_max > BEYOND * load_n or record.speed_rpm_max > BEYOND * speed_rpm
 
 
 def record_of(

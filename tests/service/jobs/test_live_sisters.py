@@ -147,11 +147,15 @@ async def test_a_machine_learns_of_the_heavy_load_from_sisters_that_have_seen_it
     for record in records:
         axles.store.sisters.put(record)
     # The service sees by itself that this is worth another identification, and no third one.
-    assert await jobs.news_of_sisters(TARGET) == frozenset(SISTERS)
+    assert {name for name, *_ in await jobs.news_of_sisters(TARGET)} == set(SISTERS)
     looking = asyncio.ensure_future(identify_by_itself(jobs, axles.histories, axles.clock))
     await until(lambda: axles.assets[TARGET].active.version > (alone.model_version or 0), 120)
     looking.cancel()
     assert await jobs.news_of_sisters(TARGET) == frozenset()
+    # Sisters that have been farther since are news again, if they are many.
+    for number, record in enumerate(records[:2], start=1):
+        axles.store.sisters.put(replace(record, load_n_max=7000.0))
+        assert bool(await jobs.news_of_sisters(TARGET)) is (number == 2)
     version = axles.store.models.active(TARGET)
     assert version is not None
     told = SistersDocument.read(version.document["sisters"])
