@@ -8,8 +8,10 @@ from pathlib import Path
 
 from adapters.virtual_bench.announcements import BenchAnnouncement
 from adapters.virtual_bench.can_sender import BenchCanSender
+from adapters.virtual_bench.families import random_bench
 from adapters.virtual_bench.live import TRUTH_COLUMNS, LiveBench
 from adapters.virtual_bench.modbus_server import BenchModbusServer
+from adapters.virtual_bench.parameters import BenchParameters
 from adapters.virtual_bench.scenarios import Scenario, find_scenario
 from adapters.virtual_bench.truth_file import TruthFile
 
@@ -22,6 +24,7 @@ async def run(
     *,
     rate: float = 1.0,
     seed: int = 0,
+    specimen: int | None = None,
     host: str = "127.0.0.1",
     modbus_port: int = 5020,
     can_port: int = 5021,
@@ -42,6 +45,8 @@ async def run(
         Process seconds per wall second.
     seed : int
         Same seed, same run: noise and ambient depend on process time only.
+    specimen : int, optional
+        Seed of another specimen; see `adapters.virtual_bench.families.random_bench`.
     host : str
         Address to listen on.
     modbus_port, can_port : int
@@ -64,13 +69,17 @@ async def run(
         raise ValueError(f"rate {rate!r}: expected a positive number")
     if seed < 0:
         raise ValueError(f"seed {seed!r}: expected a whole number not below 0")
+    if specimen is not None and specimen < 0:
+        raise ValueError(f"specimen {specimen!r}: expected a whole number not below 0")
     plan = find_scenario(scenario) if isinstance(scenario, str) else scenario
+    parameters = None if specimen is None else random_bench(specimen, plan.bearing)
     truth_file = None if truth is None else TruthFile(truth, TRUTH_COLUMNS)
     try:
         # the compiler's first run must not eat process time
-        await asyncio.to_thread(LiveBench(plan, seed).advance, 1.0)
+        await asyncio.to_thread(LiveBench(plan, seed, parameters).advance, 1.0)
         await _serve(
             plan,
+            parameters,
             rate,
             seed,
             host,
@@ -88,6 +97,7 @@ async def run(
 
 async def _serve(
     plan: Scenario,
+    parameters: BenchParameters | None,
     rate: float,
     seed: int,
     host: str,
@@ -98,7 +108,7 @@ async def _serve(
     announce: Callable[[BenchAnnouncement], None],
     stop: asyncio.Event,
 ) -> None:
-    bench = LiveBench(plan, seed)
+    bench = LiveBench(plan, seed, parameters)
     origin: float | None = None
     wall_start_us = 0
 

@@ -34,6 +34,12 @@ def virtual_bench(
     ] = "staircase",
     rate: Annotated[float, typer.Option(help="Process seconds per wall second.")] = 1.0,
     seed: Annotated[int, typer.Option(help="Seed of noise and drift; runs can be repeated.")] = 0,
+    specimen: Annotated[
+        int | None,
+        typer.Option(
+            help="Seed of another specimen of the bench: bearing, housing and friction drawn anew."
+        ),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     modbus_port: Annotated[int, typer.Option(help="Modbus TCP port; 0 takes a free one.")] = 5020,
     can_port: Annotated[int, typer.Option(help="slcan port; 0 takes a free one.")] = 5021,
@@ -73,6 +79,7 @@ def virtual_bench(
             chosen,
             rate=rate,
             seed=seed,
+            specimen=specimen,
             host=host,
             modbus_port=modbus_port,
             can_port=can_port,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.errors import BadInputError
 from service.signals import stop_on_signals
 
 if TYPE_CHECKING:
@@ -45,6 +46,13 @@ def demo(
             help="Let the bench wait before a high-risk stage until the identification has ended.",
         ),
     ] = True,
+    sisters: Annotated[
+        bool,
+        typer.Option(
+            "--sisters",
+            help="Run three bearings; the last learns from the others before its high-risk stages.",
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the virtual bench.")] = 0,
 ) -> None:
     """Watch the twin do its job: a virtual bench, real Modbus and CAN, the whole service.
@@ -59,6 +67,8 @@ def demo(
     from service.lab.demo.processes import DemoError
     from service.web.listening import bind
 
+    if sisters and not wait:
+        raise BadInputError("--sisters --no-wait: expected --wait, the last bench waits for them")
     # Now, not after the minute that the preparation may take.
     with contextlib.closing(bind("127.0.0.1", port)):
         pass
@@ -70,6 +80,7 @@ def demo(
                 port,
                 stay or (not headless and sys.stdin.isatty()),
                 wait,
+                sisters,
                 duration_s,
                 seed,
                 console,
@@ -90,6 +101,7 @@ async def _demo(
     port: int,
     stay: bool,
     wait: bool,
+    sisters: bool,
     duration_s: float | None,
     seed: int,
     console: "Console",
@@ -118,6 +130,7 @@ async def _demo(
         watch=Watch(stop, duration_s),
         wait=wait,
         stay=stay,
+        sisters=sisters,
         tell=tell,
         at_the_end=at_the_end,
     )

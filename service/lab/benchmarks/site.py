@@ -129,7 +129,7 @@ async def site() -> AsyncIterator[Site]:
         bench_log, log = folder / "bench.log", folder / "service.log"
         ports = ("--modbus-port", "0", "--can-port", "0", "--json")
         async with running("bench", ("virtual-bench", *ports), bench_log) as bench:
-            file = write_configuration(folder, json.loads(bench.first_line), 1.0, 0)
+            file = write_configuration(folder, [json.loads(bench.first_line)], 1.0, 0)
             key, window = await asyncio.to_thread(_prepare, file)
             async with running("service", ("serve", "-c", str(file)), log) as service:
                 port = int(service.first_line.rstrip("/").rpartition(":")[2])

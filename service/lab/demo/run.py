@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +13,7 @@ import httpx2
 from pymodbus.client import AsyncModbusTcpClient
 
 from adapters.virtual_bench import BenchAnnouncement, find_scenario
-from service.lab.demo.configuration import write_configuration
+from service.lab.demo.configuration import asset_of, write_configuration
 from service.lab.demo.processes import DemoError, Process, running
 from service.lab.demo.score import Account
 from service.lab.demo.story import Story
@@ -24,6 +24,8 @@ from service.store import Store
 SCENARIO = "demo"
 START_COIL = 0
 HOLD_COIL = 1
+#: How many specimens run first; one machine is no family.
+SISTERS = 2
 
 Result = TypeVar("Result")
 
@@ -96,6 +98,7 @@ async def run(
     watch: Watch,
     wait: bool,
     stay: bool,
+    sisters: bool,
     tell: Callable[[str], None],
     at_the_end: Callable[[Account], None],
 ) -> Account:
@@ -115,6 +118,8 @@ async def run(
         Whether the bench waits before a high-risk stage until the identification has ended.
     stay : bool
         Whether service and page stay up after the last stage until the demo is to stop.
+    sisters : bool
+        Run three specimens; the last one learns from the others before its high-risk stages.
     tell : callable
         Takes one line for the person who watches.
     at_the_end : callable
@@ -125,44 +130,70 @@ async def run(
     DemoError
         If a part of it did not start or ended early.
     """
-    story: Story | None = None
+    stories: list[Story] = []
+    scenario = find_scenario(SCENARIO)
     async with contextlib.AsyncExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bearing-twin-demo-")))
         try:
             await watch.until_done(_prepare(folder, tell))
-            bench_process, bench = await watch.until_done(
-                _start_bench(stack, folder, rate, seed, watch)
-            )
+            specimens = [seed + 1 + k for k in range(1 + SISTERS)] if sisters else [None]
+            started = [
+                await watch.until_done(_start_bench(stack, folder, rate, seed, specimen, watch))
+                for specimen in specimens
+            ]
+            benches = [bench for _, bench in started]
             address, key = await watch.until_done(
-                _start_service(stack, folder, bench, rate, port, watch)
+                _start_service(stack, folder, benches, rate, port, watch)
             )
             tell(f"Open {address}#key={key}")
             client = await stack.enter_async_context(
                 httpx2.AsyncClient(base_url=address, headers={"X-API-Key": key}, timeout=30)
             )
-            hold = partial(set_coil, bench, HOLD_COIL) if wait else None
-            story = Story(client, find_scenario(SCENARIO), tell, hold)
-            await watch.until_done(story.ready())
+            for number, bench in enumerate(benches, start=1):
+                asset, is_last = asset_of(number), number == len(benches)
+                stories.append(
+                    Story(
+                        client,
+                        scenario,
+                        partial(_tell_of, asset, tell) if sisters else tell,
+                        partial(set_coil, bench, HOLD_COIL) if wait else None,
+                        asset,
+                        SISTERS if sisters and is_last else 0,
+                    )
+                )
+            await watch.until_done(asyncio.gather(*(story.ready() for story in stories)))
             tell("The twin follows the machine at standstill; the bench starts its profile.")
-            await watch.until_done(set_coil(bench, START_COIL, True))
+            for bench in benches:
+                await watch.until_done(set_coil(bench, START_COIL, True))
             try:
-                await watch.until_done(story.follow())
+                await watch.until_done(asyncio.gather(*(story.follow() for story in stories)))
             except DemoError as error:
-                if not (stay and bench_process.ended):
+                over = [process for process, _ in started if process.ended]
+                if not (stay and over):
                     raise
-                watch.remove(bench_process)
+                for process in over:
+                    watch.remove(process)
                 tell(f"{error}. The service goes on without its data.")
         except _Interrupted:
             pass
-        if story is None:
+        if not stories:
             return NOTHING_YET
-        document = await story.account()
+        document = await stories[-1].account()
+        if sisters:
+            document["sisters"] = {
+                asset_of(number): (await story.account())["stages"]
+                for number, story in enumerate(stories[:-1], start=1)
+            }
         at_the_end(document)
         if stay:
             tell("The page stays up; Ctrl-C ends the demo.")
             with contextlib.suppress(_Interrupted):
                 await watch.until_done(asyncio.Event().wait())
         return document
+
+
+def _tell_of(asset: str, tell: Callable[[str], None], line: str) -> None:
+    tell(f"{asset}: {line}")
 
 
 NOTHING_YET: Account = {
@@ -182,14 +213,22 @@ async def _prepare(folder: Path, tell: Callable[[str], None]) -> None:
 
 
 async def _start_bench(
-    stack: contextlib.AsyncExitStack, folder: Path, rate: float, seed: int, watch: Watch
+    stack: contextlib.AsyncExitStack,
+    folder: Path,
+    rate: float,
+    seed: int,
+    specimen: int | None,
+    watch: Watch,
 ) -> tuple[Process, BenchAnnouncement]:
     """Start the virtual bench; its process and where it listens."""
-    arguments = (
+    arguments: tuple[str, ...] = (
         "virtual-bench", "--scenario", SCENARIO, "--rate", f"{rate:g}", "--seed", str(seed),
-        "--modbus-port", "0", "--can-port", "0", "--truth", str(folder / "truth.csv"),
+        "--modbus-port", "0", "--can-port", "0",
+        "--truth", str(folder / f"truth-{specimen or 0}.csv"),
         "--wait-for-start", "--json",
     )  # fmt: skip
+    if specimen is not None:
+        arguments += ("--specimen", str(specimen))
     process = await stack.enter_async_context(
         running("virtual bench", arguments, folder / "bench.log")
     )
@@ -200,13 +239,13 @@ async def _start_bench(
 async def _start_service(
     stack: contextlib.AsyncExitStack,
     folder: Path,
-    bench: BenchAnnouncement,
+    benches: Sequence[BenchAnnouncement],
     rate: float,
     port: int,
     watch: Watch,
 ) -> tuple[str, str]:
     """Start the service; its address and an API key."""
-    configuration = write_configuration(folder, bench, rate, port)
+    configuration = write_configuration(folder, benches, rate, port)
     settings = load_settings(configuration)
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         key = create_key(store, "admin").text

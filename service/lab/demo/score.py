@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,10 @@ class KeptForecast:
                 if sensor in SENSORS
             },
         )
+
+    def moved_to(self, begin_us: int) -> "KeptForecast":
+        """Give the same forecast as if it had been made at another time."""
+        return replace(self, time_us=self.time_us + (begin_us - self.made_at_us))
 
     def at(self, sensor: str, time_us: NDArray[np.float64]) -> NDArray[np.float64]:
         """Quantiles at given times, shape (3, m)."""
@@ -133,6 +137,7 @@ class StageAccount(TypedDict):
     forecast_model_version: int | None
     sensors: dict[str, SensorAccount]
     warning: WarningAccount
+    without_sisters: NotRequired[dict[str, SensorAccount]]
 
 
 class WindowAccount(TypedDict):
@@ -178,6 +183,7 @@ class Account(TypedDict):
     samples: SampleAccount
     complete: bool
     forecasts_kept: dict[str, KeptAccount]
+    sisters: NotRequired[dict[str, list[StageAccount]]]
 
 
 def stage_account(
@@ -185,9 +191,13 @@ def stage_account(
     forecast: KeptForecast | None,
     measured: Mapping[str, Measured],
     warning: WarningAccount,
+    alone: KeptForecast | None = None,
 ) -> StageAccount:
-    """One stage in the shape of the demo's JSON; without a forecast its figures are null."""
-    return {
+    """One stage in the shape of the demo's JSON; without a forecast its figures are null.
+
+    With ``alone``, a forecast without sisters, its figures stand beside them.
+    """
+    account: StageAccount = {
         "name": stage.name,
         "risk": stage.risk,
         "start": rfc3339(stage.start_us),
@@ -201,6 +211,11 @@ def stage_account(
         },
         "warning": warning,
     }
+    if alone is not None:
+        account["without_sisters"] = {
+            sensor: _sensor_account(sensor, alone, measured.get(sensor)) for sensor in SENSORS
+        }
+    return account
 
 
 def kept_account(performance: ForecastPerformance) -> dict[str, KeptAccount]:

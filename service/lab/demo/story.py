@@ -19,7 +19,7 @@ from service.documents.forecasts import LiveForecast
 from service.documents.identification import JobList
 from service.documents.limits import Limits
 from service.documents.measurements import BucketItem, Measurements, SampleItem
-from service.documents.models import ModelList
+from service.documents.models import ModelDocument, ModelList
 from service.documents.tags import Snapshot, Tag
 from service.domain.channels import AMBIENT, CONTROLLER_CHANNELS, LOAD, RING_SENSORS, SPEED
 from service.lab.demo.configuration import ASSET
@@ -45,7 +45,8 @@ HOLD_WALL_S = 600.0
 MODBUS_CHANNELS = (*RING_SENSORS, AMBIENT, *CONTROLLER_CHANNELS)
 CAN_CHANNELS = (SPEED, LOAD)
 MINUTE_US = 60_000_000
-_ASSET_PATH = f"/api/v1/assets/{ASSET}"
+# A load cell that reads a little less has seen the load, too.
+_SEEN = 0.95
 
 Answer = TypeVar("Answer")
 
@@ -63,6 +64,11 @@ class Story:
         Takes one line for the person who watches.
     hold : callable, optional
         Sets whether the bench waits before a high-risk stage; without it the bench never waits.
+    asset : str
+        Name of the bench in the service.
+    sisters : int
+        From how many sisters that have run all stages the bench is to have learned before its
+        first high-risk stage begins.
     """
 
     def __init__(
@@ -71,7 +77,11 @@ class Story:
         scenario: Scenario,
         tell: Callable[[str], None],
         hold: Callable[[bool], Awaitable[None]] | None = None,
+        asset: str = ASSET,
+        sisters: int = 0,
     ) -> None:
+        self._asset, self._path = asset, f"/api/v1/assets/{asset}"
+        self._sisters = sisters
         self._client = client
         self._scenario = scenario
         self._tell = tell
@@ -79,6 +89,8 @@ class Story:
         self._held: bool | None = None
         self._waits_since_wall_s: float | None = None
         self._forecasts: list[KeptForecast] = []
+        # The last one that the bench made without its sisters, while it waited for them.
+        self._alone: KeptForecast | None = None
         self._stages: list[Stage] = []
         self._told_models: set[int] = set()
         self._told_jobs: set[str] = set()
@@ -95,7 +107,7 @@ class Story:
         """
         deadline = time.monotonic() + READY_WALL_S
         while time.monotonic() < deadline:
-            asset = await self._get(_ASSET_PATH, AssetDocument)
+            asset = await self._get(self._path, AssetDocument)
             if asset.health.twin_running:
                 return
             await asyncio.sleep(0.1)
@@ -112,7 +124,7 @@ class Story:
             await asyncio.sleep(LOOK_EVERY_WALL_S)
 
     async def _look(self) -> int | None:
-        tags = (await self._get(f"{_ASSET_PATH}/snapshot", Snapshot))["tags"]
+        tags = (await self._get(f"{self._path}/snapshot", Snapshot))["tags"]
         await self._keep_forecast()
         await self._tell_models_and_jobs()
         await self._tell_alarms()
@@ -142,12 +154,28 @@ class Story:
 
     async def _identification_is_due(self) -> bool:
         """Whether a job runs, none has ended yet, or the forecast is of an older version."""
-        jobs = (await self._get(f"{_ASSET_PATH}/identifications", JobList)).items
+        jobs = (await self._get(f"{self._path}/identifications", JobList)).items
         if not jobs or any(job.status in ("queued", "running") for job in jobs):
             return True
-        models = (await self._get(f"{_ASSET_PATH}/models", ModelList)).items
-        active = [model.version for model in models if model.status == "active"]
-        return not self._forecasts or self._forecasts[-1].model_version not in active
+        models = (await self._get(f"{self._path}/models", ModelList)).items
+        active = [model for model in models if model.status == "active"]
+        if not self._forecasts or not any(
+            self._forecasts[-1].model_version == model.version for model in active
+        ):
+            return True
+        return self._sisters > 0 and not any(self._has_learned(model) for model in active)
+
+    def _has_learned(self, model: ModelDocument) -> bool:
+        """Whether the sisters of a version have seen the heaviest stage; keeps the last without."""
+        told = model.sisters
+        heaviest_n = max(step.load_n for step in self._scenario.steps)
+        if told is None or not told.accepted:
+            self._alone = self._forecasts[-1]
+        return (
+            told is not None
+            and len(told.names) >= self._sisters
+            and min(told.loads_n) > _SEEN * heaviest_n
+        )
 
     def _waits(self, tags: Mapping[str, Tag]) -> bool:
         """Whether a high-risk stage is next and its time has come."""
@@ -199,7 +227,7 @@ class Story:
                 return from_rfc3339(seen_at)
 
     async def _keep_forecast(self) -> None:
-        answer = await self._client.get(f"{_ASSET_PATH}/forecast")
+        answer = await self._client.get(f"{self._path}/forecast")
         if answer.status_code != httpx2.codes.OK:
             return
         forecast = KeptForecast.of(LiveForecast.model_validate_json(answer.content))
@@ -207,19 +235,29 @@ class Story:
             self._forecasts.append(forecast)
 
     async def _tell_models_and_jobs(self) -> None:
-        for job in (await self._get(f"{_ASSET_PATH}/identifications", JobList)).items:
+        for job in (await self._get(f"{self._path}/identifications", JobList)).items:
             if job.id not in self._told_jobs:
                 self._told_jobs.add(job.id)
                 self._tell("Re-identification started by itself from low-risk windows.")
-        for model in (await self._get(f"{_ASSET_PATH}/models", ModelList)).items:
+        for model in (await self._get(f"{self._path}/models", ModelList)).items:
             if model.version in self._told_models or model.status == "candidate":
                 continue
             self._told_models.add(model.version)
             if model.windows:
-                self._tell(f"Model version {model.version}: {model.status}, {model.reason}")
+                learned = model.sisters
+                sisters = (
+                    f"; learned from {', '.join(learned.names)}"
+                    if (learned is not None and learned.accepted)
+                    else ""
+                )
+                self._tell(
+                    f"Model version {model.version}: {model.status}, {model.reason}{sisters}"
+                )
 
     async def _tell_alarms(self) -> None:
         for alarm in (await self._get("/api/v1/alarms", AlarmList)).items:
+            if alarm.asset != self._asset:
+                continue
             if alarm.id in self._told_alarms or alarm.state in SET_ASIDE_STATES:
                 continue
             self._told_alarms.add(alarm.id)
@@ -234,8 +272,12 @@ class Story:
         """The demo's JSON document."""
         stages = [stage for stage in self._stages if stage.risk == "high"]
         journal = await self._get("/api/v1/alarms/journal", AlarmJournalList, limit="1000")
-        limits = (await self._get(_ASSET_PATH, AssetDocument)).limits
+        limits = (await self._get(self._path, AssetDocument)).limits
+        lines = [line for line in journal.items if line.asset == self._asset]
         before = [made_before(self._forecasts, stage) for stage in stages]
+        alone = self._alone
+        if alone is not None and stages:  # it took the stages to begin at once
+            alone = alone.moved_to(stages[0].start_us)
         return {
             "model_versions": await self._model_versions(),
             "stages": [
@@ -243,7 +285,8 @@ class Story:
                     stage,
                     forecast,
                     await self._measured(stage),
-                    _warning(stage, forecast, journal.items, limits),
+                    _warning(stage, forecast, lines, limits),
+                    alone,
                 )
                 for stage, forecast in zip(stages, before, strict=True)
             ],
@@ -253,12 +296,12 @@ class Story:
             },
             "complete": self.complete,
             "forecasts_kept": kept_account(
-                await self._get(f"{_ASSET_PATH}/forecast-performance", ForecastPerformance)
+                await self._get(f"{self._path}/forecast-performance", ForecastPerformance)
             ),
         }
 
     async def _model_versions(self) -> list[VersionAccount]:
-        models = (await self._get(f"{_ASSET_PATH}/models", ModelList)).items
+        models = (await self._get(f"{self._path}/models", ModelList)).items
         return [
             {
                 "version": model.version,
@@ -322,7 +365,7 @@ class Story:
         self, channel: str, resolution: str, start_us: int, end_us: int, cursor: str | None
     ) -> Measurements:
         return await self._get(
-            f"{_ASSET_PATH}/measurements",
+            f"{self._path}/measurements",
             Measurements,
             channel=channel,
             start=rfc3339(start_us),

@@ -5,7 +5,7 @@ from datetime import datetime
 from rich.console import Console
 from rich.table import Table
 
-from service.lab.demo.score import Account, KeptAccount
+from service.lab.demo.score import Account, KeptAccount, SensorAccount
 
 
 def print_account(document: Account, console: Console) -> None:
@@ -26,6 +26,8 @@ def print_account(document: Account, console: Console) -> None:
                 ]
             table.add_row(stage["name"], sensor.split("_")[1], *cells)
     console.print(table)
+    if "sisters" in document:
+        console.print(_with_and_without(document))
     for stage in document["stages"]:
         if stage["forecast_made_at"]:
             console.print(
@@ -44,6 +46,26 @@ def print_account(document: Account, console: Console) -> None:
         console.print(_record(risk, kept))
     samples = document["samples"]
     console.print(f"Good samples stored: {samples['modbus']} by Modbus, {samples['can']} by CAN.")
+
+
+def _with_and_without(document: Account) -> Table:
+    """What the last bench forecast without its sisters, and what with them."""
+    asset = f"bench-{len(document.get('sisters', {})) + 1}"
+    table = Table(title=f"What {asset} gained by its sisters: error at the end of a stage, K")
+    for heading in ("stage", "ring", "without sisters", "with sisters"):
+        table.add_column(heading, justify="left" if heading in ("stage", "ring") else "right")
+    for stage in document["stages"]:
+        for sensor, row in stage["sensors"].items():
+            alone = stage.get("without_sisters", {}).get(sensor)
+            cells = ["–" if one is None else _error_and_band(one) for one in (alone, row)]
+            table.add_row(stage["name"], sensor.split("_")[1], *cells)
+    return table
+
+
+def _error_and_band(row: SensorAccount) -> str:
+    if row["error_c"] is None or row["q025"] is None or row["q975"] is None:
+        return "no forecast"
+    return f"{row['error_c']:+.1f} (band ±{0.5 * (row['q975'] - row['q025']):.1f})"
 
 
 def _record(risk: str, kept: KeptAccount) -> str:
