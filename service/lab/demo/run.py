@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import tempfile
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -161,12 +161,12 @@ async def run(
                         SISTERS if sisters and is_last else 0,
                     )
                 )
-            await watch.until_done(asyncio.gather(*(story.ready() for story in stories)))
+            await watch.until_done(_together(story.ready() for story in stories))
             tell("The twin follows the machine at standstill; the bench starts its profile.")
             for bench in benches:
                 await watch.until_done(set_coil(bench, START_COIL, True))
             try:
-                await watch.until_done(asyncio.gather(*(story.follow() for story in stories)))
+                await watch.until_done(_together(story.follow() for story in stories))
             except DemoError as error:
                 over = [process for process, _ in started if process.ended]
                 if not (stay and over):
@@ -190,6 +190,11 @@ async def run(
             with contextlib.suppress(_Interrupted):
                 await watch.until_done(asyncio.Event().wait())
         return document
+
+
+async def _together(work: Iterable[Awaitable[None]]) -> None:
+    """Do some work at the same time, as one task that can be cancelled."""
+    await asyncio.gather(*work)
 
 
 def _tell_of(asset: str, tell: Callable[[str], None], line: str) -> None:
