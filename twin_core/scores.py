@@ -20,6 +20,9 @@ FloatArray = NDArray[np.float64]
 QUANTILE_LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 """At which forecasts give quantiles."""
 
+WHOLE_RUN_LEVEL = 0.90
+"""Share of runs that stay inside a forecast's band of the whole run with all of their readings."""
+
 
 def _errors(forecast_c: ArrayLike, measured_c: ArrayLike) -> FloatArray:
     forecast, measured = np.asarray(forecast_c, float), np.asarray(measured_c, float)

@@ -13,6 +13,7 @@ from rich.table import Table
 from service.cli.consoles import make_console
 from service.cli.errors import BadInputError
 from service.offline.interruption import exit_on_signals
+from twin_core.scores import WHOLE_RUN_LEVEL
 
 if TYPE_CHECKING:
     from service.offline.forecasting import ProfileForecast
@@ -50,6 +51,7 @@ def forecast(
     """Forecast all sensors and nodes with intervals; one row per row of the profile.
 
     Sensor quantiles are for what the sensor will read, node quantiles for the true temperature.
+    Columns NAME_whole_low and NAME_whole_high: all readings of a run lie between them with 90 %.
     """
     if (history is None) == (initial_temperature_c is None):
         raise BadInputError("expected either --history or --initial-temperature-c")
@@ -82,7 +84,7 @@ def forecast(
             sys.stderr.write(f"bearing-twin: {error}; {out} is not written\n")
             raise typer.Exit(1) from error
         result = forecast_profile(identified, present, rows)
-        write_forecast(out, result.time_s, result.names, result.quantiles)
+        write_forecast(out, result.time_s, result.names, result.quantiles, result.whole_run)
         seconds = time.monotonic() - began
     document = {
         "out": str(out),
@@ -90,6 +92,7 @@ def forecast(
         "model": identified.model.name,
         "bearing": identified.model.machine,
         "sensors": result.highest(),
+        "whole_run_level": WHOLE_RUN_LEVEL,
         "labels": list(result.labels),
         "runaway_probability": result.runaway_probability,
         "runaway_margin": _finite(result.runaway_margin),
@@ -124,9 +127,9 @@ def _margin_text(margin: "RunawayMargin") -> str:
 
 def _print(result: "ProfileForecast", out: Path) -> None:
     console = make_console()
-    table = Table("highest of", "median, °C", "97.5 %, °C")
+    table = Table("highest of", "median, °C", "97.5 %, °C", "whole run 90 %, °C")
     for name, row in result.highest().items():
-        table.add_row(name, f"{row['max_q50_c']:.1f}", f"{row['max_q975_c']:.1f}")
+        table.add_row(name, *(f"{value:.1f}" for value in row.values()))
     console.print(table)
     for label in result.labels:
         console.print(f"Note: {label}")

@@ -5,11 +5,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, SkipValidation
 
 from service.documents.base import Document, Number, Time
 from service.documents.limits import Crossings, Limits
 from service.documents.profiles import ForecastStep
+from twin_core.scores import WHOLE_RUN_LEVEL
 
 if TYPE_CHECKING:  # web and plant side show forecasts, and never compute one
     from twin_core.forecasting import Forecast
@@ -33,11 +35,31 @@ class Quantiles(Document):
     q975: Percentiles
 
 
+class WholeRunBand(Document):
+    """Edges of the band that a whole run stays inside."""
+
+    low: Percentiles
+    high: Percentiles
+
+
+class WholeRun(Document):
+    """Bands that a whole run stays inside, beside those of each moment (`nodes`)."""
+
+    level: float = Field(
+        gt=0,
+        lt=1,
+        description="Probability that all readings at `time_s`, from the first to the last, lie "
+        "inside the band of a sensor.",
+    )
+    sensors: dict[str, WholeRunBand] = Field(description="By sensor that was asked for.")
+
+
 class ForecastDocument(Document):
     """Temperatures over a profile, and when limits are exceeded."""
 
     time_s: list[float] = Field(description="Seconds from the present moment.")
     nodes: dict[str, Quantiles] = Field(description="By sensor and node.")
+    whole_run: WholeRun
     limits: dict[str, Limits]
     time_to_limit: Crossings = Field(description="By sensor and level.")
     labels: list[str] = Field(
@@ -96,18 +118,36 @@ def quantiles_document(
     wanted = forecast.names if names is None else names
     rows = [forecast.names.index(name) for name in wanted]
     # By name, quantile and time.
-    shown = forecast.quantiles[:, :, rows].transpose(2, 0, 1).astype(np.float64)
-    rounded = np.round(shown, QUANTILE_DECIMALS)
-    values = rounded.tolist()
-    if not np.isfinite(rounded).all():
-        values = [
-            [[one if math.isfinite(one) else None for one in series] for series in of_name]
-            for of_name in values
-        ]
+    values = _shown(forecast.quantiles[:, :, rows].transpose(2, 0, 1))
     return {
         name: Quantiles(**dict(zip(Quantiles.model_fields, of_name, strict=True)))
         for name, of_name in zip(wanted, values, strict=True)
     }
+
+
+def whole_run_document(forecast: "Forecast", names: Sequence[str] | None = None) -> WholeRun:
+    """Bands that a whole run stays inside, rounded to 0.01 K; parameters as above."""
+    wanted = [name for name in forecast.sensors if names is None or name in names]
+    edges = np.array([forecast.whole_run(name) for name in wanted])
+    return WholeRun(
+        level=WHOLE_RUN_LEVEL,
+        sensors={
+            name: WholeRunBand(low=low, high=high)
+            for name, (low, high) in zip(wanted, _shown(edges), strict=True)
+        },
+    )
+
+
+def _shown(values_c: NDArray[np.floating]) -> list[list[list[Number]]]:
+    """Temperatures (names, k, n) to 0.01 K; null where one is not finite."""
+    rounded = np.round(values_c.astype(np.float64), QUANTILE_DECIMALS)
+    values: list[list[list[Number]]] = rounded.tolist()
+    if np.isfinite(rounded).all():
+        return values
+    return [
+        [[None if one is None or not math.isfinite(one) else one for one in row] for row in rows]
+        for rows in values
+    ]
 
 
 def forecast_document(
@@ -132,6 +172,7 @@ def forecast_document(
     return ForecastDocument(
         time_s=np.round(forecast.time_s, 3).tolist(),
         nodes=quantiles_document(forecast, names),
+        whole_run=whole_run_document(forecast, names),
         limits=dict(limits),
         time_to_limit=crossings,
         labels=list(forecast.labels),

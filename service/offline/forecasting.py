@@ -52,6 +52,7 @@ class FollowError(Exception):
 class ProfileForecast:
     """Quantiles (5, n, names) at the profile's rows, and what must be said with them.
 
+    By sensor, `whole_run` has the edges (2, n) of the band that 90 % of runs stay inside wholly.
     The margin is that of the row with the most speed times load; None if the machine stands still.
     """
 
@@ -59,17 +60,19 @@ class ProfileForecast:
     names: tuple[str, ...]
     sensors: tuple[str, ...]
     quantiles: FloatArray
+    whole_run: dict[str, FloatArray]
     labels: tuple[str, ...]
     runaway_probability: float
     runaway_margin: RunawayMargin | None
     initial_state: dict[str, dict[str, float]]
 
     def highest(self) -> dict[str, dict[str, float]]:
-        """Return the highest median and 97.5 % quantile of every sensor over the rows."""
+        """Return the highest median and upper edges of every sensor over the rows."""
         return {
             name: {
                 "max_q50_c": float(np.max(self.quantiles[2, :, self.names.index(name)])),
                 "max_q975_c": float(np.max(self.quantiles[4, :, self.names.index(name)])),
+                "max_whole_run_c": float(np.max(self.whole_run[name][1])),
             }
             for name in self.sensors
         }
@@ -204,11 +207,18 @@ def forecast_profile(
     for level, table in enumerate(result.quantiles):
         for name, values in enumerate(table.T):
             quantiles[level, :, name] = np.interp(rows.time_s, profile.time_s, values)
+    whole_run = {
+        name: np.array(
+            [np.interp(rows.time_s, profile.time_s, edge) for edge in result.whole_run(name)]
+        )
+        for name in result.sensors
+    }
     return ProfileForecast(
         rows.time_s,
         result.names,
         result.sensors,
         quantiles,
+        whole_run,
         result.labels,
         result.runaway_probability,
         _margin(identified, state, profile),

@@ -53,6 +53,11 @@ class CalibrationRun(_Part):
     needed: dict[str, float] = Field(
         description="By sensor: the factor on its band that would have held 95 % of the readings."
     )
+    needed_whole: dict[str, float] = Field(
+        default_factory=dict,
+        description="By sensor: the factor on its band of the whole run that would have held all "
+        "of these readings. Empty in files of earlier versions.",
+    )
 
 
 class Sisters(_Part):

@@ -6,7 +6,7 @@ Every complaint names the file, the line, the column, the value and what was exp
 import csv
 import math
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -195,9 +195,22 @@ def read_profile(path: Path, network: NetworkSection | None = None) -> PlannedRo
 
 
 def write_forecast(
-    path: Path, time_s: FloatArray, names: Sequence[str], quantiles: FloatArray
+    path: Path,
+    time_s: FloatArray,
+    names: Sequence[str],
+    quantiles: FloatArray,
+    whole_run_c: Mapping[str, FloatArray],
 ) -> None:
-    """Write the quantiles (5, n, names) of a forecast, one row per time.
+    """Write a forecast, one row per time.
+
+    Parameters
+    ----------
+    path
+        The file.
+    time_s, names, quantiles
+        (n,) times, and the quantiles (5, n, names).
+    whole_run_c
+        By sensor, the edges (2, n) of the band of the whole run.
 
     Raises
     ------
@@ -206,8 +219,14 @@ def write_forecast(
     """
     levels = ("q025", "q25", "q50", "q75", "q975")
     header = ["time_s", *(f"{name}_{level}" for name in names for level in levels)]
+    header += [f"{name}_whole_{edge}" for name in whole_run_c for edge in ("low", "high")]
     # (n, names, 5): the five columns of a name stand side by side
-    cells = quantiles.transpose(1, 2, 0).reshape(time_s.size, -1)
+    cells = np.column_stack(
+        (
+            quantiles.transpose(1, 2, 0).reshape(time_s.size, -1),
+            *(e.T for e in whole_run_c.values()),
+        )
+    )
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([text_cell(name) for name in header])

@@ -114,6 +114,24 @@ def test_forecast_is_drawn_and_answers_are_given(page: Page, problems: list[str]
     assert problems == []
 
 
+def test_the_band_of_the_whole_run_is_chosen_by_keyboard(page: Page, problems: list[str]) -> None:
+    wait_until(lambda: fan_pixels(page) > 2000, 60, "a forecast fan on the canvas")
+    keys = page.locator(".p-trend .bandkeys")
+    moment, whole = (keys.get_by_role("button", name=name) for name in ("each moment", "whole run"))
+    expect(moment).to_have_attribute("aria-pressed", "true")
+    before = fan_pixels(page)
+    whole.focus()
+    whole.press("Enter")
+    expect(whole).to_have_attribute("aria-pressed", "true")
+    expect(keys).to_contain_text("90 % whole run")
+    wait_until(lambda: fan_pixels(page) not in (0, before), 60, "another band")
+    page.goto(page.url.split("#")[0] + "#whatif")
+    expect(page.locator(".p-trend .bandkeys")).to_contain_text("90 % whole run")
+    page.get_by_role("button", name="each moment").click()
+    expect(page.locator(".p-trend .bandkeys")).not_to_contain_text("90 % whole run")
+    assert problems == []
+
+
 def test_what_if_answers_and_follows_the_sliders(page: Page, problems: list[str]) -> None:
     page.goto(page.url.split("#")[0] + "#whatif")
     peak = page.locator('.ans[aria-label="Peak"] .word')

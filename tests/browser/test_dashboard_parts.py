@@ -67,6 +67,38 @@ def test_the_fan_begins_at_now(parts: Page) -> None:
     assert fan["bands"]["t_inner_ring_c"]["q50"] == [75, 80, 90, 100, 110, 120]
 
 
+def test_the_band_of_the_whole_run_takes_the_place_of_the_other(parts: Page) -> None:
+    shown = run(
+        parts,
+        FORECAST + "const { fanFrom } = await import('/js/forecast.js');"
+        "const { BandChoice } = await import('/js/band_choice.js');"
+        "const low = forecast.nodes.t_inner_ring_c.q025.map((value) => value - 5);"
+        "const high = forecast.nodes.t_inner_ring_c.q975.map((value) => value + 5);"
+        "forecast.whole_run = { level: 0.9, sensors: { t_inner_ring_c: { low, high } } };"
+        "const fan = fanFrom(forecast, 900e3, ['t_inner_ring_c']);"
+        "const page = {}; let drawn = 0;"
+        "const choice = new BandChoice(page, () => { drawn += 1; });"
+        "const before = choice.drawn(fan); const [moment, whole] = choice.buttons; whole.click();"
+        "const after = choice.drawn(fan); const other = new BandChoice(page, () => {});"
+        "return { same: before === fan, drawn, band: after.bands.t_inner_ring_c,"
+        " was: fan.bands.t_inner_ring_c,"
+        " stated: after.stated, text: choice.element.textContent,"
+        " pressed: [moment, whole].map((one) => one.getAttribute('aria-pressed')),"
+        " inner: choice.inner.hidden, kept: other.buttons[1].getAttribute('aria-pressed'),"
+        " none: choice.drawn(null) };",
+    )
+    band, was = shown["band"], shown["was"]
+    assert shown["same"]
+    assert shown["drawn"] == 1
+    assert band["q025"] == [value - 5 for value in was["q025"]]
+    assert band["q975"] == [value + 5 for value in was["q975"]]
+    assert band["q25"] == band["q75"] == band["q50"] == was["q50"], "half of all is another band"
+    assert shown["stated"] in shown["text"]
+    assert (shown["pressed"], shown["kept"]) == (["false", "true"], "true")
+    assert shown["inner"]
+    assert shown["none"] is None
+
+
 def test_a_forecast_that_has_run_out_or_ran_away_is_cut(parts: Page) -> None:
     cut = run(
         parts,

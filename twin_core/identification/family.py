@@ -4,12 +4,15 @@ It travels with the posterior: forecasts say it, count deviations from where sis
 widen or narrow their bands by what the sisters' own forecasts would have needed.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import ceil
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from twin_core.scores import WHOLE_RUN_LEVEL
 
 BEYOND = 1.1
 """A load or speed of more than this many times the trained one has not been trained."""
@@ -32,12 +35,16 @@ class CalibrationRun:
     needed
         By sensor, the factor on its 95 % band with which the band would have held 95 % of that
         part's readings; 1 means that the band was just right.
+    needed_whole
+        By sensor, the factor on its band of the whole run with which that would have held all of
+        these readings; empty in files of earlier versions.
     """
 
     bearing: str
     load_n_max: float
     speed_rpm_max: float
     needed: Mapping[str, float]
+    needed_whole: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +59,38 @@ class BandFactor:
         How many it was learned from.
     level
         Share of bearings whose run the band is to hold.
+    whole_by_sensor
+        The factors on the band of the whole run, for 90 % of bearings.
     """
 
     by_sensor: Mapping[str, float]
     runs: int
     bearings: int
     level: float
+    whole_by_sensor: Mapping[str, float] = field(default_factory=dict)
+
+    def of_whole_run(self, sensors: Sequence[str], rows: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """What the whole run's factor on the calibrated band is to be multiplied with.
+
+        Parameters
+        ----------
+        sensors
+            Names; one without a factor of its own keeps the ratio of its two bands.
+        rows
+            (n,) where the band of each moment is calibrated.
+
+        Returns
+        -------
+        ndarray
+            (n, sensors).
+        """
+        ratio = [
+            self.whole_by_sensor[name] / max(self.by_sensor[name], 1e-6)
+            if name in self.whole_by_sensor
+            else 1.0
+            for name in sensors
+        ]
+        return np.where(rows[:, None], np.array(ratio), 1.0)
 
     @property
     def label(self) -> str:
@@ -130,12 +163,13 @@ class SisterKnowledge:
         if level is None:
             return None
         rank = ceil((len(bearings) + 1) * level - 1e-9)
-        sensors = set.intersection(*(set(run.needed) for run in runs))
+        of_run = ceil((len(bearings) + 1) * WHOLE_RUN_LEVEL - 1e-9)
         return BandFactor(
-            {name: _ranked(runs, name, rank) for name in sorted(sensors)},
+            _ranked([(run.bearing, run.needed) for run in runs], rank),
             len(runs),
             len(bearings),
             level,
+            _ranked([(run.bearing, run.needed_whole) for run in runs], of_run),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -150,6 +184,7 @@ class SisterKnowledge:
                     "load_n_max": run.load_n_max,
                     "speed_rpm_max": run.speed_rpm_max,
                     "needed": dict(run.needed),
+                    "needed_whole": dict(run.needed_whole),
                 }
                 for run in self.calibration
             ],
@@ -168,15 +203,19 @@ class SisterKnowledge:
                     float(run["load_n_max"]),
                     float(run["speed_rpm_max"]),
                     {name: float(needed) for name, needed in run["needed"].items()},
+                    {name: float(needed) for name, needed in run.get("needed_whole", {}).items()},
                 )
                 for run in document["calibration"]
             ),
         )
 
 
-def _ranked(runs: list[CalibrationRun], sensor: str, rank: int) -> float:
-    """The rank-th smallest of the bearings' greatest needs."""
-    greatest: dict[str, float] = {}
-    for run in runs:
-        greatest[run.bearing] = max(greatest.get(run.bearing, 0.0), run.needed[sensor])
-    return sorted(greatest.values())[rank - 1]
+def _ranked(needs: Sequence[tuple[str, Mapping[str, float]]], rank: int) -> dict[str, float]:
+    """The rank-th smallest of the bearings' greatest needs, of sensors that all runs have."""
+    found = {}
+    for sensor in sorted(set.intersection(*(set(needed) for _, needed in needs))):
+        greatest: dict[str, float] = {}
+        for bearing, needed in needs:
+            greatest[bearing] = max(greatest.get(bearing, 0.0), needed[sensor])
+        found[sensor] = sorted(greatest.values())[rank - 1]
+    return found

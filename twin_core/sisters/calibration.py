@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting.calibrated import untrained_rows
 from twin_core.forecasting.ensemble import Forecast, forecast
+from twin_core.forecasting.whole_run import shares_of_band
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.family import CalibrationRun
 from twin_core.identification.identify import identify
@@ -132,14 +133,16 @@ def _played(
     try:
         made = _forecast(model, posterior, window, max(first - 1, 0), seed)
         sensors = [sensor for sensor in made.sensors if sensor in ahead.sensors]
-        needed = {sensor: _needed(made, sensor, ahead) for sensor in sensors}
+        needs = {sensor: _needed(made, sensor, ahead) for sensor in sensors}
     except SimulationError:
-        needed = dict.fromkeys(window.minutes.sensors, _MOST)
+        needs = dict.fromkeys(window.minutes.sensors, (_MOST, _MOST))
+    known = {sensor: need for sensor, need in needs.items() if need is not None}
     return CalibrationRun(
         name,
         float(np.max(ahead.load_n)),
         float(np.max(np.abs(ahead.speed_rpm))),
-        {sensor: need for sensor, need in needed.items() if need is not None},
+        {sensor: moments for sensor, (moments, _) in known.items()},
+        {sensor: whole for sensor, (_, whole) in known.items()},
     )
 
 
@@ -165,13 +168,17 @@ def _forecast(
     return forecast(model, posterior, replace(state, operating_point=point), ahead, seed=seed)
 
 
-def _needed(made: Forecast, sensor: str, ahead: MinuteData) -> float | None:
-    """Factor with which the band would have held 95 % of the readings; None without readings."""
-    low, _, median, _, high = made.quantile(sensor)[:, -ahead.size :]
-    error = ahead.temperatures_c[sensor] - median
-    allowed = np.where(error > 0.0, high - median, median - low)
-    ratio = np.abs(error) / np.maximum(allowed, 1e-6)
-    known = ratio[np.isfinite(ratio)]
-    if known.size == 0:
+def _needed(made: Forecast, sensor: str, ahead: MinuteData) -> tuple[float, float] | None:
+    """Factors with which the bands would have held 95 % and all of the readings.
+
+    The first is on the band of each moment, the second on that of the whole run. None without
+    readings.
+    """
+    quantiles = made.quantile(sensor)[:, -ahead.size :]
+    share = shares_of_band(quantiles, ahead.temperatures_c[sensor])
+    known = np.isfinite(share)
+    if not np.any(known):
         return None
-    return float(min(np.quantile(known, _HELD, method="higher"), _MOST))
+    whole = share / made.whole_run_factor[-ahead.size :, made.sensors.index(sensor)]
+    moments = float(np.quantile(share[known], _HELD, method="higher"))
+    return min(moments, _MOST), min(float(np.max(whole[known])), _MOST)

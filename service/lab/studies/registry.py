@@ -40,6 +40,7 @@ STUDIES = {
     "sample-size": Entry("sample_size", takes=_BENCHES),
     "reference-nodes": Entry("reference_nodes", takes=_BENCHES),
     "variable-load": Entry("variable_load", takes=_BENCHES),
+    "calibration": Entry("calibration", takes=_BENCHES),
     "sisters": Entry("sisters", takes=_BENCHES),
     "runaway": Entry("runaway", takes=_BENCHES),
     "advice": Entry("advice", takes=_BENCHES),

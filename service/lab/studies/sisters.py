@@ -76,6 +76,7 @@ def _figures(outcomes: Sequence[Outcome]) -> Document:
             ring: mean(one.end_half_width_k[ring] for one in outcomes) for ring in RINGS
         },
         "runs_covered": {ring: mean(covered(one, ring) for one in outcomes) for ring in RINGS},
+        "held_whole": {ring: mean(one.held_whole[ring] for one in outcomes) for ring in RINGS},
         "accepted": sum(one.accepted for one in outcomes),
         "sisters_used": mean(one.used for one in outcomes),
         "set_aside": sum(one.set_aside for one in outcomes),
@@ -110,6 +111,7 @@ def tables(runs: Sequence[FamilyRun], document: Document) -> Iterator[Table]:
                 ("covers, %", cell("coverage_95_by_sensor", percent)),
                 ("worst, %", cell("worst_coverage_95", percent)),
                 ("runs covered, %", cell("runs_covered", percent)),
+                ("whole runs in 90 %", cell("held_whole", percent)),
                 ("interval score", cell("interval_score_c", pair, 1)),
             ),
             f"Asked, {ASKED[name]}.",

@@ -22,6 +22,7 @@ from service.lab.studies.bench_runs import (
     with_sensors,
 )
 from service.lab.studies.bench_scores import RingScores, score_rings
+from twin_core import scores
 from twin_core.forecasting import Forecast
 from twin_core.identification import IdentificationData, IdentificationWindow, Posterior
 from twin_core.identification.family import CalibrationRun
@@ -117,6 +118,8 @@ class Outcome:
         The same over the last stage.
     end_half_width_k
         Half the width of the 95 % band in the last half hour, by ring.
+    held_whole
+        Whether all readings lay inside the band of the whole run, by ring.
     used, set_aside, strangers_found
         Sisters that the prior was made of; those that were set aside; the real strangers of these.
     accepted
@@ -128,6 +131,7 @@ class Outcome:
     rings: RingScores
     last: RingScores
     end_half_width_k: dict[str, float]
+    held_whole: dict[str, bool]
     used: int
     set_aside: int
     strangers_found: int
@@ -276,6 +280,7 @@ def _outcome(
         rings=score_rings(made, run, rows - 1, rows, end),
         last=score_rings(made, run, rows - 1, last, end),
         end_half_width_k={ring: _end_half_width(made, ring) for ring in RINGS},
+        held_whole={ring: _held_whole(made, run, ring, rows) for ring in RINGS},
         used=used,
         set_aside=len(set_aside),
         strangers_found=sum(one.name in set_aside for one in strangers),
@@ -287,6 +292,13 @@ def _outcome(
 def _end_half_width(made: Forecast, ring: str) -> float:
     quantiles = made.quantile(ring)[:, -STEADY_ROWS:]
     return float(0.5 * np.mean(quantiles[-1] - quantiles[0]))
+
+
+def _held_whole(made: Forecast, run: BenchRun, ring: str, first: int) -> bool:
+    """Whether all rows from ``first`` on, which follow the forecast's present one, are inside."""
+    low, high = made.whole_run(ring)[:, 1:]
+    measured = run.minutes.temperatures_c[ring][first : first + low.size]
+    return scores.coverage(low, high, measured) == 1.0
 
 
 def covered(outcome: Outcome, ring: str) -> bool:

@@ -103,7 +103,9 @@ def test_identify_then_forecast_as_a_user_does(run: Run, data: Path, tmp_path: P
     assert (second.returncode, second.stderr) == (0, "")
     told = json.loads(second.stdout)
     forecast = read(out)
-    assert list(forecast) == ["time_s", *(f"{name}_{level}" for name in NAMES for level in LEVELS)]
+    edges = [f"{name}_whole_{edge}" for name in SENSORS for edge in ("low", "high")]
+    columns = [f"{name}_{level}" for name in NAMES for level in LEVELS]
+    assert list(forecast) == ["time_s", *columns, *edges]
     np.testing.assert_array_equal(forecast["time_s"], read(profile)["time_s"])
     for name in NAMES:
         bands = np.array([forecast[f"{name}_{level}"] for level in LEVELS])
@@ -116,6 +118,10 @@ def test_identify_then_forecast_as_a_user_does(run: Run, data: Path, tmp_path: P
         assert told["sensors"][name]["max_q975_c"] == pytest.approx(
             forecast[f"{name}_q975"].max(), abs=1e-4
         )
+        low, median, high = (forecast[f"{name}_{of}"] for of in ("whole_low", "q50", "whole_high"))
+        assert ((low < median) & (median < high)).all()
+        assert told["sensors"][name]["max_whole_run_c"] == pytest.approx(high.max(), abs=1e-4)
+    assert told["whole_run_level"] == 0.9
     # 5600 rpm, a third above all that was seen, for 40 minutes
     error_k, coverage = judge(run, forecast)
     assert error_k < 2.5

@@ -108,10 +108,13 @@ def test_unusable_profiles_are_refused(tmp_path: Path, text: str, expected: str)
 def test_the_five_quantiles_of_a_name_stand_side_by_side(tmp_path: Path) -> None:
     path = tmp_path / "forecast.csv"
     quantiles = np.arange(20.0).reshape(5, 2, 2)
-    write_forecast(path, np.array([0.0, 1234567.5]), ["a", "b"], quantiles)
+    edges = {"b": np.array([[-1.0, 3.0], [18.0, 20.0]])}
+    write_forecast(path, np.array([0.0, 1234567.5]), ["a", "b"], quantiles, edges)
     lines = path.read_text().splitlines()
-    assert lines[0] == "time_s,a_q025,a_q25,a_q50,a_q75,a_q975,b_q025,b_q25,b_q50,b_q75,b_q975"
-    assert [float(cell) for cell in lines[1].split(",")] == [0, 0, 4, 8, 12, 16, 1, 5, 9, 13, 17]
+    names = "time_s,a_q025,a_q25,a_q50,a_q75,a_q975,b_q025,b_q25,b_q50,b_q75,b_q975"
+    assert lines[0] == f"{names},b_whole_low,b_whole_high"
+    figures = [0, 0, 4, 8, 12, 16, 1, 5, 9, 13, 17, -1, 18]
+    assert [float(cell) for cell in lines[1].split(",")] == figures
     assert float(lines[2].split(",")[0]) == 1234567.5
     assert [each.name for each in tmp_path.iterdir()] == ["forecast.csv"]
 

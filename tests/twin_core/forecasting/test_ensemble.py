@@ -255,6 +255,7 @@ def by_hand(paths: list[list[float]]) -> Forecast:
         sensors=("t_inner_ring_c",),
         runaway_probability=0.0,
         labels=(),
+        whole_run_factor=np.ones(members.shape[1:]),
     )
 
 

@@ -73,6 +73,7 @@ def test_the_twins_sensors_come_before_its_nodes() -> None:
         sensors=SENSORS,
         runaway_probability=0.0,
         labels=(),
+        whole_run_factor=np.ones((3, 2)),
     )
     forecast = of_ensemble(ensemble)
     assert forecast.sensors == SENSORS

@@ -204,6 +204,7 @@ def test_each_sister_is_played_as_the_target(family: Family) -> None:
     for one in runs:
         assert one.load_n_max == 5500.0
         assert 0.0 < one.needed[INNER] < 3.0  # a sister of the same make, in a band for it
+        assert 0.0 < one.needed_whole[INNER] < 3.0
 
 
 def test_a_calibrated_band_is_the_band_times_the_factor(family: Family) -> None:
@@ -219,6 +220,30 @@ def test_a_calibrated_band_is_the_band_times_the_factor(family: Family) -> None:
     assert_array_equal(narrow[:, 0], wide[:, 0])  # the present row is not beyond
     untouched = "t_outer_ring_c"  # no run says anything of it
     assert_array_equal(plain.quantile(untouched), scaled.quantile(untouched))
+
+
+def test_the_band_of_the_whole_run_is_calibrated_by_itself(family: Family) -> None:
+    needs = [
+        CalibrationRun(f"{k}", 5500.0, 5800.0, {INNER: 0.02 * k}, {INNER: 0.05 * k})
+        for k in range(1, 20)
+    ]
+    known = SisterKnowledge(("a",) * 19, (5500.0,) * 19, (5800.0,) * 19)
+    assert SisterKnowledge.from_dict(replace(known, calibration=tuple(needs)).to_dict()) == replace(
+        known, calibration=tuple(needs)
+    )
+    plain, scaled = (
+        heavy_forecast(family, replace(family.literature.posterior, sisters=sisters))
+        for sisters in (known, replace(known, calibration=tuple(needs)))
+    )
+    wide, narrow = (one.whole_run(INNER) - one.quantile(INNER)[2] for one in (plain, scaled))
+    assert_allclose(narrow[:, 1:], 0.90 * wide[:, 1:], atol=0.1)  # the eighteenth of 19: 90 %
+    assert_array_equal(narrow[:, 0], wide[:, 0])
+    # Runs of an earlier version say nothing of it: it keeps its ratio to the band of each moment.
+    older = tuple(replace(need, needed_whole={}) for need in needs)
+    old = heavy_forecast(
+        family, replace(family.literature.posterior, sisters=replace(known, calibration=older))
+    )
+    assert_allclose(old.whole_run_factor, plain.whole_run_factor)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.clock import rfc3339
-from service.documents.forecasts import LiveForecast, Quantiles
+from service.documents.forecasts import LiveForecast, Quantiles, WholeRun
 from service.lab.demo.score import (
     SENSORS,
     KeptForecast,
@@ -47,6 +47,7 @@ def forecast(
             limits={},
             time_to_limit={},
             labels=[],
+            whole_run=WholeRun(level=0.9, sensors={}),
             runaway_probability=0.0,
             profile=[],
             missing=[],

@@ -38,7 +38,7 @@ from service.documents.assets import (
 )
 from service.documents.envelope import EnvelopeDocument, PresentPoint, RunawayMap
 from service.documents.fleet import FleetAsset
-from service.documents.forecasts import LiveForecast, Quantiles, WhatIf
+from service.documents.forecasts import LiveForecast, Quantiles, WhatIf, WholeRun
 from service.documents.identification import JobDocument, WindowDocument, job_document
 from service.documents.limits import Crossing, Limits, LowRisk
 from service.documents.machine import AssetFacts, Estimate, Point, PresentMachine
@@ -222,6 +222,7 @@ class MemoryTwin:
                 name: Quantiles(**dict.fromkeys(QUANTILES, [60.0] * len(time_s)))
                 for name in nodes or RING_SENSORS + NODES
             },
+            whole_run=WholeRun(level=0.9, sensors={}),
             limits=LIMITS,
             time_to_limit={"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
             labels=[],

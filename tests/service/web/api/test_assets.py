@@ -5,7 +5,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from service.documents.assets import AssetDocument, AssetList, State
-from service.documents.forecasts import LiveForecast
+from service.documents.forecasts import LiveForecast, WholeRun
 from service.documents.tags import Snapshot
 
 SNAPSHOT = "/api/v1/assets/bench-1/snapshot"
@@ -75,6 +75,7 @@ async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
         limits={},
         time_to_limit={},
         labels=[],
+        whole_run=WholeRun(level=0.9, sensors={}),
         runaway_probability=0.0,
         model_version=1,
         profile=[],

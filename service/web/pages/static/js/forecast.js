@@ -7,8 +7,9 @@ const NORMAL_SCORES = [-1.959964, -0.67449, 0, 0.67449, 1.959964];
 const between = (a, b, share) => a + (b - a) * share;
 
 /**
- * The fan from `nowMs` on: { times (ms), bands: { name: { q025: [], … } } }, with the first point
- * exactly at now. Null when nothing of the forecast is left.
+ * The fan from `nowMs` on: { times (ms), bands: { name: { q025: [], …, whole } } }, with the first
+ * point exactly at now; `whole` is { low: [], high: [] } of the whole run, null for a node. Null
+ * when nothing of the forecast is left.
  */
 export function fanFrom(forecast, nowMs, names) {
   if (!forecast) return null;
@@ -27,8 +28,17 @@ export function fanFrom(forecast, nowMs, names) {
   for (const name of names.filter((one) => forecast.nodes[one])) {
     bands[name] = {};
     for (const quantile of QUANTILES) bands[name][quantile] = cut(forecast.nodes[name][quantile]);
+    const whole = forecast.whole_run?.sensors[name];
+    bands[name].whole = whole ? { low: cut(whole.low), high: cut(whole.high) } : null;
   }
   return { times: [nowMs, ...times.slice(next)], bands };
+}
+
+/** A fan whose outer band is that of the whole run, and that says so; it has no inner one. */
+export function ofWholeRun(fan) {
+  const bands = Object.entries(fan.bands).map(([name, band]) => [name, band.whole
+    ? { ...band, q025: band.whole.low, q25: band.q50, q75: band.q50, q975: band.whole.high } : band]);
+  return { ...fan, stated: '90 % whole run', bands: Object.fromEntries(bands) };
 }
 
 /** Rows before the first one that has no figures (a model that ran away). */

@@ -348,7 +348,7 @@ export class TrendChart {
       const row = { name: channelName(sensor), unit: '°C', digits: 1 };
       const band = ahead > 0 && fan?.bands[sensor];
       if (band) {
-        const range = `95 % ${fixed(band.q025[ahead])} … ${fixed(band.q975[ahead])}`;
+        const range = `${fan.stated ?? '95 %'} ${fixed(band.q025[ahead])} … ${fixed(band.q975[ahead])}`;
         return { ...row, value: band.q50[ahead], more: range };
       }
       const { measured, twin } = past[sensor];

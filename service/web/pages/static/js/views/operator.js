@@ -1,6 +1,7 @@
 // One screen, three answers, then the evidence.
 import { AlarmList } from '../alarm_list.js';
 import { summary } from '../alarms.js';
+import { BandChoice } from '../band_choice.js';
 import { h, put, setText } from '../dom.js';
 import { FirstData } from '../first_data.js';
 import { ForecastRecord } from '../forecast_record.js';
@@ -97,6 +98,7 @@ export class OperatorView {
     this.modelText = h('span', { class: 's mut' });
     this.record = new ForecastRecord(this.page, this.hashAsset());
     this.labels = h('span', { class: 'labels' });
+    this.band = new BandChoice(this.page, () => this.draw());
     this.spanButtons = SPANS.map(([hours, text]) => h('button', {
       type: 'button', 'aria-pressed': String(hours * HOUR_MS === this.span),
       onclick: () => this.choose(hours * HOUR_MS),
@@ -106,7 +108,7 @@ export class OperatorView {
         this.labels,
         h('span', { class: 'keys' },
           key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'),
-          key('f50', '50 %'), key('f95', '95 %'),
+          this.band.element,
           h('span', { class: 'seg', role: 'group', 'aria-label': 'History range' },
             this.spanButtons))),
       this.boxes.temperature, this.boxes.speed, this.boxes.load);
@@ -300,7 +302,8 @@ export class OperatorView {
       { name: 'Load', unit: 'N', key: 'load_n', values: columns.load_n ?? [] },
     ];
     this.trend.update({
-      ...span, lanes, steps: now.steps, limits, fan: now.fan, ghost: null, lostMs: now.lostMs, sensors: this.sensors,
+      ...span, lanes, steps: now.steps, limits, fan: this.band.drawn(now.fan), ghost: null, lostMs: now.lostMs,
+      sensors: this.sensors,
       crossings: now.crossings,
       past: Object.fromEntries(this.sensors.map((sensor) => [sensor,
         { measured: columns[sensor] ?? [], twin: columns[`${sensor}.twin`] ?? [] }])),

@@ -1,5 +1,6 @@
 // What-if: change the plan and the twin answers at once. Nothing here ever commands the bench.
 import { assetPath, call } from '../api.js';
+import { BandChoice } from '../band_choice.js';
 import { h, put, setText, unit } from '../dom.js';
 import { distinctSteps, fanFrom, overSpan, stepsFrom } from '../forecast.js';
 import { channelName, fixed, labelText, spanText } from '../format.js';
@@ -42,6 +43,7 @@ export class WhatIfView {
     this.answers = h('div', { class: 'answers' });
     this.heading = h('h2', {}, 'Forecast for this profile, °C');
     this.labels = h('span', { class: 'labels' });
+    this.band = new BandChoice(page, () => this.show());
     this.ghostText = h('span', {}, 'as planned');
     this.boxes = {
       temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Forecast' }),
@@ -96,7 +98,7 @@ export class WhatIfView {
   createResult() {
     return h('div', { class: 'wr' }, this.answers, h('section', { class: 'panel p-trend' },
       h('header', {}, this.heading, this.labels,
-        h('span', { class: 'keys' }, key('tw', 'median'), key('f50', '50 %'), key('f95', '95 %'),
+        h('span', { class: 'keys' }, key('tw', 'median'), this.band.element,
           key('pl', this.ghostText))),
       this.boxes.temperature, this.boxes.speed, this.boxes.load));
   }
@@ -348,7 +350,7 @@ export class WhatIfView {
       { name: 'Load', unit: 'N', key: 'load_n', values: columns.load_n },
     ];
     this.trend.update({
-      ...span, lanes, steps, limits, fan, ghost: now.fan, lostMs: now.lostMs, sensors,
+      ...span, lanes, steps, limits, fan: this.band.drawn(fan), ghost: now.fan, lostMs: now.lostMs, sensors,
       crossings: crossingsAhead(this.answer, fan, limits, now.nowMs),
       past: Object.fromEntries(sensors.map((sensor) => [sensor,
         { measured: columns[sensor], twin: columns[`${sensor}.twin`] }])),
