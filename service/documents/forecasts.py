@@ -39,6 +39,11 @@ class ForecastDocument(Document):
     time_s: list[float] = Field(description="Seconds from the present moment.")
     nodes: dict[str, Quantiles] = Field(description="By sensor and node.")
     limits: dict[str, Limits]
+    not_known: dict[str, str] = Field(
+        description="Nodes without a sensor whose temperature the model does not know well enough, "
+        "and why: by node. Their quantiles are no forecast to act on.",
+        examples=[{"t_node_7_c": "±14 K: no sensor shows it"}],
+    )
     time_to_limit: Crossings = Field(description="By sensor and level.")
     labels: list[str] = Field(
         description="What the result rests on.", examples=[["load law from prior only"]]
@@ -79,6 +84,11 @@ class LiveForecast(WhatIf):
         "far from its limits; the medians are always of `made_at`."
     )
     planned: bool = Field(description="Whether it follows the controller's plan.")
+
+
+def not_known_reason(half_k: float) -> str:
+    """Why a node is not known: half its 95 % band in K."""
+    return f"±{half_k:.0f} K: no sensor shows it"
 
 
 def quantiles_document(
@@ -133,6 +143,11 @@ def forecast_document(
         time_s=np.round(forecast.time_s, 3).tolist(),
         nodes=quantiles_document(forecast, names),
         limits=dict(limits),
+        not_known={
+            name: not_known_reason(half_k)
+            for name, half_k in forecast.not_known.items()
+            if names is None or name in names
+        },
         time_to_limit=crossings,
         labels=list(forecast.labels),
         runaway_probability=float(forecast.runaway_probability),

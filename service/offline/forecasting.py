@@ -53,6 +53,7 @@ class ProfileForecast:
     """Quantiles (5, n, names) at the profile's rows, and what must be said with them.
 
     The margin is that of the row with the most speed times load; None if the machine stands still.
+    ``not_known``: see `twin_core.forecasting.Forecast`.
     """
 
     time_s: FloatArray
@@ -63,6 +64,7 @@ class ProfileForecast:
     runaway_probability: float
     runaway_margin: RunawayMargin | None
     initial_state: dict[str, dict[str, float]]
+    not_known: dict[str, float]
 
     def highest(self) -> dict[str, dict[str, float]]:
         """Return the highest median and 97.5 % quantile of every sensor over the rows."""
@@ -213,6 +215,7 @@ def forecast_profile(
         result.runaway_probability,
         _margin(identified, state, profile),
         _initial_state(result.names, result.quantiles[:, 0]),
+        dict(result.not_known),
     )
 
 
