@@ -39,5 +39,5 @@ def test_a_body_between_joints_is_as_doubtful_as_its_neighbours_are_apart() -> N
     variance = joint_variance(joints, paths_c)
     assert not variance[0].any()
     expected = np.zeros(13)
-    expected[[9, 10]] = (12.0 / 3.0) ** 2
+    expected[[9, 10]] = (12.0 / 2.0) ** 2
     np.testing.assert_allclose(variance[1], expected)

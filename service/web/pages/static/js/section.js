@@ -85,9 +85,9 @@ export class Section {
       LABELS_LEFT.map((one) => label(...one, true)),
       LABELS_RIGHT.map((one) => label(...one, false)),
       tagged(5, 110), tagged(12, 610),
-      s('rect', { class: 'tag', x: 286, y: 418, width: 148, height: 28, rx: 3 }),
-      s('text', { class: 'n', x: 308, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
-      pin(13, 297, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
+      s('rect', { class: 'tag', x: 268, y: 418, width: 184, height: 28, rx: 3 }),
+      s('text', { class: 'n', x: 290, y: 437 }, 'Bench'), figure(13, 442, 438, 'end'),
+      pin(13, 279, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
       pin(14, 14, 48),
       s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view'));
     this.svg.addEventListener('click', ({ target }) => {
