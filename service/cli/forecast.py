@@ -97,6 +97,7 @@ def forecast(
         "runaway_probability": result.runaway_probability,
         "runaway_margin": _finite(result.runaway_margin),
         "initial_state": result.initial_state,
+        "not_known": result.not_known,
     }
     if as_json:
         typer.echo(json.dumps(document, allow_nan=False))

@@ -116,7 +116,12 @@ class NodeState(Document):
     mean_c: Number = Field(description="°C", examples=[71.2])
     std_c: Number = Field(description="Standard deviation, K.", examples=[0.8])
     known: bool = Field(
-        description="Whether half the 95 % interval is within 8 K; else it is not known."
+        description="Whether half the 95 % interval is within 3.5 K (more with wide `[errors]`); "
+        "else it is not known, and not to be shown as a temperature."
+    )
+    reason: str | None = Field(
+        description="Why the node is not known; null where it is.",
+        examples=["±14 K: no sensor shows it"],
     )
 
 

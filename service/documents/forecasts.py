@@ -61,6 +61,11 @@ class ForecastDocument(Document):
     nodes: dict[str, Quantiles] = Field(description="By sensor and node.")
     whole_run: WholeRun
     limits: dict[str, Limits]
+    not_known: dict[str, str] = Field(
+        description="Nodes without a sensor whose temperature the model does not know well enough, "
+        "and why: by node. Their quantiles are no forecast to act on.",
+        examples=[{"t_node_7_c": "±14 K: no sensor shows it"}],
+    )
     time_to_limit: Crossings = Field(description="By sensor and level.")
     labels: list[str] = Field(
         description="What the result rests on.", examples=[["load law from prior only"]]
@@ -101,6 +106,11 @@ class LiveForecast(WhatIf):
         "far from its limits; the medians are always of `made_at`."
     )
     planned: bool = Field(description="Whether it follows the controller's plan.")
+
+
+def not_known_reason(half_k: float) -> str:
+    """Why a node is not known: half its 95 % band in K."""
+    return f"±{half_k:.0f} K: no sensor shows it"
 
 
 def quantiles_document(
@@ -174,6 +184,11 @@ def forecast_document(
         nodes=quantiles_document(forecast, names),
         whole_run=whole_run_document(forecast, names),
         limits=dict(limits),
+        not_known={
+            name: not_known_reason(half_k)
+            for name, half_k in forecast.not_known.items()
+            if names is None or name in names
+        },
         time_to_limit=crossings,
         labels=list(forecast.labels),
         runaway_probability=float(forecast.runaway_probability),

@@ -18,6 +18,13 @@ from twin_core.models import ThermalModel
 from twin_core.naive import NaiveForecasts
 from twin_core.observer import Innovation, Observer, Step, advance, not_colder_than
 from twin_core.operating_points import usual_levels
+from twin_core.process_noise import (
+    DEVIATION_K,
+    HALF_WIDTH_95,
+    between_joints,
+    joint_variance,
+    known_within_k,
+)
 from twin_core.profiles import OperatingPoint
 from twin_core.windows import stands_at_ambient
 
@@ -115,6 +122,7 @@ class LiveEstimate:
         self._ambient_measured = False
         self._floor_c: float | None = None
         self._known_c: NDArray[np.float64] | None = None
+        self._spread_k: NDArray[np.float64] | None = None
 
     @property
     def started(self) -> bool:
@@ -139,6 +147,30 @@ class LiveEstimate:
             self._known_c = means_c
         return self._known_c.copy()
 
+    @property
+    def std_c(self) -> NDArray[np.float64]:
+        """Standard deviation of the node temperatures in K, as a forecast's band begins.
+
+        That of the observer, and what no observer learns: where between its joints a body lies, and
+        what no parameter expresses.
+        """
+        if self._spread_k is None:
+            model = self.active.model
+            variance = self.observer.std_c**2 + joint_variance(self._joints, self.temperatures_c)
+            self._spread_k = np.sqrt(variance + (DEVIATION_K * model.errors.scale) ** 2)
+        return self._spread_k.copy()
+
+    def not_known(self) -> dict[str, float]:
+        """Nodes without a sensor that are not known: half their 95 % band in K, by name."""
+        model = self.active.model
+        within_k = known_within_k(model)
+        half_k = (HALF_WIDTH_95 * self.std_c).tolist()
+        return {
+            name: half
+            for name, half in zip(model.node_names, half_k, strict=True)
+            if not half <= within_k
+        }
+
     def state(self) -> EstimatedState | None:
         """The present state, for forecasts, maps and advice; None before there is an estimate."""
         if self._observer is None or self.point is None or self.time_us is None:
@@ -162,7 +194,7 @@ class LiveEstimate:
 
     def swap(self, active: ActiveModel) -> None:
         """Go on with another model version from the present temperatures."""
-        self._known_c = None
+        self._known_c = self._spread_k = None
         if self._observer is not None:
             self._observer = self._observer.with_parameters(active.model, active.values)
         self._run_on(active)
@@ -170,6 +202,7 @@ class LiveEstimate:
     def _run_on(self, active: ActiveModel) -> None:
         self.active = active
         self._sensor_rows = active.model.sensor_matrix(active.model.sensor_names)
+        self._joints = between_joints(active.model)
 
     def step(self, now_us: int, means: Mapping[str, float]) -> None:
         """Advance to ``now_us`` with the mean readings since the last step.
@@ -193,7 +226,7 @@ class LiveEstimate:
 
     def _due(self, now_us: int, means: Mapping[str, float]) -> tuple[Step, OperatingPoint] | None:
         """What a step has to bring into the observer; None where it goes no further."""
-        self._known_c = None
+        self._known_c = self._spread_k = None
         for name, (low, high) in self._bounds.items():
             if name in means and not low <= means[name] <= high:
                 raise ValueError(
@@ -229,7 +262,7 @@ class LiveEstimate:
 
     def stop(self) -> None:
         """Give the estimate up; the next good temperatures start it again."""
-        self._known_c = None
+        self._known_c = self._spread_k = None
         if self._observer is not None:
             self._revolutions = self._observer.revolutions
         self._observer = None
@@ -326,7 +359,7 @@ class LiveEstimate:
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"kept estimate: {error!r}") from error
         self._observer, self.point, self.time_us = observer, point, time_us
-        self._known_c = None
+        self._known_c = self._spread_k = None
         self._ambient_measured, self.followed_s = ambient_measured, followed_s
 
 

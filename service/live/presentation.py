@@ -10,6 +10,7 @@ from service.clock import rfc3339, rfc3339_exact
 from service.documents import limits as documents
 from service.documents.alarms import alarm_summary
 from service.documents.assets import NodeState, State
+from service.documents.forecasts import not_known_reason
 from service.documents.limits import Crossing, Crossings, Level
 from service.documents.measurements import SampleItem, sample_item
 from service.documents.profiles import ForecastStep
@@ -20,9 +21,6 @@ from service.site.asset_section import Limits
 from service.store import Alarm
 from twin_core.forecasting import Forecast
 
-KNOWN_WITHIN_K = 8.0
-"""A node is known where half its 95 % interval is within a tenth of the scale of 20 to 100 °C."""
-_HALF_WIDTH = 1.959964
 LEVELS: tuple[Level, ...] = ("warning", "alarm")
 #: Among the quantiles of a forecast: 2.5, 25, 50, 75 and 97.5 %.
 _MEDIAN = 2
@@ -133,7 +131,7 @@ def limits_document(limits: Mapping[str, Limits]) -> dict[str, documents.Limits]
 
 
 def estimate_tags(estimate: LiveEstimate, began: str, blind: bool = False) -> dict[str, Tag]:
-    """Tags ``<name>.twin`` of all sensors and nodes.
+    """Tags ``<name>.twin`` of all sensors and nodes, uncertain where a node is not known.
 
     Parameters
     ----------
@@ -152,9 +150,14 @@ def estimate_tags(estimate: LiveEstimate, began: str, blind: bool = False) -> di
     temperatures = estimate.temperatures_c
     made = rfc3339(estimate.time_us or 0)
     quality = Quality.LAST_USABLE if blind else Quality.GOOD
+    doubtful = Quality.LAST_USABLE if blind else Quality.UNCERTAIN
+    not_known = estimate.not_known()
     return {
         f"{name}.twin": tag(
-            round(float(model.sensor_row(name) @ temperatures), 3), "°C", quality, made
+            round(float(model.sensor_row(name) @ temperatures), 3),
+            "°C",
+            doubtful if name in not_known else quality,
+            made,
         )
         for name in names
     }
@@ -226,16 +229,19 @@ def state_document(estimate: LiveEstimate, now_us: int, missing: Sequence[str]) 
     """
     active = estimate.active
     nodes = {
-        name: NodeState(mean_c=None, std_c=None, known=False) for name in active.model.node_names
+        name: NodeState(mean_c=None, std_c=None, known=False, reason="no estimate yet")
+        for name in active.model.node_names
     }
     time_us = now_us
     if estimate.started:
-        observer, time_us = estimate.observer, estimate.time_us or now_us
-        for name, mean, std in zip(nodes, estimate.temperatures_c, observer.std_c, strict=True):
+        time_us = estimate.time_us or now_us
+        not_known = estimate.not_known()
+        for name, mean, std in zip(nodes, estimate.temperatures_c, estimate.std_c, strict=True):
             nodes[name] = NodeState(
                 mean_c=round(float(mean), 3),
                 std_c=round(float(std), 3),
-                known=bool(_HALF_WIDTH * std <= KNOWN_WITHIN_K),
+                known=name not in not_known,
+                reason=not_known_reason(not_known[name]) if name in not_known else None,
             )
     return State(
         # As the samples of the same estimate, which are stored.

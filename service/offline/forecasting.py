@@ -54,6 +54,7 @@ class ProfileForecast:
 
     By sensor, `whole_run` has the edges (2, n) of the band that 90 % of runs stay inside wholly.
     The margin is that of the row with the most speed times load; None if the machine stands still.
+    ``not_known``: see `twin_core.forecasting.Forecast`.
     """
 
     time_s: FloatArray
@@ -65,6 +66,7 @@ class ProfileForecast:
     runaway_probability: float
     runaway_margin: RunawayMargin | None
     initial_state: dict[str, dict[str, float]]
+    not_known: dict[str, float]
 
     def highest(self) -> dict[str, dict[str, float]]:
         """Return the highest median and upper edges of every sensor over the rows."""
@@ -223,6 +225,7 @@ def forecast_profile(
         result.runaway_probability,
         _margin(identified, state, profile),
         _initial_state(result.names, result.quantiles[:, 0]),
+        dict(result.not_known),
     )
 
 

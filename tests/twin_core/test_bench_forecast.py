@@ -79,10 +79,9 @@ def run_bench(parameters: BenchParameters, seed: int) -> tuple[MinuteData, dict[
         },
         np.ones(count, dtype=np.bool_),
     )
-    return minutes, {
-        "t_inner_ring_c": run.t_inner_ring_c[: 60 * count : 60],
-        "t_outer_ring_c": run.t_outer_ring_c[: 60 * count : 60],
-    }
+    nodes = {f"t_node_{k + 1}_c": values for k, values in enumerate(run.paper_nodes_c.T)}
+    rings = {"t_inner_ring_c": run.t_inner_ring_c, "t_outer_ring_c": run.t_outer_ring_c}
+    return minutes, {name: values[: 60 * count : 60] for name, values in {**rings, **nodes}.items()}
 
 
 def observe(model, z, minutes: MinuteData, rows: int) -> Observer:  # type: ignore[no-untyped-def]
@@ -166,6 +165,20 @@ def test_the_bands_cover_what_is_measured(story: Story) -> None:
         for quantiles in [story.forecast.quantile(name)]
     ]
     assert np.mean(shares) >= 0.93
+
+
+def test_a_node_without_a_sensor_is_near_the_truth_or_said_to_be_not_known(story: Story) -> None:
+    made = story.forecast
+    fast = slice(story.first, story.first + FAST_MIN + 1)
+    nodes = [name for name in made.names if name not in made.sensors]
+    for name in nodes:
+        low, _, median, _, high = made.quantile(name)[:, : FAST_MIN + 1]
+        assert scores.coverage(low, high, story.truth[name][fast]) >= 0.93, name
+        if name not in made.not_known:
+            assert abs(np.mean(median - story.truth[name][fast])) <= 2.0, name
+    # Housing, rings and end caps are of use; balls, cage, grease and the far shaft are not.
+    assert {f"t_node_{k}_c" for k in (3, 6, 7, 12)} <= set(made.not_known)
+    assert not {f"t_node_{k}_c" for k in (1, 2, 4, 8, 9)} & set(made.not_known)
 
 
 def test_the_twin_beats_every_naive_forecast(story: Story) -> None:

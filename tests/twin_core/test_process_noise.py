@@ -5,7 +5,7 @@ import numpy as np
 from twin_core.bearings import bearing
 from twin_core.models import build_model
 from twin_core.network import Sensor
-from twin_core.process_noise import between_joints, hidden_spread
+from twin_core.process_noise import between_joints, hidden_spread, joint_variance
 
 
 def test_hidden_nodes_may_deviate_where_no_sensor_would_show_it() -> None:
@@ -30,3 +30,14 @@ def test_sleeves_and_cage_hang_between_joints_unless_a_sensor_sits_on_them() -> 
     network = replace(model.network, sensors=(*model.network.sensors, sensor))
     bodies, _ = between_joints(replace(model, network=network))
     assert set((bodies + 1).tolist()) == {6, 11}
+
+
+def test_a_body_between_joints_is_as_doubtful_as_its_neighbours_are_apart() -> None:
+    joints = between_joints(build_model(bearing=bearing("6311")))
+    paths_c = np.full((2, 13), 40.0)
+    paths_c[1, 3] = 52.0  # the inner ring, to which both sleeves are joined
+    variance = joint_variance(joints, paths_c)
+    assert not variance[0].any()
+    expected = np.zeros(13)
+    expected[[9, 10]] = (12.0 / 2.0) ** 2
+    np.testing.assert_allclose(variance[1], expected)

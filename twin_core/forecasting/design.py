@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.forecasting.ensemble import (
-    DEVIATION_K,
     LOAD_DEVIATION,
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
@@ -23,6 +22,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.identification.whitening import whitening
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
+from twin_core.process_noise import DEVIATION_K
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,

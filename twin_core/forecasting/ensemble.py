@@ -11,7 +11,7 @@ where enough of them have been (`twin_core.forecasting.calibrated`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,15 @@ from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
 from twin_core.operating_points import STANDING_RPM
-from twin_core.process_noise import JOINT_ERROR, between_joints, hidden_spread
+from twin_core.process_noise import (
+    DEVIATION_K,
+    HALF_WIDTH_95,
+    JOINT_ERROR,
+    between_joints,
+    hidden_spread,
+    joint_variance,
+    known_within_k,
+)
 from twin_core.profiles import OperatingPoint
 from twin_core.scores import QUANTILE_LEVELS
 from twin_core.simulation import (
@@ -47,7 +55,6 @@ from twin_core.simulation import (
 
 FloatArray = NDArray[np.float64]
 
-DEVIATION_K = 0.25
 LOAD_DEVIATION = 0.04
 """What a greater load changes besides the friction (load zone, contacts, thermal preload) is not in
 the model: a deviation by this part of a sensor's rise over ambient, per ln(load / trained load)."""
@@ -113,6 +120,9 @@ class Forecast:
     runaway_share
         Share of the members that run away: a sensor passes the temperature of the model's limits
         (of a bearing 130 degC), or the simulation fails.
+    not_known
+        Nodes that no sensor shows well enough, by name: half the 95 % band, K, that they would have
+        if all sensors were known exactly, where it is widest.
     """
 
     time_s: FloatArray
@@ -124,6 +134,7 @@ class Forecast:
     labels: tuple[str, ...]
     whole_run_factor: FloatArray
     runaway_share: float = 0.0
+    not_known: Mapping[str, float] = field(default_factory=dict)
 
     def quantile(self, name: str) -> FloatArray:
         """Return the (5, n) quantiles of a sensor or node."""
@@ -254,9 +265,8 @@ def forecast(
     normal = standard_normals(rng, (members // 2, keep.size, temperatures.shape[2]))
     # What a sensor of the same name will read stands for the node as well.
     others = [k for k, name in enumerate(model.node_names) if name not in sensors]
-    hidden = (
-        paired_draws(rng, members, (temperatures.shape[2],)) @ hidden_spread(model, drawn.best).T
-    )
+    spread = hidden_spread(model, drawn.best)
+    hidden = paired_draws(rng, members, (temperatures.shape[2],)) @ spread.T
     growth = _hidden_growth(profile.time_s, np.mean(rise_c, axis=1))
     nodes, even = temperatures, np.ones(temperatures.shape[1:])
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
@@ -268,9 +278,9 @@ def forecast(
     if factor is not None:
         noise *= spread_members(readings, sensors, factor, untrained)
     noisy = readings + noise
-    bodies, neighbours = between_joints(model)
-    joints = JOINT_ERROR * paired_draws(rng, members, bodies.shape)
-    shift_between(nodes, bodies, neighbours, joints)
+    pairs = between_joints(model)
+    joints = JOINT_ERROR * paired_draws(rng, members, pairs[0].shape)
+    shift_between(nodes, *pairs, joints)
     # In the order in which they are sorted: row, name, member.
     ordered = np.empty((profile.size, len(sensors) + len(others), members))
     gather_members(noisy, np.arange(len(sensors)), ordered[:, : len(sensors)])
@@ -296,6 +306,13 @@ def forecast(
         members_c=readings,
         sensors=sensors,
         runaway_share=share,
+        not_known=_not_known(
+            model,
+            [model.node_names[k] for k in others],
+            quantiles[2][:, [names.index(name) for name in model.node_names]],
+            state,
+            np.linalg.norm(spread, axis=1) * np.maximum(np.mean(rise_c, axis=1), 0.0)[:, None],
+        ),
         runaway_probability=probability,
         labels=forecast_labels(
             posterior,
@@ -373,6 +390,27 @@ def _hidden_growth(time_s: FloatArray, rise_c: FloatArray) -> FloatArray:
     """Rise (n,) by which unmeasured nodes' lasting deviations grow as those of the start fade."""
     faded = 1.0 - np.exp(-2.0 * (time_s - time_s[0]) / DISTURBANCE_TIME_S)
     return np.asarray(np.sqrt(faded) * np.maximum(rise_c, 0.0))
+
+
+def _not_known(
+    model: ThermalModel,
+    unmeasured: Sequence[str],
+    path_c: FloatArray,
+    state: MachineState,
+    hidden_k: FloatArray,
+) -> dict[str, float]:
+    """Half the own 95 % band of unmeasured nodes that are not known, K.
+
+    A node's own band is what remains when all sensors are known exactly: what they cannot show.
+    path_c, hidden_k (n, nodes): the nodes' course, and what `hidden_spread` makes of it.
+    """
+    variance = hidden_k**2
+    variance[0] = np.maximum(variance[0], np.diag(state.covariance))
+    variance += joint_variance(between_joints(model), path_c)
+    variance += (DEVIATION_K * model.errors.scale) ** 2
+    half_k = dict(zip(model.node_names, HALF_WIDTH_95 * np.sqrt(variance.max(axis=0)), strict=True))
+    within_k = known_within_k(model)
+    return {name: float(half_k[name]) for name in unmeasured if not half_k[name] <= within_k}
 
 
 def _quantiles(values: FloatArray) -> FloatArray:

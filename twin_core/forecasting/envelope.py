@@ -18,7 +18,6 @@ from scipy.special import ndtr
 
 from twin_core.forecasting.draws import paired_draws
 from twin_core.forecasting.ensemble import (
-    DEVIATION_K,
     LOAD_DEVIATION,
     SENSOR_OFFSET_K,
     SENSOR_RESOLUTION_K,
@@ -36,6 +35,7 @@ from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
+from twin_core.process_noise import DEVIATION_K
 from twin_core.simulation import holding
 
 FloatArray = NDArray[np.float64]

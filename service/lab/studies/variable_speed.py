@@ -82,6 +82,8 @@ class BenchResult:
         Scores of the twin over the samples that it was identified from, run from cold.
     node_errors_k, node_coverage
         (13, rows) and (13,) also.
+    not_known
+        Nodes that the forecast says are not known.
     shown
         Curves of the rings.
     nodes_c, truth_c
@@ -96,6 +98,7 @@ class BenchResult:
     rings: RingScores
     node_errors_k: FloatArray
     node_coverage: FloatArray
+    not_known: tuple[str, ...]
     shown: Curves
     nodes_c: FloatArray
     truth_c: FloatArray
@@ -116,6 +119,7 @@ def examine(seed: int) -> BenchResult:
         score_rings(made, bench, 0, 0, end),
         node_errors(made, bench, 0, 0, end),
         node_coverage(made, bench, 0, 0, end),
+        tuple(made.not_known),
         curves(bench, made, 0),
         np.array([made.quantile(name)[2] for name in NODES]),
         np.array([bench.truth_c[name] for name in NODES]),
@@ -139,6 +143,7 @@ def figures_of(results: Sequence[BenchResult]) -> Document:
                 "rms_error_k": mean(float(np.sqrt(np.mean(one[number] ** 2))) for one in errors),
                 "bias_at_6200_rpm_k": mean(float(np.mean(one[number, -30:])) for one in errors),
                 "coverage_95": mean(float(one[number]) for one in covered),
+                "not_known": mean(float(node in result.not_known) for result in used),
             }
             for number, node in enumerate(NODES)
         },
@@ -194,6 +199,7 @@ def tables(results: Sequence[BenchResult], document: Document) -> Iterator[Table
             ("rms error, K", cell("rms_error_k", text)),
             ("bias at 6200 rpm, K", cell("bias_at_6200_rpm_k", text)),
             ("95 % band covers, %", cell("coverage_95", share)),
+            ("said to be not known, % of the benches", cell("not_known", share)),
         ),
         "The paper has no data of these nodes and shows the twin's temperatures alone.",
     )

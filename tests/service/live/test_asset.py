@@ -44,6 +44,7 @@ async def test_it_starts_with_the_first_good_values_and_forecasts(
         "mean_c": None,
         "std_c": None,
         "known": False,
+        "reason": "no estimate yet",
     }
     assert live.documents.forecast() is None
     assert live.documents.machine().estimate is None

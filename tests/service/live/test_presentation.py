@@ -104,6 +104,7 @@ def test_tags_of_an_estimate_that_has_not_started(estimate: LiveEstimate) -> Non
         "mean_c": None,
         "std_c": None,
         "known": False,
+        "reason": "no estimate yet",
     }
     assert state.time == "2025-11-21T04:40:00.000Z"
 
@@ -121,9 +122,37 @@ def test_tags_and_state_of_a_running_estimate(
     assert state.model_version == 1
     assert dict(state.nodes["t_node_7_c"]) == {
         "mean_c": tag["value"],
-        "std_c": round(float(estimate.observer.std_c[6]), 3),
+        "std_c": round(float(estimate.std_c[6]), 3),
         "known": True,
+        "reason": None,
     }
+
+
+def test_a_node_that_no_sensor_shows_is_not_known_once_the_machine_is_hot(
+    estimate: LiveEstimate, machine_at_rest: dict[str, float]
+) -> None:
+    estimate.step(START_US, machine_at_rest)
+    model, hot = estimate.active.model, {"speed_rpm": 6200.0, "load_n": 2650.0, "ambient_c": 22.0}
+    rings = {"t_inner_ring_c": 60.0, "t_outer_ring_c": 38.0}
+    for minute in range(1, 240):
+        estimate.step(START_US + minute * 60_000_000, hot | rings)
+    shown = presentation.state_document(estimate, START_US, []).nodes
+    tags = presentation.estimate_tags(estimate, BEGAN)
+    unknown = {name for name, node in shown.items() if not node.known}
+    # Balls, cage and grease; the shaft's far end. Not what the sensors are next to.
+    assert {"t_node_3_c", "t_node_6_c", "t_node_7_c", "t_node_12_c"} <= unknown
+    assert not unknown & {"t_node_1_c", "t_node_2_c", "t_node_4_c"}
+    for name, node in shown.items():
+        expected = Quality.UNCERTAIN if name in unknown else Quality.GOOD
+        assert tags[f"{name}.twin"]["quality"] == expected
+        assert (node.reason is not None) == (name in unknown)
+        assert node.std_c is not None, "who wants it still has the figure"
+    assert (
+        shown["t_node_3_c"].reason
+        == f"±{1.96 * (shown['t_node_3_c'].std_c or 0):.0f} K: no sensor shows it"
+    )
+    sleeve = model.node_names.index("t_node_10_c")
+    assert estimate.std_c[sleeve] > 2.0 * estimate.observer.std_c[sleeve], "joints of a sleeve"
 
 
 def test_forecast_tags_wait_for_the_first_forecast() -> None:

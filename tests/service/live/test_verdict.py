@@ -384,7 +384,7 @@ async def test_after_speed_is_lost_nothing_presents_itself_as_valid(
     live = make_safe()
     live.start()
     await live.until(lambda: live.tag("verdict.next_step")["value"] == 1, "safe", WARM)
-    assert live.tag("t_node_7_c.twin")["quality"] == Quality.GOOD
+    assert live.tag("t_node_1_c.twin")["quality"] == Quality.GOOD
     assert live.tag("t_inner_ring_c.forecast_max")["quality"] == Quality.GOOD
     without_speed = {name: value for name, value in WARM.items() if name != "speed_rpm"}
     await live.until(lambda: live.tag("verdict.now")["value"] == 0, "unknown", without_speed)

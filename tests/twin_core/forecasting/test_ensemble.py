@@ -113,7 +113,7 @@ def test_a_sleeve_lies_anywhere_between_ring_and_shaft(model, known) -> None:  #
     for body, shaft in ((10, 5), (11, 12)):
         quantiles = result.quantile(f"t_node_{body}_c")[:, 0]
         differences = state[[4 - 1, shaft - 1]] - state[body - 1]
-        expected = 1.96 / 3.0 * np.linalg.norm(differences)
+        expected = 1.96 / 2.0 * np.linalg.norm(differences)
         assert expected > 0.8
         assert (quantiles[4] - quantiles[0]) / 2.0 == pytest.approx(expected, rel=0.15)
         assert quantiles[2] == pytest.approx(state[body - 1], abs=0.1 * expected)
@@ -208,6 +208,32 @@ def test_irregular_rows_and_a_change_on_the_way(model, known) -> None:  # type: 
     median = result.quantile("t_inner_ring_c")[2]
     assert median[3] == pytest.approx(median[0], abs=0.2)
     assert median[5] > median[4] > median[3] + 5.0
+
+
+def test_what_no_sensor_shows_is_named_with_its_own_band(model, known) -> None:  # type: ignore[no-untyped-def]
+    state, covariance = now(model)
+    machine = MachineState(state, covariance, RUN_IN, 22.0)
+    fast = forecast(model, known, machine, hold(6200.0, 2650.0)).not_known
+    slow = forecast(model, known, machine, hold(700.0, 2650.0)).not_known
+    assert {"t_node_3_c", "t_node_6_c", "t_node_7_c", "t_node_12_c"} <= set(fast)
+    assert {"t_node_3_c"} <= set(slow) < set(fast)
+    assert not {*SENSORS, "t_node_2_c", "t_node_4_c"} & set(fast), "the rings' sensors show these"
+    assert all(3.5 < slow[name] < fast[name] for name in slow)
+    # Whatever the law of load: a node's own band is not that of the whole forecast.
+    vague = forecast(model, prior_posterior(model), machine, hold(6200.0, 2650.0))
+    assert vague.quantile("t_node_4_c")[4, -1] - vague.quantile("t_node_4_c")[0, -1] > 20.0
+    assert "t_node_4_c" not in vague.not_known
+    # Nobody knows where a body that was not followed begins.
+    covariance[0, 0] = 2.0**2
+    lost = replace(machine, covariance=covariance)
+    assert "t_node_1_c" in forecast(model, known, lost, hold(700.0, 2650.0)).not_known
+    # Errors four times as wide: what is useful is four times as wide, too.
+    errors = replace(
+        model.errors,
+        **{name: 4.0 * getattr(model.errors, name) for name in ("white_k", "slow_k", "offset_k")},
+    )
+    wide = forecast(replace(model, errors=errors), known, machine, hold(700.0, 2650.0)).not_known
+    assert set(wide) < set(slow)
 
 
 def test_a_runaway_counts_as_over_every_limit_and_is_reported(model) -> None:  # type: ignore[no-untyped-def]

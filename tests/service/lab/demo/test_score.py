@@ -44,6 +44,7 @@ def forecast(
                 sensor: Quantiles(**{name: values.tolist() for name, values in quantiles.items()})
                 for sensor in SENSORS
             },
+            not_known={},
             limits={},
             time_to_limit={},
             labels=[],

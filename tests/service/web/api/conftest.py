@@ -152,7 +152,7 @@ class MemoryTwin:
         return {"tags": self.tags}
 
     def state(self) -> State:
-        node = NodeState(mean_c=60.0, std_c=float("nan"), known=False)
+        node = NodeState(mean_c=60.0, std_c=float("nan"), known=False, reason="no estimate yet")
         return State(
             time=rfc3339(self.time_us),
             model_version=1,
@@ -224,6 +224,7 @@ class MemoryTwin:
             },
             whole_run=WholeRun(level=0.9, sensors={}),
             limits=LIMITS,
+            not_known={},
             time_to_limit={"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},
             labels=[],
             runaway_probability=0.0,

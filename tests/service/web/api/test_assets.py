@@ -72,6 +72,7 @@ async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
     world.bench.live_forecast = LiveForecast(
         time_s=[0.0],
         nodes={},
+        not_known={},
         limits={},
         time_to_limit={},
         labels=[],

@@ -27,5 +27,5 @@ export function heatLegend() {
     h('div', { class: 'skeys' },
       h('span', { class: 'key' }, sensor, 'measured'),
       h('span', { class: 'key es' }, h('b', {}, '00.0'), ' estimated, ± 95 %'),
-      h('span', { class: 'key' }, h('i', { class: 'hatch' }), 'not known')));
+      h('span', { class: 'key' }, h('i', { class: 'hatch' }), 'not known: no sensor shows it')));
 }

@@ -14,11 +14,11 @@ export class NodeTiles {
 
   /**
    * nodes: { name: estimate °C }, spreads: { name: its standard deviation in K }, unknown: names of
-   * those without a useful estimate,
+   * those without a useful estimate, reasons: { name: why },
    * measured: { name: { value, usable } } of measured points (which need not be nodes),
    * alerts: { name: { priority, predicted } }, stale: all is of the past.
    */
-  update({ nodes, spreads, unknown, measured, alerts, stale }) {
+  update({ nodes, spreads, unknown, reasons = {}, measured, alerts, stale }) {
     const names = [...new Set([...Object.keys(measured), ...Object.keys(nodes)])];
     this.measured = measured;
     this.grid.classList.toggle('stale', stale);
@@ -26,7 +26,7 @@ export class NodeTiles {
       if (!this.tiles.has(name)) this.tiles.set(name, this.createTile(name));
       const known = !unknown.includes(name);
       const text = estimated(nodes[name], spreads[name], known);
-      const estimate = { mean: known ? nodes[name] : null, text, known };
+      const estimate = { mean: known ? nodes[name] : null, text, known, why: reasons[name] };
       this.updateTile(this.tiles.get(name), estimate, measured[name], alerts[name]);
     }
   }
@@ -46,6 +46,7 @@ export class NodeTiles {
     setText(value, measured ? fixed(shown) : estimate.text);
     const both = measured && Number.isFinite(estimate.mean);
     setText(twin, both ? `twin ${estimate.text}` : measured ? 'measured' : 'estimated');
+    element.title = (!measured && !estimate.known && estimate.why) || '';
     value.className = measured ? (measured.usable ? 'me' : 'st') : 'es';
     element.className = [measured?.usable === false && 'gone', alert && `a${alert.priority}`,
       alert?.predicted && 'ahead'].filter(Boolean).join(' ');

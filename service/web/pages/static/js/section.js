@@ -53,8 +53,9 @@ function label(node, y, toX, toY, left) {
 /** What a label points at: a dot, or a ring where a sensor measures. */
 const pin = (node, x, y) => s('circle', { class: 'pin', 'data-pin': node, cx: x, cy: y, r: 2.6 });
 
-const figure = (node, x, y, anchor) =>
-  s('text', { class: 'v es', 'data-figure': node, x, y, 'text-anchor': anchor }, '–');
+const figure = (node, x, y, anchor) => s('g', {},
+  s('title', { 'data-why': node }),
+  s('text', { class: 'v es', 'data-figure': node, x, y, 'text-anchor': anchor }, '–'));
 
 const tagged = (node, x) => [
   s('rect', { class: 'tag', x: x - 66, y: 262, width: 132, height: 44, rx: 3 }),
@@ -84,9 +85,9 @@ export class Section {
       LABELS_LEFT.map((one) => label(...one, true)),
       LABELS_RIGHT.map((one) => label(...one, false)),
       tagged(5, 110), tagged(12, 610),
-      s('rect', { class: 'tag', x: 286, y: 418, width: 148, height: 28, rx: 3 }),
-      s('text', { class: 'n', x: 308, y: 437 }, 'Bench'), figure(13, 424, 438, 'end'),
-      pin(13, 297, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
+      s('rect', { class: 'tag', x: 268, y: 418, width: 184, height: 28, rx: 3 }),
+      s('text', { class: 'n', x: 290, y: 437 }, 'Bench'), figure(13, 442, 438, 'end'),
+      pin(13, 279, 432), s('text', { class: 'n', x: 26, y: 34 }, 'Air'), figure(14, 26, 55, 'start'),
       pin(14, 14, 48),
       s('text', { class: 'n d', x: 30, y: 394 }, 'lower half: outside view'));
     this.svg.addEventListener('click', ({ target }) => {
@@ -99,13 +100,14 @@ export class Section {
 
   /**
    * nodes: { number: °C }, spreads: { number: standard deviation in K }, unknown: numbers of those
-   * without a useful estimate, measured: { number: { value, usable } },
+   * without a useful estimate, reasons: { number: why }, measured: { number: { value, usable } },
    * alerts: { 2 or 4: { priority, predicted } }, stale: the whole picture is of the past.
    */
-  update({ nodes, spreads, unknown, measured, alerts, stale }) {
+  update({ nodes, spreads, unknown, reasons = {}, measured, alerts, stale }) {
     for (let node = 1; node <= 14; node += 1) {
       const known = !unknown.includes(node);
-      this.updateNode(node, { value: nodes[node], spread: spreads[node], known }, measured[node]);
+      const estimate = { value: nodes[node], spread: spreads[node], known, why: reasons[node] };
+      this.updateNode(node, estimate, measured[node]);
     }
     this.measured = measured;
     this.svg.classList.toggle('stale', stale);
@@ -125,6 +127,8 @@ export class Section {
     const figureText = this.svg.querySelector(`[data-figure="${node}"]`);
     setText(figureText, measured ? fixed(value)
       : estimated(value, estimate.spread, estimate.known));
+    const why = !measured && !estimate.known && estimate.why;
+    setText(this.svg.querySelector(`[data-why="${node}"]`), why ? `${NODE_NAMES[node - 1]}: ${why}` : '');
     const look = measured ? (measured.usable ? 'me' : 'st') : estimate.known ? 'es' : 'un';
     figureText.setAttribute('class', `v ${look}`);
     const ring = this.svg.querySelector(`[data-pin="${node}"]`);

@@ -220,6 +220,7 @@ export class OperatorView {
     const nodes = {};
     const spreads = {};
     const unknown = [];
+    const reasons = {};
     const measured = {};
     const measure = (node, channel) => {
       if (state.tags[channel]) measured[node] = readChannel(state, this.page.clock, channel);
@@ -229,6 +230,7 @@ export class OperatorView {
       nodes[i + 1] = estimate?.mean_c ?? null;
       spreads[i + 1] = estimate?.std_c ?? 0;
       if (estimate?.known === false) unknown.push(i + 1);
+      reasons[i + 1] = estimate?.reason;
       measure(i + 1, `t_node_${i + 1}_c`);
     });
     nodes[14] = state.asset.ambient_assumed_c ?? null;
@@ -239,7 +241,7 @@ export class OperatorView {
       const priority = this.alertOf(now, now.readings.find((one) => one.sensor === sensor));
       if (priority) alerts[node] = priority;
     }
-    return { nodes, spreads, unknown, measured, alerts };
+    return { nodes, spreads, unknown, reasons, measured, alerts };
   }
 
   /** What the tiles show, by name. */
@@ -255,6 +257,7 @@ export class OperatorView {
       nodes: byName([...new Set([...nodes, ...temperatures])], estimate),
       spreads: byName(nodes, (name) => state.nodes.nodes[name].std_c),
       unknown: nodes.filter((name) => state.nodes.nodes[name].known === false),
+      reasons: byName(nodes, (name) => state.nodes.nodes[name].reason),
       measured: byName(temperatures, (name) => readChannel(state, this.page.clock, name)),
       alerts: Object.fromEntries(alerts.filter(([, alert]) => alert)),
     };

@@ -216,7 +216,10 @@ export class WhatIfView {
     this.failure = '';
     this.panel.showProblem('');
     this.heading.title = `Answered in ${Math.round(ms)} ms`;
-    put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, labelText(text))));
+    const unknown = Object.entries(answer.not_known ?? {})
+      .map(([name, why]) => `${channelName(name)} not known, ${why}`);
+    put(this.labels, [...(answer.labels ?? []).map(labelText), ...unknown]
+      .map((text) => h('span', { class: 'chip dash' }, text)));
     this.show();
   }
 
