@@ -26,12 +26,7 @@ from twin_core.forecasting.ensemble import (
 )
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.members import beyond_load, draw_members
-from twin_core.forecasting.runaway import (
-    RunawayMargin,
-    newtons_left,
-    runaway_probability,
-    upper_gain,
-)
+from twin_core.forecasting.runaway import newtons_left, runaway_probability, upper_gain
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
 from twin_core.machine_state import MachineState
@@ -48,7 +43,6 @@ _EARLIEST = 0.025
 _CEILING_C = 500.0
 _CHUNKS_PER_THREAD = 4
 _NARROWEST_K = 0.05
-_MARGIN_LOADS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,47 +247,6 @@ def envelope(
         loop_gain=gains.reshape(2, *shape),
         margin_k=np.quantile(np.maximum(left_k, 0.0), 0.05, axis=0, method="lower").reshape(shape),
         margin_n=newtons_left(loads, probability.reshape(shape)),
-    )
-
-
-def runaway_margin(
-    model: ThermalModel,
-    posterior: Posterior,
-    state: MachineState,
-    speed_rpm: float,
-    load_n: float,
-) -> RunawayMargin:
-    """Tell how far a machine is from a thermal runaway at one operating point, held for hours.
-
-    Loads from half to twice that of the point are looked at for the margin in newtons.
-
-    Parameters
-    ----------
-    model, posterior, state
-        As for `envelope`.
-    speed_rpm, load_n
-        The operating point; not negative, the load above 0.
-
-    Raises
-    ------
-    ValueError
-        As `envelope`.
-    """
-    loads = load_n * _MARGIN_LOADS
-    row = int(np.argmin(np.abs(_MARGIN_LOADS - 1.0)))
-    found = envelope(model, posterior, state, [speed_rpm], loads, {})
-    return RunawayMargin(
-        speed_rpm,
-        load_n,
-        *(
-            float(values[row, 0])
-            for values in (
-                found.runaway_probability,
-                *found.loop_gain,
-                found.margin_k,
-                found.margin_n,
-            )
-        ),
     )
 
 

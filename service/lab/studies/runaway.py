@@ -15,8 +15,8 @@ from adapters.virtual_bench.families import FAMILIES, random_bench
 from service.lab.studies.bench_runs import Stage, follow, identify_twin, run_bench
 from service.lab.studies.study import Document, Options, Study, Table, cell, share, table, text
 from twin_core.forecasting import forecast
-from twin_core.forecasting.envelope import runaway_margin
 from twin_core.forecasting.labels import RUNAWAY
+from twin_core.forecasting.margins import runaway_margin
 from twin_core.forecasting.runaway import LIKELY, RunawayMargin
 from twin_core.network_model import RunawayLimits
 

@@ -7,8 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from twin_core.bearings import bearing
-from twin_core.forecasting.envelope import envelope, runaway_margin
+from twin_core.forecasting.design import Level, held_profile
+from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import runaway_not_excluded
+from twin_core.forecasting.margins import heaviest_margin, runaway_margin
 from twin_core.forecasting.runaway import LIKELY, newtons_left, runaway_probability
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.machine_state import MachineState
@@ -92,6 +94,32 @@ def test_more_load_leaves_less_margin_and_newtons_agree_with_the_probability(
     assert alone.probability == pytest.approx(probability[over], rel=1e-6)
     assert alone.margin_k == pytest.approx(margin_k[over], rel=1e-6)
     assert alone.margin_n == pytest.approx(found.margin_n[over, 0], abs=150.0)
+
+
+def test_a_search_for_the_load_finds_what_all_loads_tell(model: ThermalModel) -> None:
+    known = machine(model, -2.5, spread=0.35, moment=1.0)
+    factors = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+    margins = []
+    for load_n in (400.0, 1500.0, 3000.0, 6000.0, 12_000.0):
+        alone = runaway_margin(model, known, COLD, 5800.0, load_n)
+        all_n = envelope(model, known, COLD, [5800.0], load_n * factors, {}).margin_n[5, 0]
+        assert_allclose(alone.margin_n, all_n, rtol=1e-9)
+        margins.append(alone.margin_n)
+    assert np.isnan(margins[0])
+    assert margins[-1] < 0.0
+
+
+def test_the_margin_of_a_profile_is_that_of_its_heaviest_point(model: ThermalModel) -> None:
+    known = machine(model, -2.5, spread=0.35, moment=1.0)
+    levels = [Level(5800.0, 2650.0, 3600.0), Level(-5000.0, 3500.0, 600.0), Level(0.0, 9000.0, 600)]
+    ahead = held_profile(levels, AMBIENT_C)
+    assert heaviest_margin(model, known, COLD, ahead) == runaway_margin(
+        model, known, COLD, 5000.0, 3500.0
+    )
+    assert heaviest_margin(model, prior_posterior(model), COLD, ahead) is None
+    standing = held_profile(levels[2:], AMBIENT_C)
+    assert heaviest_margin(model, known, COLD, standing) is None
+    assert heaviest_margin(replace(model, runaway=None), known, COLD, ahead) is None
 
 
 def test_newtons_of_loads_that_are_all_safe_or_all_not() -> None:

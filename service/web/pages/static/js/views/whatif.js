@@ -9,6 +9,7 @@ import { LatestQuestion } from '../latest.js';
 import { csvOf, fieldsFor, fromLink, linkOf, MOST_STEPS, requestProfile } from '../profile.js';
 import { ProfilePanel } from '../profile_panel.js';
 import { readChannel } from '../readings.js';
+import { marginText, marginTitle } from '../runaway.js';
 import { chartSensors } from '../sensors.js';
 import { crossingsAhead, situation } from '../situation.js';
 import {
@@ -42,6 +43,7 @@ export class WhatIfView {
     this.answers = h('div', { class: 'answers' });
     this.heading = h('h2', {}, 'Forecast for this profile, °C');
     this.labels = h('span', { class: 'labels' });
+    this.margin = h('p', { class: 's mut margin' });
     this.ghostText = h('span', {}, 'as planned');
     this.boxes = {
       temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Forecast' }),
@@ -98,7 +100,7 @@ export class WhatIfView {
       h('header', {}, this.heading, this.labels,
         h('span', { class: 'keys' }, key('tw', 'median'), key('f50', '50 %'), key('f95', '95 %'),
           key('pl', this.ghostText))),
-      this.boxes.temperature, this.boxes.speed, this.boxes.load));
+      this.margin, this.boxes.temperature, this.boxes.speed, this.boxes.load));
   }
 
   // ---------------------------------------------------------------- the profile
@@ -215,6 +217,8 @@ export class WhatIfView {
     this.panel.showProblem('');
     this.heading.title = `Answered in ${Math.round(ms)} ms`;
     put(this.labels, (answer.labels ?? []).map((text) => h('span', { class: 'chip dash' }, labelText(text))));
+    setText(this.margin, marginText(answer.runaway_margin));
+    this.margin.title = marginTitle(answer.runaway_margin);
     this.show();
   }
 
@@ -222,6 +226,7 @@ export class WhatIfView {
     this.answer = null;
     this.failure = error.message;
     this.heading.title = '';
+    setText(this.margin, '');
     this.panel.showProblem(`No answer: ${error.message}.`);
     this.show();
   }
