@@ -171,11 +171,21 @@ def forecast_document(
         time_to_limit=crossings,
         labels=list(forecast.labels),
         runaway_probability=float(forecast.runaway_probability),
-        runaway_margin=None if margin is None else _margin(margin),
+        runaway_margin=margin_document(margin),
     )
 
 
-def _margin(margin: "runaway.RunawayMargin") -> RunawayMargin:
+def margin_document(margin: "runaway.RunawayMargin | None") -> RunawayMargin | None:
+    """Show a margin to a thermal runaway; null for none, and for figures that are not finite.
+
+    Parameters
+    ----------
+    margin : RunawayMargin or None
+        As it was computed.
+    """
+    if margin is None:
+        return None
+
     def shown(value: float, digits: int) -> float | None:
         return round(value, digits) if math.isfinite(value) else None
 
