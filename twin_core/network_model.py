@@ -70,9 +70,10 @@ class RunawayLimits:
     lost_c
         A member in which any sensor passes this temperature in degC has run away: no grease
         survives it.
-    tested
-        Whether the probability of a runaway was tested on benches that ran away, up to
-        ``load_factor``; else the members' share stands for it.
+    clearance_um_k
+        Radial clearance in micrometres that a kelvin between inner and outer ring takes up; given,
+        where the probability of a runaway that follows from it was tested on benches that ran
+        away, up to ``load_factor``. Zero elsewhere: the members' share stands for it.
 
     Raises
     ------
@@ -83,16 +84,21 @@ class RunawayLimits:
     hot_c: float = 100.0
     load_factor: float = 1.5
     lost_c: float = 130.0
-    tested: bool = False
+    clearance_um_k: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("hot_c", "load_factor", "lost_c"):
+        for name in ("hot_c", "load_factor", "lost_c", "clearance_um_k"):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number")
         if self.load_factor < 1.0:
             raise ValueError(f"load_factor is {self.load_factor}, expected at least 1")
         if self.lost_c < self.hot_c:
             raise ValueError(f"lost_c is {self.lost_c}, expected at least hot_c = {self.hot_c}")
+
+    @property
+    def tested(self) -> bool:
+        """Whether the probability of a runaway was tested."""
+        return self.clearance_um_k > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

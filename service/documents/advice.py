@@ -1,11 +1,12 @@
 """Which low-risk step to run next, which not, and how to approach the target itself."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from service.documents.base import Document, Time
+from service.documents.base import Document, Number, Time
+from service.documents.forecasts import RunawayMargin, margin_document
 from service.documents.profiles import OperatingPoint, StepLevel
 
 if TYPE_CHECKING:  # web and plant side show advice, and never compute it
@@ -30,11 +31,14 @@ class Target(StepLevel):
 
     inside_low_risk: bool
     sensor: str = Field(
-        description="The sensor with the widest interval; steps are ranked by it.",
+        description="The sensor with the widest interval; of intervals, this one's counts.",
         examples=["t_inner_ring_c"],
     )
     sensors: dict[str, TargetSensor]
     labels: list[str] = Field(examples=[["load law from prior only", "runaway not excluded"]])
+    runaway_margin: RunawayMargin | None = Field(
+        default=None, description="Held at the target for hours, as it is forecast now."
+    )
 
 
 class AdvisedStep(Document):
@@ -47,8 +51,13 @@ class AdvisedStep(Document):
         description="Half the 95 % interval at the target, expected after the step, K."
     )
     cautious_half_width_k: BySensor = Field(
-        description="The same if the machine's friction shifts by some per cent between stages; "
-        "steps are ranked by it."
+        description="The same if the machine's friction shifts by some per cent between stages."
+    )
+    runaway_probability: Number = Field(
+        default=None,
+        description="Of a runaway at the target, cautiously expected after the step if the machine "
+        "is what it is taken for; null where the probability was not tested.",
+        examples=[0.021],
     )
     narrower_by: float = Field(
         description="Fraction by which the deciding sensor's interval narrows, cautiously.",
@@ -107,6 +116,12 @@ class AdviceDocument(Document):
     worth_while: bool = Field(
         description="Whether the best step narrows the interval by a tenth or more."
     )
+    ranked_by: Literal["runaway", "interval"] = Field(
+        default="interval",
+        description="Where a runaway at the target is not excluded, steps are ranked by its "
+        "probability after them, and those with like odds by the cautious interval; else by the "
+        "cautious interval alone.",
+    )
     steps: list[AdvisedStep]
     excluded: list[ExcludedStep]
     stop_rule: StopRule
@@ -154,7 +169,9 @@ def advice_document(
                 for name, found in advice.now.items()
             },
             labels=list(advice.labels),
+            runaway_margin=margin_document(advice.margin),
         ),
+        ranked_by="runaway" if advice.by_runaway else "interval",
         worth_while=advice.worth_while,
         steps=[
             AdvisedStep(
@@ -163,6 +180,9 @@ def advice_document(
                 duration_s=step.duration_s,
                 half_width_k=_rounded(step.half_width_k),
                 cautious_half_width_k=_rounded(step.cautious_half_width_k),
+                runaway_probability=(
+                    None if step.runaway_probability is None else round(step.runaway_probability, 4)
+                ),
                 narrower_by=round(step.narrower_by, 3),
                 peak_c=_rounded(step.peak_c),
                 why=step.why,

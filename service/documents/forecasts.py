@@ -10,11 +10,11 @@ from pydantic import Field, SkipValidation
 
 from service.documents.base import Document, Number, Time
 from service.documents.limits import Crossings, Limits
-from service.documents.profiles import ForecastStep
+from service.documents.profiles import ForecastStep, OperatingPoint
 from twin_core.scores import WHOLE_RUN_LEVEL
 
 if TYPE_CHECKING:  # web and plant side show forecasts, and never compute one
-    from twin_core.forecasting import Forecast
+    from twin_core.forecasting import Forecast, runaway
 
 #: Quantiles are shown to 0.01 K.
 QUANTILE_DECIMALS = 2
@@ -54,6 +54,32 @@ class WholeRun(Document):
     sensors: dict[str, WholeRunBand] = Field(description="By sensor that was asked for.")
 
 
+class RunawayMargin(OperatingPoint):
+    """How far the machine is from a thermal runaway, held for hours at this point."""
+
+    probability: float = Field(
+        ge=0, le=1, description="That it runs away, held here for 8 h.", examples=[0.02]
+    )
+    loop_gain: Number = Field(
+        description="Heat that a rise gives back over heat that it carries away, median of the "
+        "members; a machine runs away above 1. Null where half of the members run away.",
+        examples=[0.31],
+    )
+    loop_gain_upper: Number = Field(
+        description="The same, 97.5 % of the members; null where so many run away.", examples=[0.52]
+    )
+    margin_k: Number = Field(
+        description="How much hotter the hottest sensor may become until the loop gain is 1 or the "
+        "limit (130 °C of a bearing) is passed, K; null where there is no limit.",
+        examples=[24.1],
+    )
+    margin_n: Number = Field(
+        description="How much more load until the probability is 5 %, N; negative where it is more "
+        "already. Null where twice the load is not as bad.",
+        examples=[1900],
+    )
+
+
 class ForecastDocument(Document):
     """Temperatures over a profile, and when limits are exceeded."""
 
@@ -74,6 +100,12 @@ class ForecastDocument(Document):
         ge=0,
         le=1,
         description="That the machine runs away thermally; see `runaway` of the envelope.",
+    )
+    runaway_margin: RunawayMargin | None = Field(
+        default=None,
+        description="The margin at the heaviest point of the profile (speed times load). Null "
+        "before the first identification, for a network without limits of a runaway, and where "
+        "nothing but standing or no load lies ahead.",
     )
 
 
@@ -164,6 +196,7 @@ def forecast_document(
     forecast: "Forecast",
     limits: Mapping[str, Limits],
     crossings: Crossings,
+    margin: "runaway.RunawayMargin | None",
     names: Sequence[str] | None = None,
 ) -> ForecastDocument:
     """Show a forecast.
@@ -176,6 +209,8 @@ def forecast_document(
         Of the asset.
     crossings
         When it exceeds which limit.
+    margin : RunawayMargin or None
+        How far it is from a thermal runaway.
     names : sequence of str, optional
         The sensors and nodes; default all.
     """
@@ -192,4 +227,30 @@ def forecast_document(
         time_to_limit=crossings,
         labels=list(forecast.labels),
         runaway_probability=float(forecast.runaway_probability),
+        runaway_margin=margin_document(margin),
+    )
+
+
+def margin_document(margin: "runaway.RunawayMargin | None") -> RunawayMargin | None:
+    """Show a margin to a thermal runaway; null for none, and for figures that are not finite.
+
+    Parameters
+    ----------
+    margin : RunawayMargin or None
+        As it was computed.
+    """
+    if margin is None:
+        return None
+
+    def shown(value: float, digits: int) -> float | None:
+        return round(value, digits) if math.isfinite(value) else None
+
+    return RunawayMargin(
+        speed_rpm=round(margin.speed_rpm, 1),
+        load_n=round(margin.load_n, 1),
+        probability=round(margin.probability, 4),
+        loop_gain=shown(margin.loop_gain, 3),
+        loop_gain_upper=shown(margin.loop_gain_upper, 3),
+        margin_k=shown(margin.margin_k, 1),
+        margin_n=shown(margin.margin_n, 0),
     )

@@ -16,6 +16,7 @@ from service.live.presentation import LEVELS
 from service.site.asset_section import Limits
 from twin_core.forecasting import Forecast
 from twin_core.forecasting.means import mean_forecasts, start_of
+from twin_core.forecasting.runaway import RunawayMargin
 from twin_core.simulation import OperatingProfile, OperatingProfiles
 
 #: Process seconds after which an ensemble is made again in any case.
@@ -50,6 +51,8 @@ class Ensemble:
         What it followed: one operating point, held.
     state : EstimatedState
         What it began from.
+    margin : RunawayMargin or None
+        How far it was from a thermal runaway.
     """
 
     result: Forecast
@@ -57,10 +60,12 @@ class Ensemble:
     path_c: NDArray[np.float64]
     profile: OperatingProfile
     state: EstimatedState
+    margin: RunawayMargin | None
 
 
 def keep_ensemble(
     result: Forecast,
+    margin: RunawayMargin | None,
     state: EstimatedState,
     profile: OperatingProfile,
     limits: Mapping[str, Limits],
@@ -71,6 +76,8 @@ def keep_ensemble(
     ----------
     result : Forecast
         The ensemble.
+    margin : RunawayMargin or None
+        How far it is from a thermal runaway.
     state : EstimatedState
         Where it began.
     profile : OperatingProfile
@@ -99,7 +106,7 @@ def keep_ensemble(
         quantiles=result.quantiles.astype(np.float32),
         members_c=result.members_c[near].astype(np.float32),
     )
-    return Ensemble(result, members, path_c.astype(np.float32), profile, state)
+    return Ensemble(result, members, path_c.astype(np.float32), profile, state, margin)
 
 
 def is_like(kept: Ensemble, state: EstimatedState, profile: OperatingProfile) -> bool:

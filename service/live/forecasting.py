@@ -32,6 +32,8 @@ from service.live.readings import Readings, allowed_age_s
 from service.site.asset_section import AssetSection, Limits
 from service.store.forecast_records import IssuedForecast
 from twin_core.forecasting import Forecast, forecast
+from twin_core.forecasting.margins import heaviest_margin
+from twin_core.forecasting.runaway import RunawayMargin
 from twin_core.profiles import OperatingPoint
 from twin_core.simulation import OperatingProfile
 
@@ -48,6 +50,7 @@ class _Live(NamedTuple):
     """A live forecast, what tags and verdicts need of it, and the ensemble of its intervals."""
 
     result: Forecast
+    margin: RunawayMargin | None
     summary: ForecastSummary
     steps: tuple[StepOutlook, ...]
     ensemble: Ensemble | None
@@ -58,6 +61,7 @@ class _Latest(NamedTuple):
     """The latest live forecast as far as it is shown."""
 
     result: Forecast
+    margin: RunawayMargin | None
     summary: ForecastSummary
     steps: Sequence[Step]
     model_version: int
@@ -134,7 +138,7 @@ class Forecasting:
         if made is None:
             return None
         return LiveForecast(
-            **dict(_document(made.result, made.summary, self._limits)),
+            **dict(_document(made.result, made.margin, made.summary, self._limits)),
             model_version=made.model_version,
             profile=presentation.steps_document(made.steps),
             missing=list(made.missing),
@@ -178,7 +182,14 @@ class Forecasting:
         self._ensemble, self._carried_on = live.ensemble, live.intervals_us != made_us
         summary = live.summary
         self._latest = _Latest(
-            live.result, summary, steps, version, missing, live.intervals_us, has_plan
+            live.result,
+            live.margin,
+            summary,
+            steps,
+            version,
+            missing,
+            live.intervals_us,
+            has_plan,
         )
         self.summary, self.outlook, self.issue = summary, None, None
         if not missing:
@@ -225,32 +236,35 @@ def _make_live(
     keeps: bool,
 ) -> _Live:
     """Carry the kept ensemble on where that is right, else make one, and keep it if wanted."""
-    result, ensemble = None, kept
+    result, margin, ensemble = None, None, kept
     if kept is not None and is_like(kept, state, profile):
-        result = carried(kept, state, profile, limits)
+        result, margin = carried(kept, state, profile, limits), kept.margin
     if result is None:
-        result, ensemble = _make(state, profile), None
+        (result, margin), ensemble = _make(state, profile), None
     summary = presentation.summarize(result, limits, state.time_us)
     outlooks = step_outlooks(result, steps, limits)
     intervals_us = state.time_us if ensemble is None else ensemble.state.time_us
     if ensemble is None and keeps:
-        ensemble = keep_ensemble(result, state, profile, limits)
+        ensemble = keep_ensemble(result, margin, state, profile, limits)
     shown = replace(
         result,
         # To the figures that are shown, in half the memory.
         quantiles=np.round(result.quantiles, QUANTILE_DECIMALS).astype(np.float32),
         members_c=np.empty((0, 0, 0)),
     )
-    return _Live(shown, summary, outlooks, ensemble, intervals_us)
+    return _Live(shown, margin, summary, outlooks, ensemble, intervals_us)
 
 
-def _make(state: EstimatedState, profile: OperatingProfile) -> Forecast:
-    active = state.active
-    return forecast(active.model, active.posterior, state.machine, profile, members=MEMBERS)
+def _make(
+    state: EstimatedState, profile: OperatingProfile
+) -> tuple[Forecast, RunawayMargin | None]:
+    of = state.active.model, state.active.posterior, state.machine, profile
+    return forecast(*of, members=MEMBERS), heaviest_margin(*of)
 
 
 def _document(
     result: Forecast,
+    margin: RunawayMargin | None,
     summary: ForecastSummary,
     limits: Mapping[str, Limits],
     nodes: Sequence[str] | None = None,
@@ -259,6 +273,7 @@ def _document(
         result,
         presentation.limits_document(limits),
         presentation.crossings_document(summary.crossings),
+        margin,
         nodes,
     )
 
@@ -289,8 +304,8 @@ def what_if_document(
         Operating channels without a usable value.
     """
     steps = _steps(state, profile)
-    result = _what_if(state, steps, step_s)
-    return _what_if_answer(state, limits, steps, result, nodes, missing)
+    made = _what_if(state, steps, step_s)
+    return _what_if_answer(state, limits, steps, made, nodes, missing)
 
 
 def what_if_to_keep(
@@ -313,16 +328,16 @@ def what_if_to_keep(
         What its sensors say now.
     """
     steps = _steps(state, profile)
-    result = _what_if(state, steps, step_s)
+    made = _what_if(state, steps, step_s)
     issued = issued_forecast(
         settings.id,
-        LiveIssue(state, steps, result, None),
+        LiveIssue(state, steps, made[0], None),
         "asked",
         settings.low_risk.region,
         settings.channels,
         readings_c,
     )
-    return _what_if_answer(state, settings.limits, steps, result, nodes, ()), issued
+    return _what_if_answer(state, settings.limits, steps, made, nodes, ()), issued
 
 
 def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[Step]:
@@ -337,7 +352,9 @@ def _steps(state: EstimatedState, profile: Sequence[ProfileStep]) -> list[Step]:
     ]
 
 
-def _what_if(state: EstimatedState, steps: Sequence[Step], step_s: float | None) -> Forecast:
+def _what_if(
+    state: EstimatedState, steps: Sequence[Step], step_s: float | None
+) -> tuple[Forecast, RunawayMargin | None]:
     ahead = operating_profile(steps, step_s or FORECAST_ROW_S, state.point.inputs)
     return _make(state, ahead)
 
@@ -346,13 +363,14 @@ def _what_if_answer(
     state: EstimatedState,
     limits: Mapping[str, Limits],
     steps: Sequence[Step],
-    result: Forecast,
+    made: tuple[Forecast, RunawayMargin | None],
     nodes: Sequence[str] | None,
     missing: Sequence[str],
 ) -> WhatIf:
+    result, margin = made
     summary = presentation.summarize(result, limits, state.time_us)
     return WhatIf(
-        **dict(_document(result, summary, limits, nodes)),
+        **dict(_document(result, margin, summary, limits, nodes)),
         model_version=state.active.version,
         profile=presentation.steps_document(steps),
         missing=list(missing),

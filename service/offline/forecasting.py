@@ -18,7 +18,7 @@ from service.offline.tables import FloatArray, PlannedRows, Recording
 from service.site.machines.machine import Machine
 from twin_core.filtering import begin, run_filter
 from twin_core.forecasting import forecast
-from twin_core.forecasting.envelope import runaway_margin
+from twin_core.forecasting.margins import heaviest_margin
 from twin_core.forecasting.runaway import RunawayMargin
 from twin_core.machine_state import MachineState
 from twin_core.minute_rows import MOST_ROWS, row_step_s
@@ -223,25 +223,10 @@ def forecast_profile(
         whole_run,
         result.labels,
         result.runaway_probability,
-        _margin(identified, state, profile),
+        heaviest_margin(identified.model, identified.posterior, state, profile),
         _initial_state(result.names, result.quantiles[:, 0]),
         dict(result.not_known),
     )
-
-
-def _margin(
-    identified: IdentifiedModel, state: MachineState, profile: OperatingProfile
-) -> RunawayMargin | None:
-    """How far the profile's heaviest row is from a runaway, held with its inputs and ambient."""
-    power = np.abs(profile.speed_rpm) * profile.load_n
-    row = int(np.argmax(power))
-    if not power[row] > 0.0:
-        return None
-    there = replace(
-        state, ambient_c=float(profile.ambient_c[row]), inputs=tuple(profile.inputs[row])
-    )
-    speed_rpm, load_n = abs(float(profile.speed_rpm[row])), float(profile.load_n[row])
-    return runaway_margin(identified.model, identified.posterior, there, speed_rpm, load_n)
 
 
 def _initial_state(names: Sequence[str], quantiles_c: FloatArray) -> dict[str, dict[str, float]]:

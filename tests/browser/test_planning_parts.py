@@ -164,3 +164,24 @@ def test_high_risk_spans_and_holes_are_found_in_the_minutes(parts: Page) -> None
         (35, 36),
     ]
     assert found["runs"] == [20, 10]
+
+
+def test_a_margin_to_a_runaway_is_said_in_words(parts: Page) -> None:
+    base = {"speed_rpm": 6200, "load_n": 5500, "probability": 0.021, "margin_k": 24.1}
+    margins = [
+        base | {"margin_n": 1896.0},
+        base | {"margin_n": None, "probability": 0.001},
+        base | {"margin_n": -300, "margin_k": None, "probability": 0.12},
+        None,
+    ]
+    said = run(
+        parts,
+        "const { marginText } = await import('/js/runaway.js'); return margins.map(marginText);",
+        margins=margins,
+    )
+    assert said == [
+        "Margin to thermal runaway: 1900 N / 24 K, probability 2 %",
+        "Margin to thermal runaway: more than 5500 N / 24 K, probability < 1 %",
+        "Margin to thermal runaway: −300 N, probability 12 %",
+        "",
+    ]

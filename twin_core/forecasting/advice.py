@@ -6,48 +6,44 @@ are ranked by the 95 % interval that the forecast at the named point would have 
 quite the same from one stage to the next. That is what makes a pair of loads better than one load
 for as long: the difference of the pair stays when both are shifted.
 
-One thing the linear prediction cannot see is product behaviour here: a step never changes speed
-and load at once against what the data hold. Offline, on random virtual benches, such a step booked
-the error of the speed law on the load law and made the forecast far worse than no step (7.9 K
-against 0.7 K at 4000 N, coverage 77 %), though it looked informative.
+Where a thermal runaway at the point is not excluded, the probability of one that would be left
+comes first: it follows from the same prediction, of the difference between the rings.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logit
 
+from twin_core.forecasting.candidates import candidates, why_not
 from twin_core.forecasting.design import Design, Level, held_profile
 from twin_core.forecasting.ensemble import forecast
+from twin_core.forecasting.envelope import Envelope, envelope
+from twin_core.forecasting.labels import RUNAWAY, runaway_likely
+from twin_core.forecasting.margins import heaviest_margin
+from twin_core.forecasting.runaway import RunawayMargin, runaway_probability
 from twin_core.forecasting.stepping import LoadStep, stepping_plan
 from twin_core.identification.posterior import Posterior
 from twin_core.machine_state import MachineState
 from twin_core.models import ThermalModel
+from twin_core.network_model import RunawayLimits
 from twin_core.operating_points import (
-    NEW_LOAD,
     NEW_SPEED,
     OperatingPoint,
     alike,
     alike_points,
-    distinct_values,
 )
-from twin_core.windows import MEASURED_TOLERANCE, LowRiskRegion
+from twin_core.windows import LowRiskRegion
 
 FloatArray = NDArray[np.float64]
 
-LOAD_FRACTIONS = (0.4, 0.6, 0.8, 1.0)
-SPEED_FRACTIONS = (0.6, 1.0)
-SINGLE_DURATIONS_S = (2700.0, 5400.0)
-PAIR_DURATIONS_S = (2700.0, 3600.0)
-_ROUND_LOAD_N = 50.0
-_ROUND_SPEED_RPM = 50.0
-_LEAST_LOAD_RATIO = 1.15
 # Steps whose intervals differ by less than this are distinguished by how long they take.
 _ALIKE_WIDTHS = 1.03
+# Steps whose odds of a runaway differ by less than this are distinguished by their intervals.
+_ALIKE_ODDS = 1.25
 _WORTH_WHILE = 0.10
-_TAUGHT_S = 1200.0
 
 
 class NothingIdentifiedError(ValueError):
@@ -80,6 +76,9 @@ class RankedStep:
         Per sensor, half the 95 % interval at the target expected after the step.
     cautious_half_width_k
         The same if the friction during the step is shifted; steps are ranked by it.
+    runaway_probability
+        Of a runaway at the target, expected after the step on the same assumption if the machine
+        is what it is taken for; None where it was not tested (`RunawayLimits`).
     narrower_by
         By which part `cautious_half_width_k` of the decisive sensor is narrower than now.
     peak_c
@@ -92,6 +91,7 @@ class RankedStep:
     levels: tuple[Level, ...]
     half_width_k: Mapping[str, float]
     cautious_half_width_k: Mapping[str, float]
+    runaway_probability: float | None
     narrower_by: float
     peak_c: Mapping[str, float]
     why: str
@@ -124,6 +124,12 @@ class Advice:
         Present forecast at the end of the target, per sensor.
     labels
         What must be said with it; see `twin_core.forecasting.labels`.
+    margin
+        How far the machine is from a thermal runaway at the target, held for hours; None for a
+        machine that has no limits of one.
+    by_runaway
+        Whether steps are ranked by the probability of a runaway that they leave, and then by the
+        interval; else by the interval alone.
     steps
         Feasible steps, best first.
     excluded
@@ -138,6 +144,8 @@ class Advice:
     sensor: str
     now: Mapping[str, TargetForecast]
     labels: tuple[str, ...]
+    margin: RunawayMargin | None
+    by_runaway: bool
     steps: tuple[RankedStep, ...]
     excluded: tuple[ExcludedStep, ...]
     worth_while: bool
@@ -212,14 +220,22 @@ def advise(
     decisive = max(sensors, key=lambda name: now[name].half_width_k)
     has = sensors if measured is None else measured
     design = Design(model, posterior, state, sensors, has, target)
+    margin = heaviest_margin(
+        model, posterior, state, held_profile((target,), state.ambient_c, state.inputs)
+    )
+    at_target = envelope(model, posterior, state, [target.speed_rpm], [target.load_n], {})
+    tested = model.runaway is not None and model.runaway.tested
+    by_runaway = tested and RUNAWAY in made.labels
     trained = posterior.trained.operating_points
+    all_steps = list(candidates(trained, target, region))
+    lost = _running_away(model, posterior, state, all_steps)
     ranked, excluded = [], []
-    for levels in candidates(trained, target, region):
+    for levels in all_steps:
         reason = why_not(levels, trained)
         if reason is not None:
             excluded.append(ExcludedStep(levels, reason))
             continue
-        std_k, cautious_std_k, upper_c = design.after(levels)
+        std_k, cautious_std_k, difference_std_k, upper_c = design.after(levels)
         # The ensemble's interval, narrowed as the linear prediction says.
         plain, cautious = (
             {
@@ -229,15 +245,22 @@ def advise(
             for after in (std_k, cautious_std_k)
         )
         peak = dict(zip(sensors, _peak_c(upper_c, sensors, limits).tolist(), strict=True))
-        if reason := _too_hot(peak, limits):
+        if reason := _too_hot(peak, limits) or _own_runaway(levels, lost):
             excluded.append(ExcludedStep(levels, reason))
             continue
         narrower = 1.0 - cautious[decisive] / now[decisive].half_width_k
-        ranked.append(
-            RankedStep(levels, plain, cautious, narrower, peak, _why(levels, trained, narrower))
-        )
+        left = None
+        if tested:
+            kept = difference_std_k / design.difference_std_k
+            left = _probability_left(posterior, model.runaway, at_target, kept)
+        why = _why(levels, trained, narrower)
+        if by_runaway and left is not None and margin is not None:
+            now_percent, left_percent = 100.0 * margin.probability, 100.0 * left
+            why += f"; runaway there {now_percent:.1f} % now, {left_percent:.1f} % expected after"
+        ranked.append(RankedStep(levels, plain, cautious, left, narrower, peak, why))
     ranked.sort(
         key=lambda step: (
+            _rank_of_odds(step.runaway_probability) if by_runaway else 0,
             round(np.log(step.cautious_half_width_k[decisive]) / np.log(_ALIKE_WIDTHS)),
             step.duration_s,
             step.peak_c[decisive],
@@ -248,6 +271,8 @@ def advise(
         sensor=decisive,
         now=now,
         labels=made.labels,
+        margin=margin,
+        by_runaway=by_runaway,
         steps=tuple(ranked),
         excluded=tuple(excluded),
         worth_while=bool(ranked) and ranked[0].narrower_by >= _WORTH_WHILE,
@@ -257,82 +282,48 @@ def advise(
     )
 
 
-def candidates(
-    trained: Sequence[OperatingPoint], target: Level, region: LowRiskRegion
-) -> Iterator[tuple[Level, ...]]:
-    """Steps worth comparing, all inside the region; those with both changed at once too.
-
-    Speeds: that of the target if the region has it, those of the data, the region's highest and
-    six tenths of it. Loads: four levels of the region's highest, and those of the data. Each as a
-    single level, and in pairs of loads at one speed that differ by 15 % or more.
-    """
-    lasting = [point for point in trained if point.duration_s >= _TAUGHT_S]
-    known_speeds = [_within(point.speed_rpm, region.speed_rpm_max) for point in lasting]
-    known_loads = [_within(point.load_n, region.load_n_max) for point in lasting]
-    highest = [_rounded(part * region.speed_rpm_max, _ROUND_SPEED_RPM) for part in SPEED_FRACTIONS]
-    speeds = distinct_values(
-        [
-            speed
-            for speed in (target.speed_rpm, *sorted(known_speeds, reverse=True), *highest)
-            if 0.0 < speed <= region.speed_rpm_max
-        ],
-        NEW_SPEED,
-    )
-    heaviest = [_rounded(part * region.load_n_max, _ROUND_LOAD_N) for part in LOAD_FRACTIONS]
-    loads = sorted(
-        distinct_values(
-            [load for load in (*known_loads, *heaviest) if 0.0 < load <= region.load_n_max],
-            NEW_LOAD,
-        )
-    )
-    for speed in speeds:
-        untried = not any(alike(speed, known, NEW_SPEED) for known in known_speeds)
-        for load in loads:
-            for duration_s in SINGLE_DURATIONS_S:
-                yield (Level(speed, load, duration_s),)
-        for low in loads:
-            for high in loads:
-                if high < _LEAST_LOAD_RATIO * low:
-                    continue
-                # At an untried speed the first load must be one that the data know.
-                first, second = low, high
-                if untried and not any(alike(low, known, NEW_LOAD) for known in known_loads):
-                    first, second = high, low
-                for duration_s in PAIR_DURATIONS_S:
-                    yield (Level(speed, first, duration_s), Level(speed, second, duration_s))
+def _probability_left(
+    posterior: Posterior, limits: RunawayLimits | None, at_target: Envelope, kept: float
+) -> float:
+    """Probability of a runaway once the spread of the rings' difference has shrunk to a part."""
+    median_k, upper_k = at_target.ring_difference_k[:, 0, 0]
+    left_k = median_k + kept * (upper_k - median_k) if np.isfinite(upper_k) else upper_k
+    return float(runaway_probability(posterior, left_k, at_target.runaway_share[0, 0], limits))
 
 
-def why_not(levels: Sequence[Level], trained: Sequence[OperatingPoint]) -> str | None:
-    """Say why a step must not be run for learning: speed and load changed at once; None if not.
+def _rank_of_odds(probability: float | None) -> int:
+    """Number of the class of odds that are alike."""
+    return 0 if probability is None else round(float(logit(probability)) / np.log(_ALIKE_ODDS))
 
-    The first level must share its speed or its load with an operating point of the data; after
-    it only one of the two may change from level to level.
-    """
-    known = [point for point in trained if point.duration_s >= _TAUGHT_S] or list(trained)
-    first = levels[0]
-    if not any(
-        alike(first.speed_rpm, point.speed_rpm, NEW_SPEED)
-        or alike(first.load_n, point.load_n, NEW_LOAD)
-        for point in known
-    ):
-        nearest = min(
-            known,
-            key=lambda p: (
-                abs(np.log(p.speed_rpm / first.speed_rpm))
-                + abs(np.log(max(p.load_n, 1.0) / max(first.load_n, 1.0)))
-            ),
-            default=None,
-        )
-        against = (
-            "" if nearest is None else f" ({nearest.speed_rpm:.0f} rpm, {nearest.load_n:.0f} N)"
-        )
-        return (
-            f"changes speed and load at once against the data{against}: the error of the speed law "
-            "would be attributed to the load law, and the forecast gets worse than without the step"
-        )
-    for before, after in pairwise(levels):
-        if before.speed_rpm != after.speed_rpm and before.load_n != after.load_n:
-            return "changes speed and load at once within the step"
+
+def _running_away(
+    model: ThermalModel,
+    posterior: Posterior,
+    state: MachineState,
+    steps: Sequence[Sequence[Level]],
+) -> Mapping[tuple[float, float], float]:
+    """Levels, (rpm, N), at which a runaway is too probable for a low-risk step: how probable."""
+    speeds = sorted({level.speed_rpm for levels in steps for level in levels})
+    loads = sorted({level.load_n for levels in steps for level in levels})
+    if not speeds:
+        return {}
+    found = envelope(model, posterior, state, speeds, loads, {})
+    likely = runaway_likely(posterior, found.runaway_probability, model.runaway)
+    return {
+        (speeds[column], loads[row]): float(found.runaway_probability[row, column])
+        for row, column in np.argwhere(likely)
+    }
+
+
+def _own_runaway(levels: Sequence[Level], lost: Mapping[tuple[float, float], float]) -> str | None:
+    """Say at which level of a step itself the machine may run away; None if at none."""
+    for level in levels:
+        probability = lost.get((level.speed_rpm, level.load_n))
+        if probability is not None:
+            return (
+                f"thermal runaway not excluded at {level.speed_rpm:.0f} rpm, {level.load_n:.0f} N "
+                f"itself: {100.0 * probability:.0f} %"
+            )
     return None
 
 
@@ -376,13 +367,3 @@ def _why(levels: Sequence[Level], trained: Sequence[OperatingPoint], narrower_by
     else:
         text = "only the speed moves: shows the speed law, not the load law"
     return text if narrower_by >= _WORTH_WHILE else f"{text}; hardly anything new for this point"
-
-
-def _within(value: float, highest: float) -> float:
-    """A measured set-point: without its noise, which may have led it out of the region."""
-    tidy = float(round(value, -1))
-    return highest if highest < tidy <= (1.0 + MEASURED_TOLERANCE) * highest else tidy
-
-
-def _rounded(value: float, to: float) -> float:
-    return float(np.floor(value / to) * to)

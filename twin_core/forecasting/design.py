@@ -8,6 +8,7 @@ what the step will measure, so steps can be compared before any of them is run.
 
 from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from twin_core.forecasting.ensemble import (
     SENSOR_RESOLUTION_K,
     SENSOR_WHITE_K,
 )
+from twin_core.forecasting.runaway import ring_difference_k
 from twin_core.identification.posterior import Posterior
 from twin_core.identification.whitening import whitening
 from twin_core.machine_state import MachineState
@@ -52,6 +54,28 @@ class Level:
     duration_s: float
 
 
+class Taught(NamedTuple):
+    """What a step would bring.
+
+    Attributes
+    ----------
+    std_k
+        (sensors,) standard deviation of the forecast after the step.
+    shifted_std_k
+        (sensors,) the same if the machine's friction during the step may differ by
+        `FRICTION_SHIFT` from what it was before and will be.
+    shifted_difference_std_k
+        The same of the difference between the rings.
+    upper_c
+        (rows, sensors) upper edge (97.5 %) of the readings, minute by minute.
+    """
+
+    std_k: FloatArray
+    shifted_std_k: FloatArray
+    shifted_difference_std_k: float
+    upper_c: FloatArray
+
+
 class Design:
     """Compares steps by what they would teach about a forecast.
 
@@ -72,6 +96,8 @@ class Design:
     ----------
     std_k
         (sensors,) present standard deviation of that forecast, by the linearisation.
+    difference_std_k
+        The same of the difference between the rings at the target.
     """
 
     def __init__(
@@ -104,31 +130,27 @@ class Design:
         self._information: FloatArray = np.eye(count + 1)
         self._information[: len(spread), : len(spread)] = known
         path, gradient = self._sensitivities((target,))
-        self._target = np.zeros((count + 1, len(sensors)))
-        self._target[:count] = gradient[:, -1, self._forecast]
+        # The sensors, then the difference between the rings.
+        self._target = np.zeros((count + 1, len(sensors) + 1))
+        self._target[:count, :-1] = gradient[:, -1, self._forecast]
+        self._target[:, -1] = ring_difference_k(sensors, self._target[:, :-1])
         end_c = path[-1, self._forecast]
         rise_c = np.where(np.isfinite(end_c), np.maximum(end_c - state.ambient_c, 0.0), 0.0)
         self._load = target.load_n, posterior.trained.load_n_max
-        self._deviation_k = LOAD_DEVIATION * model.errors.scale * rise_c
-        self.std_k: FloatArray = self._std_k(self._information, 0.0)
+        deviation_k = LOAD_DEVIATION * model.errors.scale * rise_c
+        self._deviation_k = np.append(deviation_k, np.linalg.norm(deviation_k))
+        self._noise_variance_k2 = np.append(np.full(len(sensors), 1.0), 2.0) * _NOISE_VARIANCE_K2
+        now_k = self._std_k(self._information, 0.0)
+        self.std_k: FloatArray = now_k[:-1]
+        self.difference_std_k = float(now_k[-1])
 
-    def after(self, levels: Sequence[Level]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def after(self, levels: Sequence[Level]) -> Taught:
         """What a step would bring.
 
         Parameters
         ----------
         levels
             The step, from the present state.
-
-        Returns
-        -------
-        std_k : ndarray
-            (sensors,) standard deviation of the forecast after the step.
-        shifted_std_k : ndarray
-            (sensors,) the same if the machine's friction during the step may differ by
-            `FRICTION_SHIFT` from what it was before and will be.
-        upper_c : ndarray
-            (rows, sensors) upper edge (97.5 %) of the readings, minute by minute.
         """
         path, gradient = self._sensitivities(levels)
         heaviest_n = max(level.load_n for level in levels)
@@ -146,19 +168,17 @@ class Design:
         covariance = np.linalg.inv(self._information[:count, :count])
         variance = np.einsum("kns,kl,lns->ns", gradient, covariance, gradient, optimize=True)
         upper = (path + 1.96 * np.sqrt(variance + _NOISE_VARIANCE_K2))[:, self._forecast]
-        return (
-            self._std_k(self._information + plain @ plain.T, heaviest_n),
-            self._std_k(self._information + white @ white.T, heaviest_n),
-            np.asarray(upper),
-        )
+        std_k = self._std_k(self._information + plain @ plain.T, heaviest_n)
+        shifted_std_k = self._std_k(self._information + white @ white.T, heaviest_n)
+        return Taught(std_k[:-1], shifted_std_k[:-1], float(shifted_std_k[-1]), np.asarray(upper))
 
     def _std_k(self, information: FloatArray, heaviest_n: float) -> FloatArray:
-        """Standard deviation (sensors,) of the forecast, once a load has been run."""
+        """Standard deviation (sensors + 1,) of the forecast, once a load has been run."""
         variance = np.sum(self._target * np.linalg.solve(information, self._target), axis=0)
         load_n, trained_n = self._load
         beyond = np.log(max(load_n / max(trained_n, heaviest_n), 1.0)) if trained_n > 0.0 else 0.0
         return np.asarray(
-            np.sqrt(variance + _NOISE_VARIANCE_K2 + (beyond * self._deviation_k) ** 2)
+            np.sqrt(variance + self._noise_variance_k2 + (beyond * self._deviation_k) ** 2)
         )
 
     def _profile(self, levels: Sequence[Level]) -> OperatingProfile:

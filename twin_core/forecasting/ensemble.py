@@ -22,7 +22,6 @@ from twin_core.forecasting.heat_laws import law_verdicts
 from twin_core.forecasting.labels import doubtful_start, forecast_labels
 from twin_core.forecasting.limits import first_crossings
 from twin_core.forecasting.members import (
-    Members,
     beyond_load,
     draw_members,
     goes_on_as,
@@ -30,7 +29,11 @@ from twin_core.forecasting.members import (
     stands,
 )
 from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
-from twin_core.forecasting.runaway import gain_at, runaway_probability
+from twin_core.forecasting.runaway import (
+    difference_quantiles_k,
+    ring_difference_k,
+    runaway_probability,
+)
 from twin_core.forecasting.whole_run import whole_run_band, whole_run_factor
 from twin_core.identification.posterior import Posterior
 from twin_core.kalman import DISTURBANCE_TIME_S
@@ -70,8 +73,6 @@ SENSOR_RESOLUTION_K = 0.1
 # What a failed simulation counts as: over every limit, and finite, so that it can be drawn.
 _CEILING_C = 500.0
 _EARLIEST = 0.025
-# As many as the envelope has: pairs, so that these are centred as well.
-_GAIN_MEMBERS = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +273,9 @@ def forecast(
     add_deviations(nodes, normal, keep, shock, even, hidden, growth)
     noise_k = np.hypot(SENSOR_WHITE_K, SENSOR_RESOLUTION_K / np.sqrt(12.0))
     runaway = failed | np.any(readings > model.lost_c, axis=(1, 2))
+    # Before what sisters' bands have needed: that they stayed cool excludes no runaway.
+    between_rings_k = np.max(ring_difference_k(sensors, readings), axis=1)
+    _, difference_k = difference_quantiles_k(between_rings_k, runaway)
     noise = noise_k * standard_normals(rng, readings.shape)
     factor = band_factor(posterior, profile)
     untrained = untrained_rows(profile, posterior.trained)
@@ -293,8 +297,7 @@ def forecast(
         whole_run = whole_run * factor.of_whole_run(sensors, untrained)
     share = float(np.mean(runaway))
     hottest_c = float(np.max(quantiles[-1, :, : len(sensors)]))
-    gain = _heaviest_gain(model, drawn, state, profile) if _is_asked(model, posterior) else 0.0
-    probability = float(runaway_probability(posterior, hottest_c, gain, share, model.runaway))
+    probability = float(runaway_probability(posterior, difference_k, share, model.runaway))
     names = (*sensors, *(model.node_names[k] for k in others))
     doubts: tuple[str, ...] = ()
     if state.course_known < 1.0:
@@ -326,31 +329,6 @@ def forecast(
         + (() if factor is None else (factor.label,))
         + doubts,
         whole_run_factor=whole_run,
-    )
-
-
-def _is_asked(model: ThermalModel, posterior: Posterior) -> bool:
-    return model.runaway is not None and model.runaway.tested and posterior.identified
-
-
-def _heaviest_gain(
-    model: ThermalModel, drawn: Members, state: MachineState, profile: OperatingProfile
-) -> float:
-    """97.5 % of the loop gain where speed times load is highest."""
-    row = int(np.argmax(np.abs(profile.speed_rpm) * profile.load_n))
-    point = (
-        float(profile.speed_rpm[row]),
-        float(profile.load_n[row]),
-        float(profile.ambient_c[row]),
-    )
-    members = slice(0, _GAIN_MEMBERS)
-    return gain_at(
-        model,
-        drawn.values[members],
-        drawn.start_c[members],
-        state.revolutions,
-        drawn.heat_w[members],
-        point,
     )
 
 

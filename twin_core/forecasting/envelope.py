@@ -26,8 +26,9 @@ from twin_core.forecasting.ensemble import (
 from twin_core.forecasting.labels import runaway_not_excluded
 from twin_core.forecasting.members import beyond_load, draw_members
 from twin_core.forecasting.runaway import (
-    RunawayMargin,
+    difference_quantiles_k,
     newtons_left,
+    ring_difference_k,
     runaway_probability,
     upper_gain,
 )
@@ -48,7 +49,6 @@ _EARLIEST = 0.025
 _CEILING_C = 500.0
 _CHUNKS_PER_THREAD = 4
 _NARROWEST_K = 0.05
-_MARGIN_LOADS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +102,9 @@ class Envelope:
         `twin_core.forecasting.runaway`.
     runaway_not_excluded
         (loads, speeds) verdict by the rule of `twin_core.forecasting.labels`.
+    ring_difference_k
+        (2, loads, speeds) median and 80 % of how much hotter the inner ring is than the outer one;
+        infinite where so many members run away.
     loop_gain
         (2, loads, speeds) median and 97.5 % of the members' loop gain in their steady state;
         infinite where so many have none.
@@ -124,6 +127,7 @@ class Envelope:
     runaway_share: FloatArray
     runaway_probability: FloatArray
     runaway_not_excluded: NDArray[np.bool_]
+    ring_difference_k: FloatArray
     loop_gain: FloatArray
     margin_k: FloatArray
     margin_n: FloatArray
@@ -224,7 +228,8 @@ def envelope(
     share = np.mean(away, axis=0)
     hottest = np.max(quantiles[-1], axis=1)
     gains = upper_gain(gain, away)
-    probability = runaway_probability(posterior, hottest, gains[1], share, model.runaway)
+    difference_k = difference_quantiles_k(ring_difference_k(sensors, readings), away)
+    probability = runaway_probability(posterior, difference_k[1], share, model.runaway)
     # What a member has left: until its gain is 1, or until its hottest sensor is beyond the limit.
     left_k = np.where(away[..., None], 0.0, np.minimum(room, model.lost_c - readings)).min(axis=2)
     return Envelope(
@@ -250,50 +255,10 @@ def envelope(
         runaway_not_excluded=runaway_not_excluded(
             posterior, cells[1], hottest, probability, model.runaway
         ).reshape(shape),
+        ring_difference_k=difference_k.reshape(2, *shape),
         loop_gain=gains.reshape(2, *shape),
         margin_k=np.quantile(np.maximum(left_k, 0.0), 0.05, axis=0, method="lower").reshape(shape),
         margin_n=newtons_left(loads, probability.reshape(shape)),
-    )
-
-
-def runaway_margin(
-    model: ThermalModel,
-    posterior: Posterior,
-    state: MachineState,
-    speed_rpm: float,
-    load_n: float,
-) -> RunawayMargin:
-    """Tell how far a machine is from a thermal runaway at one operating point, held for hours.
-
-    Loads from half to twice that of the point are looked at for the margin in newtons.
-
-    Parameters
-    ----------
-    model, posterior, state
-        As for `envelope`.
-    speed_rpm, load_n
-        The operating point; not negative, the load above 0.
-
-    Raises
-    ------
-    ValueError
-        As `envelope`.
-    """
-    loads = load_n * _MARGIN_LOADS
-    row = int(np.argmin(np.abs(_MARGIN_LOADS - 1.0)))
-    found = envelope(model, posterior, state, [speed_rpm], loads, {})
-    return RunawayMargin(
-        speed_rpm,
-        load_n,
-        *(
-            float(values[row, 0])
-            for values in (
-                found.runaway_probability,
-                *found.loop_gain,
-                found.margin_k,
-                found.margin_n,
-            )
-        ),
     )
 
 

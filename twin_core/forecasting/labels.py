@@ -147,6 +147,15 @@ def doubtful_start(
     return (f"initial state of {names[widest]} known to ±{half_k[widest]:.0f} K only",)
 
 
+def runaway_likely(
+    posterior: Posterior, runaway_probability: ArrayLike, limits: RunawayLimits | None
+) -> NDArray[np.bool_]:
+    """Tell where the probability of a runaway alone is too high; see `forecast_labels`."""
+    known = limits is not None and limits.tested and posterior.identified
+    bar = LIKELY if known else _SOME_MEMBERS
+    return np.asarray(np.asarray(runaway_probability) > bar)
+
+
 def runaway_not_excluded(
     posterior: Posterior,
     load_n: ArrayLike,
@@ -166,9 +175,7 @@ def runaway_not_excluded(
     limits
         The model's; None for none: then only members that run away count.
     """
-    known = limits is not None and limits.tested and posterior.identified
-    bar = LIKELY if known else _SOME_MEMBERS
-    away = np.asarray(np.asarray(runaway_probability) > bar)
+    away = runaway_likely(posterior, runaway_probability, limits)
     if limits is None:
         return away
     most_n = limits.load_factor * posterior.trained.load_n_max

@@ -1,14 +1,15 @@
 """Runaway as a margin: how probable it is, and how far away in kelvins and newtons.
 
-A bearing runs away when a rise feeds itself: heat that grows with temperature, by dQ/dT, times the
-thermal resistance R on its way out, is the loop gain, and above 1 there is no way back. What the
+A bearing runs away when a rise feeds itself. Heat that grows with temperature, by dQ/dT, times the
+thermal resistance R on its way out is the loop gain, and above 1 there is no way back. What the
 rings' growth and the thinner oil make of the friction is in the identified law, so every member of
-an ensemble has a gain. On the way to a real runaway the preload stiffens and the gain grows, which
-no low-risk data show: the members' share that runs away says too little of it. The probability is
-therefore a logistic of two figures that told best on benches that did run away: the upper edge of
-the gain, and how far that of the hottest sensor reaches between the model's limits.
+an ensemble has a gain. But on the way to a real runaway the clearance is used up, the preload
+stiffens and the gain grows, which no low-risk data show. What takes up the clearance is known: the
+inner ring that is hotter than the outer one. The probability is therefore a logistic of the
+clearance that their difference takes up; gain and hottest sensor told no more beside it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,20 +17,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, logit
 
 from twin_core.identification.posterior import Posterior
-from twin_core.kalman import DISTURBANCE_TIME_S
-from twin_core.models import ThermalModel
 from twin_core.network_model import RunawayLimits
-from twin_core.simulation import holding
 
 FloatArray = NDArray[np.float64]
 
 LIKELY = 0.05
 """Above this probability a runaway is not excluded; the margin in newtons ends here."""
 UPPER = 0.975
-# Fitted to 180 virtual benches of three families, 6 of which ran away, at 4000 and 5500 N each;
-# tested on others, see docs/model.md.
-_OFFSET, _BY_GAIN, _BY_REACH = -5.8, 3.3, 2.0
-_SETTLED_S = 8 * 3600.0
+DIFFERENCE = 0.8
+"""Quantile of the members' difference between the rings that the probability follows from."""
+# Fitted to 1131 virtual benches of three families and two bearings, trained under one load or
+# several; 53 ran away. Tested on others, see docs/model.md.
+_OFFSET, _BY_CLEARANCE_PER_UM, _USED_UP_UM = -12.2, 0.214, 55.0
+_INNER, _OUTER = "t_inner_ring_c", "t_outer_ring_c"
 _BELOW_SAFE = 1e-9
 
 
@@ -62,10 +62,29 @@ class RunawayMargin:
     margin_n: float
 
 
+def ring_difference_k(sensors: Sequence[str], readings_c: FloatArray) -> FloatArray:
+    """How much hotter the inner ring is than the outer one (...), of readings (..., sensors).
+
+    Zero where the model does not tell both rings.
+    """
+    if not {_INNER, _OUTER} <= set(sensors):
+        return np.zeros(readings_c.shape[:-1])
+    inner, outer = sensors.index(_INNER), sensors.index(_OUTER)
+    return np.asarray(readings_c[..., inner] - readings_c[..., outer])
+
+
+def difference_quantiles_k(difference_k: FloatArray, away: NDArray[np.bool_]) -> FloatArray:
+    """Median and 80 % (2, ...) of differences between the rings (members, ...).
+
+    Of the members that run away they are infinite.
+    """
+    counted = np.where(away, np.inf, difference_k)
+    return np.asarray(np.quantile(counted, (0.5, DIFFERENCE), axis=0, method="higher"))
+
+
 def runaway_probability(
     posterior: Posterior,
-    hottest_c: ArrayLike,
-    gain_upper: ArrayLike,
+    difference_k: ArrayLike,
     share: ArrayLike,
     limits: RunawayLimits | None,
 ) -> FloatArray:
@@ -75,18 +94,17 @@ def runaway_probability(
     ----------
     posterior
         What the forecast rests on.
-    hottest_c, gain_upper, share
-        Upper edges (97.5 %) of the hottest sensor in degC and of the loop gain, and share of the
-        members that run away; arrays of one shape, or scalars.
+    difference_k, share
+        80 % of the members' difference between the rings in K, and share of the members that run
+        away; arrays of one shape, or scalars.
     limits
         The model's. Where they were not tested, and before any identification, the members' share
         is all there is.
     """
     if limits is None or not limits.tested or not posterior.identified:
         return np.asarray(share, np.float64)
-    reach = (np.asarray(hottest_c, np.float64) - limits.hot_c) / (limits.lost_c - limits.hot_c)
-    gain = np.clip(gain_upper, -1.0, 1.0)
-    odds = _OFFSET + _BY_GAIN * gain + _BY_REACH * np.minimum(reach, 1.0)
+    taken_up_um = limits.clearance_um_k * np.asarray(difference_k, np.float64)
+    odds = _OFFSET + _BY_CLEARANCE_PER_UM * np.minimum(taken_up_um, _USED_UP_UM)
     return np.asarray(expit(odds))
 
 
@@ -94,54 +112,6 @@ def upper_gain(gain: FloatArray, away: NDArray[np.bool_]) -> FloatArray:
     """Median and 97.5 % (2, points) of loop gains (members, points); of those lost infinite."""
     counted = np.where(away, np.inf, gain)
     return np.asarray(np.quantile(counted, (0.5, UPPER), axis=0, method="higher"))
-
-
-def gain_at(
-    model: ThermalModel,
-    values: FloatArray,
-    start_c: FloatArray,
-    revolutions: float,
-    heat_w: FloatArray,
-    point: tuple[float, float, float],
-) -> float:
-    """97.5 % of the loop gains of members held at a point; infinite where so many run away.
-
-    Parameters
-    ----------
-    model, values
-        The model and the members' parameters (members, p).
-    start_c, revolutions, heat_w
-        Where they begin: (members, nodes) temperatures and heats that fade.
-    point
-        Speed in rpm, load in N, ambient in degC.
-    """
-    speed_rpm, load_n, ambient_c = point
-    members, sensors = len(values), len(model.sensor_names)
-    steady, gain = np.empty((members, 1, sensors)), np.empty((members, 1))
-    holding.hold_points_range(
-        model.compiled,
-        values,
-        start_c,
-        revolutions,
-        heat_w,
-        1.0 / DISTURBANCE_TIME_S,
-        ambient_c,
-        np.array([abs(speed_rpm)]),
-        np.array([max(load_n, 0.0)]),
-        model.sensor_matrix(model.sensor_names),
-        np.empty((members, sensors, 0)),
-        np.empty((members, 1, sensors, 0)),
-        model.errors.slow_s,
-        _SETTLED_S,
-        0,
-        members,
-        steady,
-        np.empty((members, 1, sensors, 0)),
-        gain,
-        np.empty((members, 1, sensors)),
-    )
-    away = ~np.all(steady <= model.lost_c, axis=2)  # NaN: no steady state
-    return float(upper_gain(gain, away)[1, 0])
 
 
 def newtons_left(load_n: FloatArray, probability: FloatArray) -> FloatArray:

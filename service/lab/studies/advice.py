@@ -36,6 +36,7 @@ from service.lab.studies.study import (
     figure,
     mean,
     named,
+    share,
     table,
 )
 from twin_core.forecasting.advice import Advice, advise
@@ -101,6 +102,14 @@ ARRANGEMENTS = {
 }
 
 
+class Chosen(NamedTuple):
+    """A step, and the half-widths by sensor and the probability of a runaway expected after it."""
+
+    levels: tuple[Level, ...]
+    half_width_k: Mapping[str, float]
+    runaway: float | None
+
+
 class Task(NamedTuple):
     """One bench in one arrangement."""
 
@@ -127,6 +136,9 @@ class Arm:
         Whether it said "runaway not excluded".
     refused_fit
         Why the new fit must not forecast; empty if it may.
+    runaway_predicted, runaway_obtained
+        Probability of a runaway at the target that the advice expected, and that the twin then
+        had; of a refused step none was expected.
     """
 
     levels: tuple[Level, ...]
@@ -135,6 +147,8 @@ class Arm:
     rings: Mapping[str, Score]
     warned: bool
     refused_fit: str
+    runaway_predicted: float | None = None
+    runaway_obtained: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +171,7 @@ def examine(task: Task) -> BenchResult:
     bench = BenchParameters.random(task.seed, arrangement.bearing)
     arms = {}
     ran_away = False
-    for name, (levels, predicted) in chosen(asked(arrangement, bench, task.seed)).items():
+    for name, (levels, predicted, runaway) in chosen(asked(arrangement, bench, task.seed)).items():
         stages = tuple(
             Stage(round(level.duration_s / 60), level.speed_rpm, level.load_n) for level in levels
         )
@@ -173,6 +187,8 @@ def examine(task: Task) -> BenchResult:
             score_rings(made, done, first - 1, first, end),
             RUNAWAY in made.labels,
             "" if twin.may_forecast else twin.result.reason,
+            runaway,
+            made.runaway_probability,
         )
         ran_away = ran_away or done.ran_away(0, end)
     return BenchResult(task, arms, ran_away)
@@ -196,25 +212,25 @@ def asked(arrangement: Arrangement, bench: BenchParameters, seed: int) -> Advice
     )
 
 
-def chosen(advice: Advice) -> dict[str, tuple[tuple[Level, ...], Mapping[str, float]]]:
-    """The step of every arm, and the half-widths that the advice expects after it.
+def chosen(advice: Advice) -> dict[str, Chosen]:
+    """The step of every arm, and what the advice expects after it.
 
     Without a feasible step there is only the arm without any; where all speeds are known, nothing
     changes speed and load at once.
     """
-    arms: dict[str, tuple[tuple[Level, ...], Mapping[str, float]]] = {
-        "none": ((), {name: found.half_width_k for name, found in advice.now.items()})
-    }
+    present = None if advice.margin is None else advice.margin.probability
+    now_k = {name: found.half_width_k for name, found in advice.now.items()}
+    arms = {"none": Chosen((), now_k, present)}
     if not advice.steps:
         return arms
     best, worst = advice.steps[0], advice.steps[-1]
-    arms["advised"] = (best.levels, best.half_width_k)
-    arms["worst"] = (worst.levels, worst.half_width_k)
+    for name, step in (("advised", best), ("worst", worst)):
+        arms[name] = Chosen(step.levels, step.half_width_k, step.runaway_probability)
     both = [step.levels for step in advice.excluded if "at once" in step.reason]
     if both:
         # The one that looks most tempting: a single level, heavy, held long.
         tempting = max(both, key=lambda step: (-len(step), step[0].load_n, step[0].duration_s))
-        arms["refused"] = (tempting, {})
+        arms["refused"] = Chosen(tempting, {}, None)
     return arms
 
 
@@ -239,7 +255,10 @@ def _arrangement(arrangement: Arrangement, benches: Sequence[BenchResult]) -> Do
         },
         "no_feasible_step": [one.task.seed for one in benches if not one.advisable],
         "ran_away": {
-            one.task.seed: {arm: told.warned for arm, told in one.arms.items()}
+            one.task.seed: {
+                arm: {"warned": told.warned, "probability": told.runaway_obtained}
+                for arm, told in one.arms.items()
+            }
             for one in benches
             if one.ran_away
         },
@@ -276,6 +295,12 @@ def _figures(arms: Sequence[Arm]) -> Document:
             ring: min((arm.rings[ring].coverage_95 for arm in used), default=None) for ring in RINGS
         },
         "runaway_not_excluded": sum(arm.warned for arm in used),
+        "runaway_predicted": mean(
+            arm.runaway_predicted for arm in used if arm.runaway_predicted is not None
+        ),
+        "runaway_obtained": mean(
+            arm.runaway_obtained for arm in used if arm.runaway_obtained is not None
+        ),
     }
 
 
@@ -297,6 +322,8 @@ def tables(found: Sequence[BenchResult], document: Document) -> Iterator[Table]:
                 ("steady error, K", cell("steady_error_c", _both, 1.0, 2)),
                 ("coverage, %", cell("coverage_95", _both, 100.0, 0)),
                 ("worst bench, %", cell("worst_coverage_95", _both, 100.0, 0)),
+                ("runaway expected, %", cell("runaway_predicted", share, 1)),
+                ("then said, %", cell("runaway_obtained", share, 1)),
             ),
             f"Means over {used} of {len(benches)} random benches; the others ran away at the "
             "target, or were too hot for any step. Half-widths are those of the 95 % band at the "

@@ -143,9 +143,9 @@ def text(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def share(value: float | None) -> str:
+def share(value: float | None, digits: int = 0) -> str:
     """A share in percent as it stands in the tables."""
-    return "–" if value is None else f"{100.0 * value:.0f}"
+    return "–" if value is None else f"{100.0 * value:.{digits}f}"
 
 
 def mean(values: Iterable[float]) -> float | None:

@@ -55,7 +55,7 @@ def ensemble(
     profile = profile_of(state, **change)
     active = state.active
     result = forecast(active.model, active.posterior, state.machine, profile, members=200)
-    return keep_ensemble(result, state, profile, limits)
+    return keep_ensemble(result, None, state, profile, limits)
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def test_the_few_members_near_a_limit_are_carried_with_the_rest(
     result = replace(result, members_c=members_c)
     limit_c = float(highest_c[-1]) + 15.0
     limits = {result.sensors[0]: Limits(warning=limit_c, alarm=limit_c + 1.0)}
-    kept = keep_ensemble(result, before, profile, limits)
+    kept = keep_ensemble(result, None, before, profile, limits)
     assert kept is not None
     assert kept.result.members_c.shape[0] == 4
     ahead = profile_of(now)
@@ -130,7 +130,8 @@ def test_the_few_members_near_a_limit_are_carried_with_the_rest(
     expected_c = members_c[np.sort(hottest), :, 0] + moved_k[:, 0]
     assert np.abs(carried_on.members_c[:4, :, 0] - expected_c).max() < 1e-3
     members_c[np.argsort(highest_c)[:11]] += 40.0
-    assert keep_ensemble(replace(result, members_c=members_c), before, profile, limits) is None
+    result = replace(result, members_c=members_c)
+    assert keep_ensemble(result, None, before, profile, limits) is None
 
 
 def test_another_point_model_or_age_needs_an_ensemble(

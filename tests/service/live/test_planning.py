@@ -18,6 +18,7 @@ from service.documents.envelope import (
 )
 from service.documents.limits import LowRisk
 from service.domain.errors import NotIdentifiedError
+from service.domain.requests import ProfileStep
 from service.live.envelope import grid, with_present
 from service.live.estimate import ActiveModel
 from twin_core import profiles
@@ -60,6 +61,25 @@ async def live(make_live: Callable[..., Any], make_version: Callable[..., Active
     live.feed(RUNNING)
     await live.until(lambda: live.runtime.estimate.started, "an estimate", RUNNING)
     return live
+
+
+# ---------------------------------------------------------------------------- margin
+async def test_a_forecast_carries_the_margin_to_a_runaway_of_an_identified_model(
+    live: Any, make_live: Callable[..., Any], make_version: Callable[..., ActiveModel]
+) -> None:
+    heavy = ProfileStep(duration_s=3600.0, speed_rpm=6200.0, load_n=5500.0)
+    light = ProfileStep(duration_s=3600.0, speed_rpm=4200.0, load_n=2650.0)
+    made, calm = (live.what_if([light, step], 600.0).runaway_margin for step in (heavy, light))
+    assert (made.speed_rpm, made.load_n) == (6200.0, 5500.0)
+    assert calm.probability < made.probability
+    assert calm.margin_k > made.margin_k
+    held = (await live.until(live.documents.forecast, "a forecast", RUNNING)).runaway_margin
+    assert (held.speed_rpm, held.load_n) == pytest.approx((4200.0, 2650.0))
+    assert held.probability == pytest.approx(calm.probability, abs=0.01)
+    unknown = make_live(active=make_version(1))
+    unknown.start()
+    forecast = await unknown.until(unknown.documents.forecast, "a forecast", RUNNING)
+    assert forecast.runaway_margin is None
 
 
 # ---------------------------------------------------------------------------- envelope

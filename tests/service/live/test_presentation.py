@@ -44,7 +44,7 @@ def hot_forecast(make_version: Callable[..., Any]) -> Forecast:
 
 def shown_of(result: Forecast, names: Sequence[str] | None = None) -> ForecastDocument:
     crossings = presentation.crossings_document(presentation.limit_crossings(result, LIMITS))
-    return forecast_document(result, presentation.limits_document(LIMITS), crossings, names)
+    return forecast_document(result, presentation.limits_document(LIMITS), crossings, None, names)
 
 
 def test_crossings_are_those_of_the_ensemble(hot_forecast: Forecast) -> None:

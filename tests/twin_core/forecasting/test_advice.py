@@ -12,11 +12,12 @@ from twin_core.forecasting.advice import (
     Advice,
     NothingIdentifiedError,
     advise,
-    candidates,
-    why_not,
 )
+from twin_core.forecasting.candidates import candidates, why_not
 from twin_core.forecasting.design import Design, Level, held_profile
 from twin_core.forecasting.ensemble import LOAD_DEVIATION
+from twin_core.forecasting.envelope import envelope
+from twin_core.forecasting.runaway import LIKELY
 from twin_core.identification.data import IdentificationData, IdentificationWindow
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.identification.problem import IdentificationProblem
@@ -119,6 +120,45 @@ def test_steps_are_ranked_by_the_cautious_interval(advice: Advice) -> None:
         for name in SENSORS:
             assert step.half_width_k[name] <= step.cautious_half_width_k[name] + 1e-9
             assert step.cautious_half_width_k[name] <= advice.now[name].half_width_k + 1e-9
+
+
+def test_where_a_runaway_is_not_excluded_steps_that_leave_the_least_of_it_come_first(
+    model: ThermalModel, state: MachineState
+) -> None:
+    """Hot at the point, and refused where a step itself is too near to a runaway."""
+    values = model.parameters.centre.copy()
+    values[model.parameters.index("M0")] *= 2.2
+    values[model.parameters.index("gs")] *= 0.3
+    hot = replace(trained_on(model, TRAINED), z=model.parameters.z_from_values(values))
+    region = LowRiskRegion(speed_rpm_max=5900.0, load_n_max=5000.0)
+    found = advise(model, hot, state, TARGET, region, {})
+    assert "runaway not excluded" in found.labels
+    assert found.by_runaway
+    assert found.margin is not None
+    left = [step.runaway_probability for step in found.steps]
+    assert len(left) > 5
+    assert all(p is not None and p <= found.margin.probability * 1.001 for p in left)
+    assert left[0] < 0.8 * found.margin.probability
+    # Odds that differ by less than a factor of 1.25 are told apart by the interval.
+    odds = [p / (1.0 - p) for p in left if p is not None]
+    assert all(after >= before / 1.25 for before, after in pairwise(odds))
+    assert f"{100 * left[0]:.1f} % expected after" in found.steps[0].why
+    own = [one.reason for one in found.excluded if "runaway not excluded at" in one.reason]
+    assert any("5000 N itself" in reason for reason in own)
+    for step in found.steps:
+        for level in step.levels:
+            held = envelope(model, hot, state, [level.speed_rpm], [level.load_n], {})
+            assert held.runaway_probability[0, 0] <= LIKELY
+
+
+def test_where_a_runaway_is_excluded_the_interval_alone_ranks(
+    model: ThermalModel, single_load: Posterior, state: MachineState
+) -> None:
+    near = Level(5800.0, 3600.0, 7200.0)
+    found = advise(model, single_load, state, near, REGION, WARNING_C)
+    assert "runaway not excluded" not in found.labels
+    assert not found.by_runaway
+    assert not any("runaway" in step.why for step in found.steps)
 
 
 def test_a_possible_shift_takes_more_from_one_load_than_from_a_pair(advice: Advice) -> None:
@@ -268,7 +308,7 @@ def test_the_design_agrees_with_an_identification_of_the_step(
     cold = MachineState(np.full(13, 22.0), np.zeros((13, 13)), 0.0, 22.0)
     step = (Level(5800.0, 2000.0, 2700.0), Level(5800.0, 3400.0, 2700.0))
     design = Design(model, single_load, cold, SENSORS, SENSORS, TARGET)
-    std_k, shifted_k, _ = design.after(step)
+    std_k, shifted_k, _, _ = design.after(step)
 
     information = information_of(model, rows_of(model, step))
     p = model.parameters.size
@@ -313,8 +353,8 @@ def test_longer_and_more_varied_steps_never_teach_less(
     model: ThermalModel, single_load: Posterior, state: MachineState
 ) -> None:
     design = Design(model, single_load, state, SENSORS, SENSORS, TARGET)
-    short, _, _ = design.after((Level(5800.0, 3400.0, 1800.0),))
-    long, _, _ = design.after((Level(5800.0, 3400.0, 5400.0),))
+    short = design.after((Level(5800.0, 3400.0, 1800.0),)).std_k
+    long = design.after((Level(5800.0, 3400.0, 5400.0),)).std_k
     assert np.all(long <= short + 1e-9)
 
 

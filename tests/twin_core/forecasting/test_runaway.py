@@ -7,8 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from twin_core.bearings import bearing
-from twin_core.forecasting.envelope import envelope, runaway_margin
+from twin_core.forecasting.design import Level, held_profile
+from twin_core.forecasting.envelope import envelope
 from twin_core.forecasting.labels import runaway_not_excluded
+from twin_core.forecasting.margins import heaviest_margin, runaway_margin
 from twin_core.forecasting.runaway import LIKELY, newtons_left, runaway_probability
 from twin_core.identification.posterior import Posterior, TrainedRange, prior_posterior
 from twin_core.machine_state import MachineState
@@ -77,7 +79,7 @@ def test_more_load_leaves_less_margin_and_newtons_agree_with_the_probability(
     model: ThermalModel,
 ) -> None:
     known = machine(model, -2.5, spread=0.35, moment=1.0)
-    loads = np.arange(1000.0, 9001.0, 1000.0)
+    loads = np.arange(1000.0, 9001.0, 500.0)
     found = envelope(model, known, COLD, [5800.0], loads, {})
     probability, margin_k = found.runaway_probability[:, 0], found.margin_k[:, 0]
     assert np.all(np.diff(probability) >= 0.0)
@@ -94,6 +96,36 @@ def test_more_load_leaves_less_margin_and_newtons_agree_with_the_probability(
     assert alone.margin_n == pytest.approx(found.margin_n[over, 0], abs=150.0)
 
 
+def test_a_search_for_the_load_finds_what_all_loads_tell(model: ThermalModel) -> None:
+    known = machine(model, -2.5, spread=0.35, moment=1.0)
+    factors = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+    margins = []
+    for load_n in (400.0, 1500.0, 3000.0, 6000.0, 12_000.0):
+        alone = runaway_margin(model, known, COLD, 5800.0, load_n)
+        all_n = envelope(model, known, COLD, [5800.0], load_n * factors, {}).margin_n[5, 0]
+        assert_allclose(alone.margin_n, all_n, rtol=1e-9)
+        margins.append(alone.margin_n)
+    assert np.isnan(margins[0])
+    assert margins[-1] < 0.0
+
+
+def test_the_margin_of_a_profile_is_that_of_its_heaviest_point(model: ThermalModel) -> None:
+    known = machine(model, -2.5, spread=0.35, moment=1.0)
+    levels = [
+        Level(5800.0, 2650.0, 3600.0),
+        Level(-5000.0, 7000.0, 600.0),
+        Level(0.0, 9000.0, 600.0),
+    ]
+    ahead = held_profile(levels, AMBIENT_C)
+    assert heaviest_margin(model, known, COLD, ahead) == runaway_margin(
+        model, known, COLD, 5000.0, 7000.0
+    )
+    assert heaviest_margin(model, prior_posterior(model), COLD, ahead) is None
+    standing = held_profile(levels[2:], AMBIENT_C)
+    assert heaviest_margin(model, known, COLD, standing) is None
+    assert heaviest_margin(replace(model, runaway=None), known, COLD, ahead) is None
+
+
 def test_newtons_of_loads_that_are_all_safe_or_all_not() -> None:
     loads = np.array([1000.0, 2000.0])
     safe, lost = np.array([[0.001], [0.002]]), np.array([[0.2], [0.9]])
@@ -108,7 +140,7 @@ def test_what_was_not_tested_is_as_cautious_as_ever(model: ThermalModel) -> None
     assert tested.tested
     prior, known = prior_posterior(model), machine(model, 0.0)
     for posterior, limits in ((prior, tested), (known, RunawayLimits())):
-        assert runaway_probability(posterior, 90.0, 0.9, 0.0125, limits) == 0.0125
+        assert runaway_probability(posterior, 30.0, 0.0125, limits) == 0.0125
         for hottest_c, share in ((110.1, 0.0), (80.0, 0.0125)):
             assert runaway_not_excluded(posterior, 2650.0, hottest_c, share, limits)
     assert runaway_not_excluded(known, 4000.0, 60.0, 0.0, RunawayLimits())

@@ -1,8 +1,9 @@
 // What to measure next: the panel that asks the twin how to learn about a high-risk point.
 import { assetPath, call } from './api.js';
 import { h, put, scrollable, setText } from './dom.js';
-import { celsius, channelName, fixed, labelText, spanText } from './format.js';
+import { celsius, channelName, fixed, isNumber, labelText, percent, spanText } from './format.js';
 import { icon } from './icons.js';
+import { marginText, marginTitle } from './runaway.js';
 
 const SHOWN = 6;
 const PATIENCE_MS = 60000;
@@ -101,29 +102,39 @@ export class AdvicePanel {
       h('p', { class: 's' }, `${channelName(sensor)} at ${fixed(target.speed_rpm, 0)} rpm, `
         + `${fixed(target.load_n, 0)} N: `, h('b', {}, celsius(now.q50)), ' ', kelvin(now.half_width_k),
       target.labels.map((label) => [' ', h('span', { class: 'chip dash' }, labelText(label))])),
+      target.runaway_margin && h('p', { class: 's', title: marginTitle(target.runaway_margin) },
+        marginText(target.runaway_margin),
+        answer.ranked_by === 'runaway'
+          && '. Steps that leave the least probability of a runaway come first, then those that '
+          + 'narrow the interval most.'),
       !answer.worth_while && h('p', { class: 's b' },
         steps.length ? 'No low-risk step narrows this forecast by 10 % or more.'
           : 'All steps are refused now.'),
-      steps.length > 0 && this.stepTable(steps, sensor, now.half_width_k),
+      steps.length > 0 && this.stepTable(answer, now.half_width_k),
       excluded.length > 0 && this.refusals(excluded),
       this.approach(rule, sensor));
   }
 
-  stepTable(steps, sensor, now) {
+  stepTable({ steps, target: { sensor }, ranked_by: rankedBy }, now) {
+    const away = rankedBy === 'runaway';
     const row = (step) => h('tr', {},
       h('td', { class: 'b' }, stepText(step.levels)),
       h('td', { class: 'r nw' }, kelvin(now)),
       h('td', { class: 'r nw b' }, kelvin(step.cautious_half_width_k[sensor])),
       h('td', { class: 'nb' }, h('div', { class: 'bar' },
         h('i', { style: { width: `${Math.max(0, step.narrower_by) * 100}%` } }))),
+      away && h('td', { class: 'r nw b' },
+        isNumber(step.runaway_probability) ? percent(step.runaway_probability) : '–'),
       h('td', { class: 'r nw' }, celsius(step.peak_c[sensor])),
       h('td', {}, step.why));
+    const heads = ['Low-risk step', 'Now', 'After', 'Narrower by', away && 'Runaway after',
+      'Peak, 97.5 %', 'Reason'].filter(Boolean);
     const more = steps.length - SHOWN;
     return h('table', {}, h('thead', {}, h('tr', {},
-      ['Low-risk step', 'Now', 'After', 'Narrower by', 'Peak, 97.5 %', 'Reason'].map((text, i) =>
-        h('th', { class: [1, 2, 4].includes(i) ? 'r' : null }, text)))),
+      heads.map((text, i) =>
+        h('th', { class: i > 0 && i < heads.length - 1 && i !== 3 ? 'r' : null }, text)))),
     h('tbody', {}, steps.slice(0, SHOWN).map(row),
-      more > 0 && h('tr', {}, h('td', { class: 'mut', colspan: 6 },
+      more > 0 && h('tr', {}, h('td', { class: 'mut', colspan: heads.length },
         `${more} more, down to ${stepText(steps.at(-1).levels)} `
         + `(± ${fixed(steps.at(-1).cautious_half_width_k[sensor])} K)`))));
   }

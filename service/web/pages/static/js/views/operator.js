@@ -11,6 +11,7 @@ import { listed } from '../live_verdict.js';
 import { NodeTiles } from '../nodes.js';
 import { readChannel } from '../readings.js';
 import { assetHash } from '../route.js';
+import { marginText, marginTitle } from '../runaway.js';
 import { Section } from '../section.js';
 import { channelNames, chartSensors } from '../sensors.js';
 import { liveDetail, situation } from '../situation.js';
@@ -99,13 +100,14 @@ export class OperatorView {
     this.record = new ForecastRecord(this.page, this.hashAsset());
     this.labels = h('span', { class: 'labels' });
     this.band = new BandChoice(this.page, () => this.draw());
+    this.margin = h('span', { class: 's mut margin' });
     this.spanButtons = SPANS.map(([hours, text]) => h('button', {
       type: 'button', 'aria-pressed': String(hours * HOUR_MS === this.span),
       onclick: () => this.choose(hours * HOUR_MS),
     }, text));
     return h('section', { class: 'panel p-trend' },
       h('header', {}, h('h2', {}, 'Temperature, °C'), this.modelText, this.record.element,
-        this.labels,
+        this.labels, this.margin,
         h('span', { class: 'keys' },
           key('', 'measured'), key('tp', 'twin'), key('tw', 'forecast median'),
           this.band.element,
@@ -168,6 +170,9 @@ export class OperatorView {
       put(this.labels, labels.map((label) => h('span', { class: 'chip dash' }, labelText(label))));
       this.shownLabels = labels.join();
     }
+    const margin = now.fan && forecast?.runaway_margin;
+    setText(this.margin, marginText(margin));
+    this.margin.title = marginTitle(margin);
   }
 
   modelLine(asset, now) {

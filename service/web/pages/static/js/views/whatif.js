@@ -10,6 +10,7 @@ import { LatestQuestion } from '../latest.js';
 import { csvOf, fieldsFor, fromLink, linkOf, MOST_STEPS, requestProfile } from '../profile.js';
 import { ProfilePanel } from '../profile_panel.js';
 import { readChannel } from '../readings.js';
+import { marginText, marginTitle } from '../runaway.js';
 import { chartSensors } from '../sensors.js';
 import { crossingsAhead, situation } from '../situation.js';
 import {
@@ -44,6 +45,7 @@ export class WhatIfView {
     this.heading = h('h2', {}, 'Forecast for this profile, °C');
     this.labels = h('span', { class: 'labels' });
     this.band = new BandChoice(page, () => this.show());
+    this.margin = h('p', { class: 's mut margin' });
     this.ghostText = h('span', {}, 'as planned');
     this.boxes = {
       temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Forecast' }),
@@ -100,7 +102,7 @@ export class WhatIfView {
       h('header', {}, this.heading, this.labels,
         h('span', { class: 'keys' }, key('tw', 'median'), this.band.element,
           key('pl', this.ghostText))),
-      this.boxes.temperature, this.boxes.speed, this.boxes.load));
+      this.margin, this.boxes.temperature, this.boxes.speed, this.boxes.load));
   }
 
   // ---------------------------------------------------------------- the profile
@@ -220,6 +222,8 @@ export class WhatIfView {
       .map(([name, why]) => `${channelName(name)} not known, ${why}`);
     put(this.labels, [...(answer.labels ?? []).map(labelText), ...unknown]
       .map((text) => h('span', { class: 'chip dash' }, text)));
+    setText(this.margin, marginText(answer.runaway_margin));
+    this.margin.title = marginTitle(answer.runaway_margin);
     this.show();
   }
 
@@ -227,6 +231,7 @@ export class WhatIfView {
     this.answer = null;
     this.failure = error.message;
     this.heading.title = '';
+    setText(this.margin, '');
     this.panel.showProblem(`No answer: ${error.message}.`);
     this.show();
   }
