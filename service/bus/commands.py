@@ -231,8 +231,8 @@ class GetNotifications(Command[list[NotificationState]], frozen=True, array_like
     """How each notification is."""
 
 
-class TestNotification(Command[str], frozen=True, array_like=True):
-    """Send a test message; answers why it was not taken, or by whom not, empty if it was."""
+class TestNotification(Command[tuple[bool, str]], frozen=True, array_like=True):
+    """Send a test message; answers whether it was taken, and why not or by whom not."""
 
     notification: str
     who: str

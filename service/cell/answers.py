@@ -293,7 +293,7 @@ class Answers:
         """Say how each notification is."""
         return self.parts.notifier.states()
 
-    async def test_notification(self, command: ask.TestNotification) -> str:
+    async def test_notification(self, command: ask.TestNotification) -> tuple[bool, str]:
         """Send a test message."""
         return await self.parts.notifier.test(command.notification, command.who, command.audit)
 

@@ -143,11 +143,13 @@ class Notifier:
         problems = (one.problem for one in self._channels.values())
         return "; ".join(one for one in problems if one) or None
 
-    async def test(self, notification: str, who: str, audit: AuditEntry | None = None) -> str:
-        """Send a test message; gives why it was not taken, or by whom not; else empty."""
+    async def test(
+        self, notification: str, who: str, audit: AuditEntry | None = None
+    ) -> tuple[bool, str]:
+        """Send a test message; see `send_test`."""
         channel = self._channels.get(notification)
         if channel is None:
-            return f"the cell knows no notification {notification!r}: its configuration is another"
+            return False, f"the cell has another configuration, without {notification!r}"
         if audit is not None:
             self._outbox.record(audit)
         return await send_test(self._settings, channel.section, who)
@@ -280,8 +282,15 @@ def _is_up(channel: Channel) -> float:
     return float(not channel.state().tries)
 
 
-async def send_test(settings: Settings, section: NotificationSection, who: str) -> str:
-    """Send a test message; gives why it was not taken, or by whom not; else empty.
+async def send_test(settings: Settings, section: NotificationSection, who: str) -> tuple[bool, str]:
+    """Send a test message.
+
+    Returns
+    -------
+    told : bool
+        Whether it was taken, by one of the receivers at least.
+    detail : str
+        Why not, or by whom not; else empty.
 
     Raises
     ------
@@ -290,8 +299,8 @@ async def send_test(settings: Settings, section: NotificationSection, who: str) 
     """
     sender = await to_thread.run_sync(make_sender, section, settings)
     try:
-        return await sender.send(Letter(section.id, (), lambda name: name, who)) or ""
+        return True, await sender.send(Letter(section.id, (), lambda name: name, who)) or ""
     except NotToldError as error:
-        return str(error)
+        return False, str(error)
     finally:
         await sender.close()

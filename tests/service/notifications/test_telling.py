@@ -166,7 +166,7 @@ async def test_mail_goes_out_once_to_each_address_by_tls_and_log_in(
         (state,) = told.notifier.states()
         assert state.error == "b@example.com: 550 no such user"
         assert state.tries == 0
-        assert await told.notifier.test("mail", "engineer") == ""
+        assert await told.notifier.test("mail", "engineer") == (True, "")
     assert mailbox.got[-1][1]["subject"] == "Bearing Twin: test of mail"
 
 
