@@ -78,9 +78,10 @@ def closed(telling: Telling) -> Telling:
 
 
 def _raised_again(telling: Telling, before: Alarm, wanted: bool) -> Telling:
-    untold = [event for event in telling.owed if kind_of(event) != RETURNED]
+    over = (RETURNED, ACKNOWLEDGED)
+    untold = [event for event in telling.owed if kind_of(event) not in over]
     # Whoever has not heard that it was gone need not hear that it is there again.
-    believed = len(untold) < len(telling.owed) or (
+    believed = any(kind_of(event) == RETURNED for event in telling.owed) or (
         telling.told and before.state != AlarmState.ACKED
     )
     number = telling.raise_number + 1

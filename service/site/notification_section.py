@@ -50,7 +50,7 @@ class SmtpSection(Section):
 def _zone(name: str) -> str:
     try:
         ZoneInfo(name)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, KeyError) as error:
         raise ValueError("expected a time zone such as Europe/Berlin or UTC") from error
     return name
 

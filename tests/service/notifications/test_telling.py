@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from alarm_bench import COLD, HOT, Bench
 from prometheus_client import CollectorRegistry
+from receivers import PASSWORD, Hook, Mailbox
 
 from service.alarms import AlarmBook
 from service.notifications.notifier import Notifier
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.store import Silence
-from tests.service.notifications.conftest import PASSWORD, Hook, Mailbox
 
 pytestmark = pytest.mark.wires
 
