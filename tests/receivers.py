@@ -3,6 +3,7 @@
 import ssl
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from email import message_from_bytes
 from email.message import Message
@@ -93,8 +94,10 @@ class Hook:
         return [one for one in self.posts if one[0] == 204]
 
 
-@pytest.fixture
-def hook() -> Iterator[Hook]:
+@contextmanager
+def running_hook() -> Iterator[Hook]:
+    """An HTTP server on a free port that takes posts."""
+
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["content-length"]))
@@ -112,7 +115,15 @@ def hook() -> Iterator[Hook]:
     found = Hook(ThreadingHTTPServer(("127.0.0.1", 0), Handler))
     thread = threading.Thread(target=found.server.serve_forever)
     thread.start()
-    yield found
-    found.server.shutdown()
-    thread.join()
-    found.server.server_close()
+    try:
+        yield found
+    finally:
+        found.server.shutdown()
+        thread.join()
+        found.server.server_close()
+
+
+@pytest.fixture
+def hook() -> Iterator[Hook]:
+    with running_hook() as found:
+        yield found
