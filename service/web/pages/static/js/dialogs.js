@@ -71,16 +71,18 @@ export async function askShelve(message) {
 
 /**
  * Whose alarms nobody is told of, for how long and why; resolves with { assets, minutes, comment },
- * or with null. assets: [[id, name]]; current: id of the one that is offered first.
+ * or with null. assets: [[id, name]]; current: id of the one that is offered first; steps: spans of
+ * its plan, [[text, minutes]].
  */
-export async function askSilence(assets, current) {
+export async function askSilence(assets, current, steps) {
   const minutes = h('input', {
     id: 'silence-minutes', name: 'minutes', type: 'number', min: 1, max: SILENCE_MOST_MIN, step: 1,
     required: true, inputmode: 'numeric',
   });
-  const quick = SHELVE_MINUTES.map((one) => h('button', {
+  const spans = [...SHELVE_MINUTES.map((one) => [wholeSpan(one * 60), one]), ...steps];
+  const quick = spans.map(([text, one]) => h('button', {
     type: 'button', onclick: () => { minutes.value = one; },
-  }, wholeSpan(one * 60)));
+  }, text));
   const { value, data } = await openDialog({
     title: 'Silence',
     body: [

@@ -1,6 +1,6 @@
 // Who is told of alarms: the sound of this browser, e-mail and webhooks, and silences.
 import { refuse } from './alarm_list.js';
-import { call } from './api.js';
+import { assetPath, call, callOptional } from './api.js';
 import { askSilence, notify } from './dialogs.js';
 import { bold, h, put, setText } from './dom.js';
 import { dayTime, joined, milliseconds, timeElement } from './format.js';
@@ -122,7 +122,8 @@ export class ToldPanel {
 
   async silence() {
     const { assets, clock, live } = this.page;
-    const asked = await askSilence(assets.map(({ id, name }) => [id, name ?? id]), live?.assetId);
+    const names = assets.map(({ id, name }) => [id, name ?? id]);
+    const asked = await askSilence(names, live?.assetId, await stepsOf(live?.assetId));
     if (!asked) return;
     const { minutes, ...body } = asked;
     const ends = new Date(clock.now() + minutes * 60000).toISOString();
@@ -141,6 +142,17 @@ export class ToldPanel {
     }
     await this.load();
   }
+}
+
+/** Until the present step of an asset's plan ends, and until the plan does: [[text, minutes]]. */
+async function stepsOf(id) {
+  if (!id) return [];
+  const asset = await callOptional(assetPath(id)).catch(() => null);
+  const plan = asset?.controller?.plan ?? [];
+  const minutes = plan.map((step) => step.duration_s / 60);
+  const rounded = (some) => Math.max(1, Math.ceil(some.reduce((sum, one) => sum + one, 0)));
+  return [['this step', minutes.slice(0, 1)], ['whole plan', minutes]]
+    .filter(([, some]) => some.length).map(([text, some]) => [text, rounded(some)]);
 }
 
 function weekly({ days, begins, ends, time_zone: zone }) {
