@@ -63,7 +63,7 @@ def configure_logging(level: str = "info") -> None:
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
     # These tell of every connection and poll at level info; what matters we log ourselves.
-    for noisy in ("uvicorn.error", "pymodbus", "can", "alembic", "numba"):
+    for noisy in ("uvicorn.error", "pymodbus", "can", "alembic", "numba", "httpx2"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
     # Their messages about connections that strangers make and break.
     for stranger in ("uvicorn.error", "asyncio"):

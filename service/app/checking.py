@@ -80,12 +80,14 @@ def environment_errors(settings: Settings) -> list[str]:
             tls_context(settings.path(tls.certificate), settings.path(tls.key))
         except SettingsError as error:
             errors += error.lines
+    from service.notifications.senders import check_senders
     from service.plant.publishers import check_extras
 
-    try:
-        check_extras(settings)
-    except SettingsError as error:
-        errors += error.lines
+    for check in (check_extras, check_senders):
+        try:
+            check(settings)
+        except SettingsError as error:
+            errors += error.lines
     if settings.is_fleet:
         errors += _fleet_errors(settings)
     return errors

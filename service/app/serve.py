@@ -33,13 +33,17 @@ async def serve(
     Raises
     ------
     SettingsError
-        If the address of the web side cannot be used.
+        If the address of the web side cannot be used, or a notification.
     TemporaryError
         If another program did not leave the port in time.
     SideEndedError
         If a side cannot work; it has said why.
     """
     check_extras(settings)
+    if settings.notifications:  # what they need takes a while to load
+        from service.notifications.senders import check_senders
+
+        check_senders(settings)
     manager = ServiceManager()
     address = ""
 

@@ -9,6 +9,7 @@ import msgspec
 from adapters.samples import Sample
 from service.bus.messages import Command
 from service.documents.interfaces import DocumentKind
+from service.notifications.states import NotificationState
 from service.store import Alarm, AuditEntry
 
 AlarmAction = Literal[
@@ -223,6 +224,18 @@ class AcknowledgeAlarms(Command[AcknowledgedAlarms], frozen=True, array_like=Tru
     ids: list[str]
     who: str
     comment: str
+    audit: AuditEntry | None = None
+
+
+class GetNotifications(Command[list[NotificationState]], frozen=True, array_like=True):
+    """How each notification is."""
+
+
+class TestNotification(Command[tuple[bool, str]], frozen=True, array_like=True):
+    """Send a test message; answers whether it was taken, and why not or by whom not."""
+
+    notification: str
+    who: str
     audit: AuditEntry | None = None
 
 

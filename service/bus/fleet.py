@@ -19,6 +19,7 @@ from service.bus.interface import AWAY_AFTER_S
 from service.bus.messages import AnswerT, Change, Command, State
 from service.bus.nats_bus import STATES, CellLink, NatsConnection, inbox, unpacked
 from service.domain.errors import CellUnavailableError
+from service.notifications.states import merged as merged_states
 from service.store import Alarm, StoreUnavailableError
 
 if TYPE_CHECKING:
@@ -252,6 +253,10 @@ class Fleet:
                 return await self._act(command, patience_s)
             case commands.AcknowledgeAlarms():
                 return await self._acknowledge(command, patience_s)
+            case commands.GetNotifications():
+                return merged_states((await self._all(command, patience_s)).values())
+            case commands.TestNotification():
+                return await self._any(command, patience_s)
             case commands.CheckHealth():
                 return await self._health(patience_s)
             case commands.GetMetrics():
@@ -269,6 +274,12 @@ class Fleet:
                 await self._all(command, patience_s)
                 return True
         raise CellUnavailableError(f"the fleet does not answer {type(command).__name__}")
+
+    async def _any(self, command: Command[AnswerT], patience_s: float) -> AnswerT:
+        """Ask one cell, whichever it is."""
+        for cell in self.alive():
+            return await cell.ask(command, patience_s)
+        raise CellUnavailableError("no cell answers")
 
     def _of(self, asset: str) -> CellLink:
         owner = self._owner(asset)

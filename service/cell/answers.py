@@ -28,6 +28,8 @@ from service.ingest import Ingest
 from service.jobs.manager import IdentificationJobs
 from service.live.asset import AssetRuntime
 from service.live.asset_documents import TWIN_SOURCE, AssetDocuments
+from service.notifications.notifier import Notifier
+from service.notifications.states import NotificationState
 from service.store import Alarm, AuditEntry, Outbox, Store, StoreUnavailableError
 
 #: Live messages in one answer.
@@ -53,6 +55,7 @@ class Parts:
     stream: Bus
     ingest: Ingest
     alarms: AlarmBook
+    notifier: Notifier
     assets: Mapping[str, AssetRuntime]
     jobs: IdentificationJobs
     registry: CollectorRegistry
@@ -126,6 +129,8 @@ class Answers:
             ask.ListFollowedAlarms: self.list_followed_alarms,
             ask.ActOnAlarm: self.act_on_alarm,
             ask.AcknowledgeAlarms: self.acknowledge_alarms,
+            ask.GetNotifications: self.get_notifications,
+            ask.TestNotification: self.test_notification,
             ask.Flush: self.flush,
             ask.CreateJob: self.create_job,
             ask.GetJobs: self.get_jobs,
@@ -283,6 +288,14 @@ class Answers:
                 failed.append((alarm_id, str(error.args[0])))
         await self._written()
         return ask.AcknowledgedAlarms(alarms, failed)
+
+    async def get_notifications(self, command: ask.GetNotifications) -> list[NotificationState]:
+        """Say how each notification is."""
+        return self.parts.notifier.states()
+
+    async def test_notification(self, command: ask.TestNotification) -> tuple[bool, str]:
+        """Send a test message."""
+        return await self.parts.notifier.test(command.notification, command.who, command.audit)
 
     async def flush(self, command: ask.Flush) -> bool:
         """Wait until the store has every change, for a while."""

@@ -42,6 +42,7 @@ from service.live.asset import AssetRuntime
 from service.live.estimate import ActiveModel
 from service.live.kept import KeptState
 from service.live.twins import Twins
+from service.notifications.notifier import Notifier
 from service.site.asset_section import AssetSection
 from service.site.provisioning import CheckedAsset
 from service.site.settings import Settings
@@ -120,6 +121,7 @@ class Cell:
             lambda: self.outbox.lost,
             self.registry,
         )
+        self.notifier = Notifier(settings, store, self.outbox, clock, self._names_of, self.registry)
         self.alarms = AlarmBook(
             self.outbox, clock, self._alarm_changed, begins_empty=share is not None
         )
@@ -162,6 +164,7 @@ class Cell:
             report_unconfigured(store, self.assets, left)
             for alarm in left:
                 self.alarms.withdraw(alarm.asset, ())
+            self.notifier.take_over(self.alarms)
         job_seconds = Histogram(
             "bearing_twin_job_seconds",
             "Wall seconds of an identification job.",
@@ -196,6 +199,7 @@ class Cell:
             acquisition,
             self.maintenance,
             self.provisioning,
+            self.notifier,
             share,
             self.registry,
         )
@@ -207,6 +211,7 @@ class Cell:
                 stream=self.bus,
                 ingest=acquisition.ingest,
                 alarms=self.alarms,
+                notifier=self.notifier,
                 assets=self.assets,
                 jobs=self.jobs,
                 registry=self.registry,
@@ -276,6 +281,7 @@ class Cell:
     def _take_over(self, assets: Sequence[str]) -> None:
         """Go on where the cell that owned some assets before ended; reads from the store."""
         self.alarms.take_over(assets)
+        self.notifier.take_over(self.alarms, assets)
         self.acquisition.ingest.expect(self.store.samples.open_ends(assets))
 
     async def _leave(self, assets: Sequence[str]) -> None:
@@ -289,6 +295,7 @@ class Cell:
                 self.assets.pop(name, None)
                 self.histories.pop(name, None)
             self.alarms.leave(assets)
+            self.notifier.leave(assets)
             self.answers.forget(assets)
             self.acquisition.ingest.expect_no_more(assets)
             self._followed += 1
@@ -363,6 +370,12 @@ class Cell:
         if alarm.asset in self.assets:
             self.assets[alarm.asset].alarms_changed()
         self.bus.publish("alarm", alarm.asset, alarm_document(alarm))
+        self.notifier.take(alarm)
+
+    def _names_of(self, asset: str) -> tuple[str, str]:
+        """Name and family of an asset, also of one that was removed a moment ago."""
+        runtime = self.assets.get(asset)
+        return (runtime.settings.name or asset, runtime.settings.family) if runtime else (asset, "")
 
     def _doubt(self, asset: str, channel: str) -> str:
         """Why a channel's latest sample is not good, as a check found or its source says."""
@@ -394,6 +407,7 @@ class Cell:
                     ("jobs", self._take_up_jobs()),
                     ("models", self.jobs.runner.activations.follow()),
                     ("health", self._reports.tell()),
+                    ("notifications", self.notifier.run()),
                     ("heartbeat", heartbeats(self.bus)),
                     ("maintenance", self.maintenance.run()),
                     ("check of the store", self.maintenance.check()),

@@ -17,6 +17,7 @@ from service.cell.share import Share
 from service.clock import ClockWatch, ProcessClock
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.live.asset import AssetRuntime
+from service.notifications.notifier import Notifier
 from service.store import Alarm, Outbox, Store
 
 #: Samples of a channel are counted up to this number where it is only a hint.
@@ -38,6 +39,7 @@ class Reports:
     acquisition: Acquisition
     maintenance: StoreMaintenance
     provisioning: Provisioning
+    notifier: Notifier
     share: Share | None
     registry: CollectorRegistry
 
@@ -63,6 +65,7 @@ class Reports:
             **({} if self.share is None else {"clock": self.share.ownership.clock_problem}),
             "history": ingest.too_old_problem or self.maintenance.problem,
             "files": "; ".join(files) or None,
+            "notifications": self.notifier.problem(),
         }
 
     async def tell(self) -> None:

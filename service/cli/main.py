@@ -25,6 +25,7 @@ from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.many_values import with_many_values
+from service.cli.notifications import notifications
 from service.cli.population import population
 from service.cli.serve import serve
 from service.cli.simulate import simulate
@@ -62,6 +63,7 @@ app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(assets, name="assets")
 app.add_typer(fleet, name="fleet")
 app.add_typer(keys, name="keys")
+app.add_typer(notifications, name="notifications")
 app.add_typer(db, name="db")
 
 

@@ -22,7 +22,7 @@ SOURCE_KINDS = ("linear", "palmgren", "two-part")
 LOSS_KINDS = ("copper", "power", "speed")
 
 
-_SECRET = re.compile(r"pass(?!ed)|pwd|secret|token|(database|nats)_url", re.IGNORECASE)
+_SECRET = re.compile(r"pass(?!ed)|pwd|secret|token|(database|nats)_url|^url$", re.IGNORECASE)
 
 
 class SettingsError(ValueError):

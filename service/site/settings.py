@@ -33,6 +33,11 @@ from service.site.machines.bearings import BearingSection, with_designation
 from service.site.machines.networks import (
     folder_of_files,
 )
+from service.site.notification_section import (
+    NotificationSection,
+    SmtpSection,
+    check_notifications,
+)
 from service.site.templates import from_template, templates_by_name
 
 
@@ -175,6 +180,8 @@ class Settings(BaseSettings):
     mqtt: MqttSection = MqttSection()
     #: Sections of further publishers, by name; each is checked by the publisher itself.
     publishers: dict[str, TomlTable] = {}
+    smtp: SmtpSection = SmtpSection()
+    notifications: tuple[NotificationSection, ...] = ()
     tls: TlsSection | None = None
     bearings: dict[str, BearingSection] = {}
     sources: tuple[TomlTable, ...] = ()
@@ -224,6 +231,11 @@ class Settings(BaseSettings):
             for name in names:
                 if names.count(name) > 1:
                     raise ValueError(f"{what}: the name {name!r} is used twice; expected unique")
+        return self
+
+    @model_validator(mode="after")
+    def _notifications_fit(self) -> Self:
+        check_notifications(self.notifications, self.smtp)
         return self
 
     @model_validator(mode="after")

@@ -48,7 +48,9 @@ from service.store.records import (
     WriteCounts,
 )
 from service.store.rollups import Retention, RetentionTime
+from service.store.silences import Silence
 from service.store.store import Store
+from service.store.tellings import Telling, TellingChange
 
 __all__ = [
     "Activation",
@@ -88,11 +90,14 @@ __all__ = [
     "RetentionTime",
     "Rollup",
     "Row",
+    "Silence",
     "Store",
     "StoreDamagedError",
     "StoreError",
     "StoreUnavailableError",
     "StoredSample",
+    "Telling",
+    "TellingChange",
     "WriteCounts",
     "lock_data_directory",
     "lock_database",

@@ -1,4 +1,4 @@
-"""Alarm changes, audit lines and forecasts on their way to the store: crash-safe, once."""
+"""Alarm changes, audit lines, forecasts, tellings on their way to the store: crash-safe, once."""
 
 import json
 import threading
@@ -23,6 +23,7 @@ from service.store.forecast_records import IssuedForecast
 from service.store.queue_file import Mended, QueueFile, QueueLayout, QueueUnavailableError, Row
 from service.store.records import AuditEntry
 from service.store.store import Store
+from service.store.tellings import Telling, TellingChange
 
 FILE_NAME = "outbox.db"
 
@@ -66,7 +67,7 @@ class ForecastBatch:
     audit: AuditEntry | None = None
 
 
-Change = AlarmChange | AuditEntry | ForecastBatch
+Change = AlarmChange | AuditEntry | ForecastBatch | TellingChange
 
 
 class Outbox(Closable):
@@ -160,6 +161,13 @@ class Outbox(Closable):
         alarms = {alarm.id: alarm for alarm in self._store.alarms.load()}
         alarms |= {change.alarm.id: change.alarm for change in waiting if change.alarm is not None}
         return [alarm for alarm in alarms.values() if alarm.state != "NORM"]
+
+    def load_tellings(self) -> list[Telling]:
+        """What was told of alarms, as it is when all that waits has been written."""
+        waiting = [change for _, change in self._read() if isinstance(change, TellingChange)]
+        found = {one.key: one for one in self._store.tellings.load()}
+        found |= {one.key: one for change in waiting for one in change.tellings}
+        return [one for one in found.values() if not one.over]
 
     def record(self, change: Change) -> None:
         """Have a change written after all that were recorded before; returns at once."""
@@ -275,6 +283,8 @@ class Outbox(Closable):
                 self._store.audit.add(change, delivery)
             elif isinstance(change, ForecastBatch):
                 self._store.forecasts.add(change.forecasts, delivery, change.audit)
+            elif isinstance(change, TellingChange):
+                self._store.tellings.save(change.tellings, delivery)
             elif change is not None:
                 self._store.alarms.save(change.alarm, change.lines, delivery, change.audit)
             else:
@@ -314,6 +324,8 @@ class Outbox(Closable):
 def _document(change: Change) -> str:
     if isinstance(change, ForecastBatch):
         return json.dumps({"forecasts": msgspec.to_builtins(change)})
+    if isinstance(change, TellingChange):
+        return json.dumps({"tellings": msgspec.to_builtins(change)})
     kind = "audit" if isinstance(change, AuditEntry) else "alarm"
     return json.dumps({kind: asdict(change)}, default=float)
 
@@ -326,6 +338,8 @@ def _change(document: str) -> Change | None:
             return AuditEntry(**given)
         if kind == "forecasts":
             return msgspec.convert(given, ForecastBatch)
+        if kind == "tellings":
+            return msgspec.convert(given, TellingChange)
         alarm = None if given["alarm"] is None else Alarm(**given["alarm"])
         lines = tuple(AlarmTransition(**line) for line in given["lines"])
         audit = given.get("audit")  # earlier versions kept none

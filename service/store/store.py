@@ -21,7 +21,9 @@ from service.store.provisioned_assets import ProvisionedAssets
 from service.store.rollups import Rollups
 from service.store.salvage import damage_of
 from service.store.samples import Samples
+from service.store.silences import Silences
 from service.store.sister_records import SisterRecords
+from service.store.tellings import Tellings
 
 
 class Store(Closable):
@@ -58,6 +60,10 @@ class Store(Closable):
         The latest state of each twin.
     alarms : AlarmJournal
         Alarms and their journal.
+    tellings : Tellings
+        What was told of the open alarms, and to whom.
+    silences : Silences
+        Times in which nobody is told.
     forecasts : KeptForecasts
         The forecast ledger.
     access : Access
@@ -81,6 +87,8 @@ class Store(Closable):
         self.sisters = SisterRecords(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
+        self.tellings = Tellings(database)
+        self.silences = Silences(database)
         self.forecasts = KeptForecasts(database)
         self.access = Access(database)
         self.audit = Audit(database)

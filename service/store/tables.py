@@ -333,6 +333,28 @@ class DeliveryRow(Base):
     number: Mapped[int]
 
 
+class TellingRow(Base):
+    """What a notification has said of an alarm that is not over; see `service.store.tellings`."""
+
+    __tablename__ = "tellings"
+    __table_args__ = (Index("ix_tellings_asset", "asset"),)
+
+    notification: Mapped[str] = mapped_column(primary_key=True)
+    alarm_id: Mapped[str] = mapped_column(primary_key=True)
+    asset: Mapped[str]
+    document: Mapped[JsonDocument]
+
+
+class SilenceRow(Base):
+    """A time in which nobody is told of alarms; see `service.store.silences`."""
+
+    __tablename__ = "silences"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    ends_us: Mapped[int]
+    document: Mapped[JsonDocument]
+
+
 class CellRow(Base):
     """A cell of a fleet that runs, or died a moment ago; see `service.store.ownership`."""
 

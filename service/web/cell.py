@@ -15,6 +15,7 @@ from service.documents.identification import JobDocument
 from service.documents.models import ModelDocument
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import IdentificationRequest
+from service.notifications.states import NotificationState
 from service.store import Alarm, AuditEntry, WriteCounts
 
 #: Wall seconds for what is in memory, for what is written, and for what may take a while.
@@ -124,6 +125,25 @@ class CellAlarms:
             await self._reader.ask(ask.Flush(patience_s), patience_s + SOON_S)
         except CellUnavailableError:
             return  # then the store has what it has
+
+
+class CellNotifications:
+    """The notifications of the cell."""
+
+    def __init__(self, reader: ReaderBus, shared: Shared) -> None:
+        self._reader = reader
+        self._shared = shared
+
+    async def states(self) -> dict[str, NotificationState]:
+        """How each notification is, by its id."""
+        found = await self._shared.ask(ask.GetNotifications())
+        return {state.id: state for state in found}
+
+    async def test(
+        self, notification: str, who: str, audit: AuditEntry | None = None
+    ) -> tuple[bool, str]:
+        """Send a test message; gives whether it was taken, and why not or by whom not."""
+        return await self._reader.ask(ask.TestNotification(notification, who, audit), WHILE_S)
 
 
 class CellIngest:

@@ -38,6 +38,7 @@ from service.web.cell import (
     CellHealth,
     CellIngest,
     CellJobs,
+    CellNotifications,
     Shared,
 )
 from service.web.overview import Overview
@@ -164,6 +165,7 @@ class _Start:
                     bus=bus,
                     ingest=CellIngest(reader, kept_from_us),
                     alarms=CellAlarms(reader, shared),
+                    notifications=CellNotifications(reader, shared),
                     assets=replicas.assets,
                     jobs=CellJobs(reader, shared),
                     health=CellHealth(shared),

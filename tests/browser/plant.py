@@ -4,6 +4,7 @@ import json
 import threading
 import time as wall
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from service.security.keys import create_key
 from service.site.settings import load_settings
 from service.store import Store
 from tests.processes import Command, free_port, wait_until
+from tests.receivers import running_hook
 from twin_core.identification.posterior import Posterior
 from twin_core.operating_points import OperatingPoint
 
@@ -46,6 +48,12 @@ _CONFIGURATION = """
 port = {port}
 [clock]
 rate = {rate}
+
+[[notifications]]
+id = "control-room"
+kind = "webhook"
+url = "{hook}"
+priorities = [1]
 
 [[assets]]
 id = "press-1"
@@ -96,6 +104,8 @@ class Plant:
         Assets that send nothing.
     bad
         Channels that send no usable value, whatever the asset.
+    hook
+        Where alarms of priority 1 are told.
     """
 
     rate = RATE
@@ -104,6 +114,8 @@ class Plant:
     def __init__(self, folder: Path, pushed: Mapping[str, Sequence[str]] = _PUSHED) -> None:
         self.folder = folder
         self.port = free_port()
+        self._closing = ExitStack()
+        self.hook = self._closing.enter_context(running_hook())
         self.configuration = folder / "bearing-twin.toml"
         self.configuration.write_text(self.configure())
         self.values = {asset: {n: _CALM[n] for n in names} for asset, names in pushed.items()}
@@ -124,6 +136,7 @@ class Plant:
             port=self.port,
             rate=self.rate,
             network=_NETWORK,
+            hook=self.hook.url,
             bearing=_channels(_PUSHED[BEARING]),
             gearbox=_channels(_PUSHED[GEARBOX]),
         )
@@ -222,6 +235,7 @@ class Plant:
         self.client.close()
         if self.service is not None:
             self.service.end()
+        self._closing.close()
 
 
 class Fleet(Plant):

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from typing import Any
 
 import httpx2
@@ -32,6 +33,14 @@ ALARMS = "/api/v1/alarms"
 PUSHED = "t_node_5_c"
 FAMILY = "6311 grease-L"
 LATCHED = "\n[assets.alarms.stale_data]\nlatched = true\n"
+#: Nobody listens there.
+NOTIFICATION = """
+[[notifications]]
+id = "nobody"
+kind = "webhook"
+url = "http://127.0.0.1:9/"
+only_escalations = true
+"""
 MESSAGES_S = 400.0
 STEP = {"duration_s": 600, "speed_rpm": 4200, "load_n": 2650}
 ENDLESS = {"method": "noa", "budget": 5_000_000}
@@ -122,7 +131,7 @@ class Published:
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Published]:
     site = Site(tmp_path_factory.mktemp("site"), "demo", 100.0, pushed=PUSHED)
-    text = site.configuration.read_text() + LATCHED
+    text = site.configuration.read_text() + LATCHED + NOTIFICATION
     named = text.replace("[[assets]]\n", f'[[assets]]\nfamily = "{FAMILY}"\n', 1)
     assert named != text
     site.configuration.write_text(named)
@@ -271,6 +280,7 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("GET", f"{ALARMS}/statistics", 200)
     call("GET", f"{ALARMS}/journal", 200)
     call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})
+    tell_nobody(published)
     call("GET", "/readyz", 200)
     call("GET", "/metrics", 200)
     call("GET", "/api/v1/stream", 426)
@@ -291,6 +301,22 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
         published.check("GET", "/api/v1/session", 200, answer)
         answer = browser.delete("/api/v1/session", headers={"Sec-Fetch-Site": "same-origin"})
         published.check("DELETE", "/api/v1/session", 204, answer)
+
+
+def tell_nobody(published: Published) -> None:
+    call = published.call
+    call("GET", "/api/v1/notifications", 200)
+    tried = call("POST", "/api/v1/notifications/nobody:test", 200)
+    assert not tried["told"]
+    call("POST", "/api/v1/notifications/somebody:test", 404)
+    now = datetime.fromisoformat(published.site.get(f"{A}/state")["time"])
+    silence = {"ends_at": (now + timedelta(days=1)).isoformat(), "comment": "cleaning"}
+    weekly = {"days": ["sat"], "begins": "22:00", "ends": "06:00"}
+    made = call("POST", "/api/v1/silences", 201, json=silence | {"weekly": weekly})
+    call("POST", "/api/v1/silences", 422, json=silence | {"assets": ["nobody"]})
+    call("GET", "/api/v1/silences", 200)
+    call("DELETE", f"/api/v1/silences/{made['id']}", 204)
+    call("DELETE", f"/api/v1/silences/{made['id']}", 404)
 
 
 def a_night() -> FleetRun:

@@ -10,7 +10,7 @@ from service.bus.replica import AssetReplica
 from service.bus.stream import Bus
 from service.site.settings import Settings
 from service.store import Outbox, Store
-from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, CellNotifications
 from service.web.overview import Overview
 
 
@@ -39,7 +39,7 @@ class ServiceContext:
         Where lines of the audit trail wait for the store.
     bus
         Live messages.
-    ingest, alarms, jobs, health
+    ingest, alarms, notifications, jobs, health
         What the cell does and knows.
     assets
         By id.
@@ -69,6 +69,7 @@ class ServiceContext:
     bus: Bus
     ingest: CellIngest
     alarms: CellAlarms
+    notifications: CellNotifications
     assets: Mapping[str, AssetReplica]
     jobs: CellJobs
     health: CellHealth

@@ -26,13 +26,14 @@ from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_ove
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.live.verdict import Evidence, judge, required_channels
+from service.notifications.notifier import Notifier
 from service.security.keys import create_key
 from service.site.asset_section import AssetSection, Limits
 from service.site.machines.networks import read_network
 from service.site.settings import Settings
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
-from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, CellNotifications, Shared
 from service.web.overview import Overview
 
 WARM = {
@@ -299,6 +300,7 @@ async def open_web(
             stream=live.bus,
             ingest=ingest,
             alarms=live.alarms,
+            notifier=cast(Notifier, None),
             assets={"bench-1": live.runtime},
             jobs=cast(IdentificationJobs, None),
             registry=registry,
@@ -317,6 +319,7 @@ async def open_web(
             bus=live.bus,
             ingest=CellIngest(joint),
             alarms=CellAlarms(joint, shared),
+            notifications=CellNotifications(joint, shared),
             assets=replicas.assets,
             jobs=CellJobs(joint, shared),
             health=CellHealth(shared),

@@ -55,13 +55,14 @@ from service.domain.errors import (
 )
 from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
+from service.notifications.notifier import Notifier
 from service.security.keys import create_key
 from service.site.settings import Settings
 from service.store import ActiveJobError, AuditEntry, Outbox, Store
 from service.store.forecast_records import IssuedContent, IssuedForecast
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
-from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, Shared
+from service.web.cell import CellAlarms, CellHealth, CellIngest, CellJobs, CellNotifications, Shared
 from service.web.overview import Overview
 
 ROLES = ("viewer", "operator", "engineer", "admin", "gateway")
@@ -507,6 +508,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
         alarms = AlarmBook(
             outbox, clock, lambda alarm: bus.publish("alarm", alarm.asset, alarm_document(alarm))
         )
+        notifier = Notifier(settings, store, outbox, clock, lambda asset: (asset, ""), registry)
         ingest = Ingest(store, Spool.open(tmp_path, 16), clock, take, registry=registry)
         now_us = clock.now_us()
         wired = {
@@ -528,6 +530,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
                 stream=bus,
                 ingest=ingest,
                 alarms=alarms,
+                notifier=notifier,
                 assets=twins,
                 jobs=jobs,
                 registry=registry,
@@ -549,6 +552,7 @@ async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
             bus=bus,
             ingest=CellIngest(joint),
             alarms=CellAlarms(joint, shared),
+            notifications=CellNotifications(joint, shared),
             assets=replicas.assets,
             jobs=CellJobs(joint, shared),
             health=CellHealth(shared),

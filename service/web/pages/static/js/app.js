@@ -1,5 +1,6 @@
 // The page: session, frame, views.
 import { AlarmDesk } from './alarm_desk.js';
+import { AlarmSound } from './alarm_sound.js';
 import { ApiError, onRefusedKey } from './api.js';
 import { Banner } from './banner.js';
 import { ProcessClock } from './clock.js';
@@ -104,8 +105,9 @@ const nowhere = () => {
 const nameOf = (id) => live.feeds.get(id)?.store.get('asset')?.name ?? live.assets.get(id)?.name ?? id;
 
 const desk = new AlarmDesk(live, refusal);
+const sound = new AlarmSound(() => live.alarms().map(({ alarm }) => alarm));
 const page = {
-  clock, may, refusal, notify, desk, nameOf,
+  clock, may, refusal, notify, desk, nameOf, sound,
   connection: live, // all assets
   get store() { return feed.store; },
   get live() { return feed; },
@@ -252,6 +254,7 @@ function tick() {
   header.tick({ link: live.link, sources: state ? chipsShown(state) : [] }, clock);
   strip.tick(state ? lostState(state, clock, ofNone()) : null);
   if (state) jobs.update(state.jobs);
+  sound.tick();
   showLink();
 }
 

@@ -4,6 +4,7 @@ import { wholeSpan } from './format.js';
 
 const SHELVE_MINUTES = [15, 30, 60, 120, 240, 480];
 const SHELVE_MOST_MIN = 480;
+const SILENCE_MOST_MIN = 10080;
 let count = 0;
 
 /**
@@ -66,6 +67,42 @@ export async function askShelve(message) {
   });
   if (value !== 'ok') return null;
   return { duration_s: Number(data.minutes) * 60, comment: data.reason.trim() };
+}
+
+/**
+ * Whose alarms nobody is told of, for how long and why; resolves with { assets, minutes, comment },
+ * or with null. assets: [[id, name]]; current: id of the one that is offered first; steps: spans of
+ * its plan, [[text, minutes]].
+ */
+export async function askSilence(assets, current, steps) {
+  const minutes = h('input', {
+    id: 'silence-minutes', name: 'minutes', type: 'number', min: 1, max: SILENCE_MOST_MIN, step: 1,
+    required: true, inputmode: 'numeric',
+  });
+  const spans = [...SHELVE_MINUTES.map((one) => [wholeSpan(one * 60), one]), ...steps];
+  const quick = spans.map(([text, one]) => h('button', {
+    type: 'button', onclick: () => { minutes.value = one; },
+  }, text));
+  const { value, data } = await openDialog({
+    title: 'Silence',
+    body: [
+      h('p', {}, 'Nobody gets e-mail or webhooks of these alarms for this time. They are raised and '
+        + 'listed as ever; what still stands at the end is told then.'),
+      h('label', { for: 'silence-asset' }, 'Alarms of'),
+      h('select', { id: 'silence-asset', name: 'asset' },
+        h('option', { value: '' }, 'all assets'),
+        assets.map(([id, name]) => h('option', { value: id, selected: id === current }, name))),
+      h('label', { for: 'silence-minutes' }, 'Duration in minutes (required, at most 7 days)'),
+      h('div', { class: 'row' }, minutes,
+        h('span', { class: 'seg', role: 'group', 'aria-label': 'Common durations' }, quick)),
+      reasonField('Reason (everyone can read it)'),
+    ],
+    buttons: [cancel(), confirm('Silence')],
+  });
+  if (value !== 'ok') return null;
+  return {
+    assets: data.asset ? [data.asset] : [], minutes: Number(data.minutes), comment: data.reason.trim(),
+  };
 }
 
 /** A short word at the foot of the page about something that did not work. */

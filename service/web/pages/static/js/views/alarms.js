@@ -7,6 +7,7 @@ import { channelName, fixed } from '../format.js';
 import { JournalPanel } from '../journal_panel.js';
 import { isDistrust } from '../readings.js';
 import { liveDetail } from '../situation.js';
+import { ToldPanel } from '../told_panel.js';
 import { WatchedPanel } from '../watched_panel.js';
 
 const COUNT_EVERY_MS = 10000;
@@ -36,6 +37,7 @@ export class AlarmsView {
     this.watched = new WatchedPanel(page);
     this.statistics = h('dl', { class: 'stats' });
     this.frequent = h('ol', { class: 'freq' });
+    this.told = new ToldPanel(page);
     this.journal = new JournalPanel(page);
     put(box, h('h1', { class: 'vh' }, 'Alarms'),
       h('section', { class: 'panel p-alist' },
@@ -47,7 +49,7 @@ export class AlarmsView {
       h('section', { class: 'panel p-stat' },
         h('header', {}, h('h2', {}, 'Alarm performance')), this.statistics,
         h('h3', {}, 'Most frequent, last 24 h'), this.frequent),
-      this.journal.element);
+      this.told.element, this.journal.element);
     const feeds = [...page.connection.feeds.values()];
     this.endings = feeds.map((feed) =>
       feed.store.on(['alarms', 'link', 'forecast'], () => this.update(), 250));
@@ -60,6 +62,7 @@ export class AlarmsView {
   destroy() {
     this.timers.forEach(clearInterval);
     this.endings.forEach((end) => end());
+    this.told.destroy();
     this.journal.destroy();
   }
 
@@ -100,6 +103,7 @@ export class AlarmsView {
       setText(count, String(this.shown(belongs).length));
     }
     this.watched.leaveOut(alarms);
+    this.told.update();
     setText(this.count, summary(alarms));
     setText(this.bulk, this.chosen.size ? `Acknowledge ${this.chosen.size} selected`
       : 'Acknowledge selected');

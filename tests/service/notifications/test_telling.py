@@ -1,0 +1,307 @@
+"""Alarms of a real book reach a real mail server and a real webhook, through what goes wrong."""
+
+import asyncio
+import base64
+import hashlib
+import hmac
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alarm_bench import COLD, HOT, Bench
+from prometheus_client import CollectorRegistry
+from receivers import PASSWORD, Hook, Mailbox
+
+from service.alarms import AlarmBook
+from service.notifications.notifier import Notifier
+from service.site.configuration import SettingsError
+from service.site.settings import Settings
+from service.store import Silence
+
+pytestmark = pytest.mark.wires
+
+KEY = base64.b64encode(bytes(range(32))).decode()
+PATIENCE_S = 60.0
+
+
+class Told:
+    """An alarm book whose alarms are told, on the store of a bench."""
+
+    def __init__(self, bench: Bench, settings: Settings) -> None:
+        self.bench, self.settings = bench, settings
+
+    async def __aenter__(self) -> "Told":
+        bench = self.bench
+        self.notifier = Notifier(
+            self.settings, bench.store, bench.outbox, bench.clock,
+            lambda asset: (f"Bench {asset}", "Motor 2019"), CollectorRegistry(),
+        )  # fmt: skip
+        self.book = AlarmBook(bench.outbox, bench.clock, self.notifier.take)
+        await asyncio.to_thread(self.notifier.take_over, self.book)
+        self._task = asyncio.create_task(self.notifier.run())
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    def raise_alarm(self, **changes: Any) -> str:
+        condition = replace(HOT, **changes)
+        self.book.evaluate(condition)
+        self.bench.clock.advance(condition.on_delay_s)
+        self.book.evaluate(condition)
+        found = [one for one in self.book.active(condition.asset) if one.kind == condition.kind]
+        return found[0].id
+
+    def end_alarm(self, **changes: Any) -> None:
+        self.book.evaluate(replace(COLD, **changes))
+        self.bench.clock.advance(COLD.off_delay_s)
+        self.book.evaluate(replace(COLD, **changes))
+
+
+@pytest.fixture
+def bench(tmp_path: Path, prompt: None) -> Any:
+    bench = Bench(tmp_path / "data")
+    yield bench
+    bench.close()
+
+
+def site(hook: Hook | None = None, mailbox: Mailbox | None = None, **more: Any) -> Settings:
+    notifications: list[dict[str, Any]] = []
+    smtp: dict[str, Any] = {}
+    if hook is not None:
+        notifications.append({"id": "hook", "kind": "webhook", "url": hook.url, "interval_s": 0})
+    if mailbox is not None:
+        to = ["a@example.com", "b@example.com"]
+        notifications.append({"id": "mail", "kind": "email", "to": to, "interval_s": 0})
+        smtp = {
+            "host": "localhost", "port": mailbox.port, "username": "twin", "password": PASSWORD,
+            "sender": "twin@example.com", "ca_file": str(mailbox.ca_file),
+        }  # fmt: skip
+    notifications[0] |= more
+    return Settings(notifications=tuple(notifications), smtp=smtp)  # type: ignore[arg-type]
+
+
+async def until(holds: Callable[[], Any], what: str) -> Any:
+    for _ in range(round(PATIENCE_S / 0.02)):
+        found = holds()
+        if found:
+            return found
+        await asyncio.sleep(0.02)
+    raise AssertionError(f"{what} did not happen in {PATIENCE_S:g} s")
+
+
+async def quiet(told: Told) -> None:
+    """Wait until all that may be told now has been told."""
+    await asyncio.sleep(1.0)
+    await until(
+        lambda: all(one.waiting == one.held for one in told.notifier.states()), "all is told"
+    )
+
+
+def events(hook: Hook) -> list[tuple[str, str]]:
+    return [
+        (event["event"], event["id"])
+        for _, _, body in hook.taken
+        for event in json.loads(body)["events"]
+    ]
+
+
+async def test_a_receiver_that_fails_twice_gets_every_event_once_and_signed(
+    bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOOK_KEY", KEY)
+    hook.refusals = [503, 302]
+    async with Told(bench, site(hook, secret_variable="HOOK_KEY")) as told:
+        alarm = told.raise_alarm()
+        await until(lambda: hook.taken, "the post")
+        assert [status for status, _, _ in hook.posts] == [503, 302, 204]
+        assert len({body for _, _, body in hook.posts}) <= 3
+        assert len({headers["webhook-id"] for _, headers, _ in hook.posts}) == 1
+        told.book.acknowledge(alarm, "operator")
+        await until(lambda: len(events(hook)) == 2, "the acknowledgement")
+        told.end_alarm()
+        await quiet(told)
+        assert not told.notifier.problem()
+    assert events(hook) == [
+        ("raised", f"{alarm}:raised:1"),
+        ("acknowledged", f"{alarm}:acknowledged:1"),
+        ("returned", f"{alarm}:returned:1"),
+    ]
+    for _, headers, body in hook.posts:
+        signed = f"{headers['webhook-id']}.{headers['webhook-timestamp']}.".encode() + body
+        digest = hmac.new(base64.b64decode(KEY), signed, hashlib.sha256).digest()
+        assert headers["webhook-signature"] == "v1," + base64.b64encode(digest).decode()
+    first = json.loads(hook.taken[0][2])["events"][0]
+    assert (first["asset_name"], first["alarm"]["priority"]) == ("Bench bench-1", 1)
+    assert bench.outbox.flush(30)
+    assert not bench.store.tellings.load(), "nothing is kept of an alarm that is over"
+
+
+async def test_mail_goes_out_once_to_each_address_by_tls_and_log_in(
+    bench: Bench, mailbox: Mailbox
+) -> None:
+    mailbox.answers = {"b@example.com": ["451 come again later"]}
+    async with Told(bench, site(mailbox=mailbox)) as told:
+        told.raise_alarm()
+        await quiet(told)
+        await until(lambda: len(mailbox.got) == 2, "both mails")
+        assert [to for to, _ in mailbox.got] == [["a@example.com"], ["b@example.com"]]
+        assert len({message["message-id"] for _, message in mailbox.got}) == 1
+        message = mailbox.got[0][1]
+        assert " ".join(message["subject"].split()) == (
+            "Bearing Twin: raised: Bench bench-1, Inner ring over alarm 105 °C"
+        )
+        text = message.get_content()  # type: ignore[attr-defined]
+        assert "value 106.0 °C, limit 105.0 °C" in text
+        assert "nobody has acknowledged it" in text
+        # An address that is refused for good is named, and the others have the message.
+        mailbox.answers = {"b@example.com": ["550 no such user"]}
+        told.end_alarm()
+        await until(lambda: len(mailbox.got) == 3, "the return")
+        await quiet(told)
+        (state,) = told.notifier.states()
+        assert state.error == "b@example.com: 550 no such user"
+        assert state.tries == 0
+        assert await told.notifier.test("mail", "engineer") == (True, "")
+    assert mailbox.got[-1][1]["subject"] == "Bearing Twin: test of mail"
+
+
+async def test_a_wrong_password_is_said_without_it(bench: Bench, mailbox: Mailbox) -> None:
+    settings = site(mailbox=mailbox)
+    smtp = settings.smtp.model_copy(update={"username": "other"})
+    settings = settings.model_copy(update={"smtp": smtp})
+    async with Told(bench, settings) as told:
+        told.raise_alarm()
+        await until(told.notifier.problem, "a problem")
+        problem = told.notifier.problem()
+        assert problem is not None
+        assert "535" in problem
+        assert PASSWORD not in problem
+        (state,) = told.notifier.states()
+        assert state.waiting == 1
+        assert state.failing_since_us is not None
+    assert not mailbox.got
+
+
+async def test_a_burst_is_one_message_and_what_is_set_aside_is_none(
+    bench: Bench, hook: Hook, mailbox: Mailbox
+) -> None:
+    async with Told(bench, site(hook, mailbox)) as told:
+        aside = told.raise_alarm(asset="bench-2", suppressed_reason="standstill")
+        for number in range(120):
+            told.raise_alarm(kind=f"kind {number}", priority=3)
+        await quiet(told)
+        names = {id for _, id in events(hook)}
+        assert len(names) == len(events(hook)) == 120
+        assert not any(aside in name for name in names)
+        assert len(hook.taken) <= 3, "the first may go out before the last is raised"
+        _, message = mailbox.got[-1]
+        assert "alarms on 1 machine" in message["subject"]
+        assert "more; the page Alarms lists all" in message.get_content()  # type: ignore[attr-defined]
+
+
+async def test_a_restart_goes_on_where_it_was(bench: Bench, hook: Hook) -> None:
+    hook.refusals = [500] * 1000
+    async with Told(bench, site(hook)) as told:
+        alarm = told.raise_alarm()
+        await until(lambda: len(hook.posts) > 1, "two tries")
+    bench.restart()
+    hook.refusals = []
+    async with Told(bench, site(hook)) as told:
+        await until(lambda: events(hook), "the post")
+        await quiet(told)
+    bench.restart()
+    async with Told(bench, site(hook)) as told:
+        await asyncio.sleep(1.0)
+        assert events(hook) == [("raised", f"{alarm}:raised:1")], "told again after a restart"
+        # It returned, and was acknowledged, while the receiver was away.
+        hook.refusals = [500] * 1000
+        told.end_alarm()
+        await until(lambda: told.notifier.states()[0].tries, "a try")
+        told.book.acknowledge(alarm, "operator")
+    bench.restart()
+    hook.refusals = []
+    async with Told(bench, site(hook)) as told:
+        await quiet(told)
+        assert events(hook)[1:] == [("returned", f"{alarm}:returned:1")]
+    assert bench.outbox.flush(30)
+    assert not bench.store.tellings.load()
+
+
+async def test_quiet_hours_hold_low_priorities_and_tell_what_is_still_there(
+    bench: Bench, hook: Hook
+) -> None:
+    minute = bench.clock.us // 60_000_000 % 1440
+    ends = f"{(minute + 60) % 1440 // 60:02}:{(minute + 60) % 60:02}"
+    begins = f"{(minute - 60) % 1440 // 60:02}:{minute % 60:02}"
+    hours = {"begins": begins, "ends": ends}
+    async with Told(bench, site(hook, quiet_hours=hours)) as told:
+        urgent = told.raise_alarm(kind="urgent", priority=1)
+        stays = told.raise_alarm(kind="stays", priority=2)
+        told.raise_alarm(kind="goes", priority=3)
+        await quiet(told)
+        assert events(hook) == [("raised", f"{urgent}:raised:1")]
+        assert told.notifier.states()[0].held == 2
+        told.end_alarm(kind="goes", priority=3)
+        await until(lambda: told.notifier.states()[0].held == 1, "one less is held back")
+        bench.clock.advance(3600)
+        await until(lambda: len(events(hook)) == 2, "the end of the quiet hours")
+        await quiet(told)
+    assert events(hook)[1:] == [("raised", f"{stays}:raised:1")]
+
+
+async def test_nobody_acknowledges_so_another_is_called_and_hears_how_it_ends(
+    bench: Bench, hook: Hook, mailbox: Mailbox
+) -> None:
+    settings = site(hook, mailbox, escalation=[{"after_min": 15, "to": "mail"}])
+    (first, second) = settings.notifications
+    second = second.model_copy(update={"only_escalations": True})
+    settings = settings.model_copy(update={"notifications": (first, second)})
+    async with Told(bench, settings) as told:
+        alarm = told.raise_alarm()
+        answered = told.raise_alarm(kind="answered")
+        await quiet(told)
+        told.book.acknowledge(answered, "operator")
+        bench.clock.advance(14 * 60)
+        await quiet(told)
+        assert not mailbox.got
+        bench.clock.advance(60)
+        await until(lambda: mailbox.got, "the call")
+        told.book.acknowledge(alarm, "shift lead")
+        await until(lambda: len(mailbox.got) == 2, "who has it")
+        told.end_alarm()
+        await until(lambda: len(mailbox.got) == 3, "the return")
+        await quiet(told)
+    subjects = [message["subject"].split(": ")[1] for _, message in mailbox.got]
+    assert subjects == ["nobody has acknowledged", "acknowledged", "returned"]
+    assert all(len(to) == 2 for to, _ in mailbox.got)
+
+
+async def test_a_silence_holds_back_telling_and_hides_no_alarm(bench: Bench, hook: Hook) -> None:
+    now_us = bench.clock.now_us()
+    silence = Silence("s", ("bench-1",), now_us, now_us + 3_600_000_000, "engineer", "greasing")
+    bench.store.silences.add(silence, now_us)
+    async with Told(bench, site(hook)) as told:
+        alarm = told.raise_alarm()
+        other = told.raise_alarm(asset="bench-2")
+        await quiet(told)
+        assert events(hook) == [("raised", f"{other}:raised:1")]
+        assert [one.state for one in told.book.active("bench-1")] == ["UNACK"]
+        bench.clock.advance(3600)
+        await until(lambda: len(events(hook)) == 2, "the end of the silence")
+    assert events(hook)[1] == ("raised", f"{alarm}:raised:1")
+
+
+@pytest.mark.parametrize("key", ["", "short", base64.b64encode(b"twelve bytes").decode()])
+async def test_a_signature_without_a_good_key_is_refused_without_its_value(
+    bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    monkeypatch.setenv("HOOK_KEY", key)
+    with pytest.raises(SettingsError, match="secret_variable = 'HOOK_KEY'") as refusal:
+        async with Told(bench, site(hook, secret_variable="HOOK_KEY")):
+            pass
+    assert not key or key not in str(refusal.value)
