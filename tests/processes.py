@@ -237,7 +237,7 @@ class Site(Station):
             "can": {"channel": f"socket://127.0.0.1:{self.can_port}"},
         }
         port = free_port()
-        configuration = write_configuration(folder, bench, rate, port)
+        configuration = write_configuration(folder, [bench], rate, port)
         text = configuration.read_text()
         text = text.replace("[service]\n", f"[service]\n{service_keys}\n", 1)
         if pushed:
