@@ -91,14 +91,16 @@ def test_the_key_leaves_the_address_and_a_session_stays(page: Page, problems: li
 
 def test_live_values_move(page: Page, problems: list[str]) -> None:
     measured, estimated, times = set(), set(), set()
+    # What the section shows of bodies without a sensor: not each of them is known by now.
+    others = page.locator("[data-figure].es")
 
     def moved() -> bool:
         measured.add(figure(page, 4))
-        estimated.add(figure(page, 3))
+        estimated.update(others.all_text_contents())
         times.add(page.locator(".clock").inner_text())
         return min(len(measured), len(estimated), len(times)) > 2
 
-    wait_until(moved, 30, f"values that change: {measured}, {estimated}, {times}")
+    wait_until(moved, 60, "measured values, estimates and times that change")
     assert f"×{RATE:g}" in page.locator(".clock").inner_text()
     assert problems == []
 
