@@ -82,6 +82,7 @@ def whole_run_band(quantiles_c: FloatArray, factor: ArrayLike) -> FloatArray:
 def _shares(
     median: FloatArray, low: FloatArray, high: FloatArray, values: FloatArray
 ) -> FloatArray:
-    away = values - median
-    upper, lower = np.maximum(high - median, _LEAST_K), np.maximum(median - low, _LEAST_K)
-    return np.asarray(np.maximum(away / upper, -away / lower))
+    below = values - median
+    above = below * (1.0 / np.maximum(high - median, _LEAST_K))
+    below *= -1.0 / np.maximum(median - low, _LEAST_K)
+    return np.asarray(np.maximum(above, below, out=above))
