@@ -115,7 +115,8 @@ def _gone(telling: Telling) -> Telling:
     told_later = [event for event in telling.owed if kind_of(event) in (RAISED, ESCALATED)]
     if telling.alarm.state in SET_ASIDE_STATES or (telling.released_us is None and told_later):
         # Nobody is told of it: it was held back until now, or is not to be heard of.
-        kept = tuple(event for event in telling.owed if event not in told_later)
+        left = telling.owed if telling.told else ()  # without its raise a return means nothing
+        kept = tuple(event for event in left if event not in told_later)
         telling = replace(telling, owed=kept)
         told_later = []
     event = f"{RETURNED}:{telling.raise_number}"
@@ -125,12 +126,15 @@ def _gone(telling: Telling) -> Telling:
 
 
 def sent(telling: Telling, events: Sequence[str]) -> Telling:
-    """Take in that events were told."""
+    """Take in that events were told; the alarm may have changed while they were under way."""
     told = telling.told
     for event in events:
         told = kind_of(event) != RETURNED
     owed = tuple(event for event in telling.owed if event not in events)
-    return closed(replace(telling, owed=owed, told=told))
+    gone = telling.alarm.state not in ACTIVE_STATES
+    if told and gone and not any(kind_of(event) == RETURNED for event in owed):
+        owed = (*owed, f"{RETURNED}:{telling.raise_number}")
+    return closed(replace(telling, owed=owed, told=told, over=False))
 
 
 def given_up(telling: Telling, now_us: int) -> Telling:

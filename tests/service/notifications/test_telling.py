@@ -296,6 +296,40 @@ async def test_a_silence_holds_back_telling_and_hides_no_alarm(bench: Bench, hoo
     assert events(hook)[1] == ("raised", f"{alarm}:raised:1")
 
 
+async def test_another_cell_goes_on_with_what_was_told(bench: Bench, hook: Hook) -> None:
+    def of_fleet() -> tuple[Notifier, AlarmBook]:
+        notifier = Notifier(
+            site(hook), bench.store, bench.outbox, bench.clock,
+            lambda asset: (asset, ""), CollectorRegistry(),
+        )  # fmt: skip
+        take = notifier.take
+        return notifier, AlarmBook(bench.outbox, bench.clock, take, begins_empty=True)
+
+    (one, book), (other, others) = of_fleet(), of_fleet()
+    running = [asyncio.create_task(each.run()) for each in (one, other)]
+    book.evaluate_all([replace(HOT, on_delay_s=0), replace(HOT, asset="bench-2", on_delay_s=0)])
+    await asyncio.sleep(1.0)
+    assert not hook.posts, "whoever does not own an asset tells nothing of it"
+    await asyncio.to_thread(one.take_over, book, {"bench-1", "bench-2"})
+    await until(lambda: len(events(hook)) == 2, "both are told")
+    one.leave(["bench-1"])
+    book.leave(["bench-1"])
+    assert bench.outbox.flush(30)
+    await asyncio.to_thread(others.take_over, ["bench-1"])
+    await asyncio.to_thread(other.take_over, others, {"bench-1"})
+    await asyncio.sleep(1.0)
+    for held_by in (book, others):
+        for asset in ("bench-1", "bench-2"):
+            held_by.evaluate(replace(COLD, asset=asset, off_delay_s=0))
+    await until(lambda: len(events(hook)) == 4, "both returns")
+    await asyncio.sleep(1.0)
+    assert sorted(kind for kind, _ in events(hook)) == ["raised", "raised", "returned", "returned"]
+    assert len({id for _, id in events(hook)}) == 4
+    for task in running:
+        task.cancel()
+    await asyncio.gather(*running, return_exceptions=True)
+
+
 @pytest.mark.parametrize("key", ["", "short", base64.b64encode(b"twelve bytes").decode()])
 async def test_a_signature_without_a_good_key_is_refused_without_its_value(
     bench: Bench, hook: Hook, monkeypatch: pytest.MonkeyPatch, key: str
