@@ -105,7 +105,8 @@ def _acknowledged(telling: Telling, before: Alarm, section: NotificationSection)
     # Programs keep a state of their own, and who was called in waits for somebody to take over.
     event = f"{ACKNOWLEDGED}:{telling.raise_number}"
     tells = section.kind == "webhook" or telling.called
-    if tells and telling.told and before.state != AlarmState.ACKED and event not in owed:
+    knows = telling.told or any(kind_of(one) in (RAISED, ESCALATED) for one in owed)
+    if tells and knows and before.state != AlarmState.ACKED and event not in owed:
         owed += (event,)
     return replace(telling, owed=owed)
 
@@ -131,9 +132,11 @@ def sent(telling: Telling, events: Sequence[str]) -> Telling:
     for event in events:
         told = kind_of(event) != RETURNED
     owed = tuple(event for event in telling.owed if event not in events)
-    gone = telling.alarm.state not in ACTIVE_STATES
-    if told and gone and not any(kind_of(event) == RETURNED for event in owed):
+    kinds = {kind_of(event) for event in owed}
+    if told and telling.alarm.state not in ACTIVE_STATES and RETURNED not in kinds:
         owed = (*owed, f"{RETURNED}:{telling.raise_number}")
+    if not told and telling.alarm.state == AlarmState.UNACK and RAISED not in kinds:
+        owed = (*owed, f"{RAISED}:{telling.raise_number}")
     return closed(replace(telling, owed=owed, told=told, over=False))
 
 
