@@ -110,13 +110,13 @@ class Channel:
 
     def state(self) -> NotificationState:
         """How it is."""
-        failing = self._tries > 0
+        waiting = sum(bool(one.owed) for one in self.tellings.values())
         return NotificationState(
             id=self.section.id,
-            waiting=sum(bool(one.owed) for one in self.tellings.values()),
-            held=sum(bool(one.owed) and one.released_us is None for one in self.tellings.values()),
+            waiting=waiting,
+            held=waiting - len(self._due()),
             told_us=self._told_us,
-            failing_since_us=self._failing_since_us if failing else None,
+            failing_since_us=self._failing_since_us,
             tries=self._tries,
             error=self._error,
         )
@@ -200,9 +200,7 @@ class Channel:
             _log.exception("notification_failed", notification=self.section.id)
             self._fail(type(unexpected).__name__)
             return False
-        if self._tries >= FAILS_AFTER:
-            _log.info("notification_told_again", notification=self.section.id)
-        self._tries, self._failing_since_us, self._error = 0, None, error
+        self.note_success(error)
         self._told_us, self._last_s = wall_us(), time.monotonic()
         self._batch = []
         changed = []
@@ -217,6 +215,12 @@ class Channel:
         self._keep(changed)
         _log.info("notification_told", notification=self.section.id, alarms=len(items))
         return True
+
+    def note_success(self, error: str) -> None:
+        """Note that a message was taken, and by whom not."""
+        if self._tries >= FAILS_AFTER:
+            _log.info("notification_told_again", notification=self.section.id)
+        self._tries, self._failing_since_us, self._error = 0, None, error
 
     def _fail(self, error: str) -> None:
         self._tries += 1

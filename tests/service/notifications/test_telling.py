@@ -181,6 +181,9 @@ async def test_a_wrong_password_is_said_without_it(bench: Bench, mailbox: Mailbo
         assert problem is not None
         assert "535" in problem
         assert PASSWORD not in problem
+        told_it, why = await told.notifier.test("mail", "engineer")
+        assert not told_it
+        assert "535" in why
         (state,) = told.notifier.states()
         assert state.waiting == 1
         assert state.failing_since_us is not None
@@ -294,6 +297,16 @@ async def test_a_silence_holds_back_telling_and_hides_no_alarm(bench: Bench, hoo
         bench.clock.advance(3600)
         await until(lambda: len(events(hook)) == 2, "the end of the silence")
     assert events(hook)[1] == ("raised", f"{alarm}:raised:1")
+
+
+async def test_what_fails_inside_stops_neither_the_service_nor_the_next_message(
+    bench: Bench, hook: Hook
+) -> None:
+    async with Told(bench, site(hook)) as told:
+        told.notifier.take(None)  # type: ignore[arg-type]
+        alarm = told.raise_alarm()
+        await until(lambda: events(hook), "the next alarm")
+        assert events(hook) == [("raised", f"{alarm}:raised:1")]
 
 
 async def test_another_cell_goes_on_with_what_was_told(bench: Bench, hook: Hook) -> None:
