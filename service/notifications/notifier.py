@@ -37,6 +37,8 @@ from service.store import (
 TICK_S: Final = 0.2
 LOOK_S: Final = 1.0
 SILENCES_S: Final = 2.0
+#: Changed alarms that are looked at in one go.
+_AT_ONCE: Final = 20
 #: Tellings in one change of the outbox.
 _PORTION: Final = 200
 
@@ -130,7 +132,7 @@ class Notifier:
 
     def leave(self, assets: Sequence[str]) -> None:
         """Know nothing of the alarms of some assets any more: another cell tells them."""
-        self._drain()
+        self._drain(len(self._news))
         self._assets.difference_update(assets)
         for channel in self._channels.values():
             channel.forget(assets)
@@ -170,12 +172,14 @@ class Notifier:
             tasks.create_task(self._follow_silences(), name="silences")
             while True:
                 for _ in range(round(LOOK_S / TICK_S)):
-                    self._drain()
+                    while self._news:
+                        self._drain(_AT_ONCE)
+                        await asyncio.sleep(0)  # a poll that is due comes in between
                     await asyncio.sleep(TICK_S)
                 _try(self._look)
 
-    def _drain(self) -> None:
-        while self._news:
+    def _drain(self, most: int) -> None:
+        for _ in range(min(most, len(self._news))):
             _try(self._news.popleft())
 
     def _begin(
