@@ -76,6 +76,8 @@ class Channel:
         self._wake = asyncio.Event()
         self._last_s = -math.inf
         self._batch: list[Item] = []
+        # As they are now, also those that are over since.
+        self._under_way: dict[str, Telling] = {}
         self._tries = 0
         self._failing_since_us: int | None = None
         self._told_us: int | None = None
@@ -85,6 +87,8 @@ class Channel:
     def put(self, telling: Telling) -> bool:
         """Take a telling as it is now; says whether more than the figures of its alarm changed."""
         known = self.tellings.get(telling.alarm.id)
+        if telling.alarm.id in self._under_way:
+            self._under_way[telling.alarm.id] = telling
         if telling.over:
             self.tellings.pop(telling.alarm.id, None)
         else:
@@ -96,8 +100,9 @@ class Channel:
     def forget(self, assets: Iterable[str]) -> None:
         """Know nothing of the alarms of some assets any more."""
         gone = set(assets)
-        for alarm_id in [id for id, one in self.tellings.items() if one.alarm.asset in gone]:
-            del self.tellings[alarm_id]
+        for known in (self.tellings, self._under_way):
+            for alarm_id in [id for id, one in known.items() if one.alarm.asset in gone]:
+                del known[alarm_id]
 
     def look(self) -> None:
         """Wake up: time has passed, and what was held back may be told."""
@@ -105,13 +110,13 @@ class Channel:
 
     def state(self) -> NotificationState:
         """How it is."""
-        failing = self._tries > 0
+        waiting = sum(bool(one.owed) for one in self.tellings.values())
         return NotificationState(
             id=self.section.id,
-            waiting=sum(bool(one.owed) for one in self.tellings.values()),
-            held=sum(bool(one.owed) and one.released_us is None for one in self.tellings.values()),
+            waiting=waiting,
+            held=waiting - len(self._due()),
             told_us=self._told_us,
-            failing_since_us=self._failing_since_us if failing else None,
+            failing_since_us=self._failing_since_us,
             tries=self._tries,
             error=self._error,
         )
@@ -184,6 +189,7 @@ class Channel:
 
     async def _tell(self, items: Sequence[Item]) -> bool:
         letter = Letter(self.section.id, items, self._name_of)
+        self._under_way = {one.telling.alarm.id: one.telling for one in items}
         try:
             error = await self._sender.send(letter) or ""
         except NotToldError as refusal:
@@ -194,22 +200,27 @@ class Channel:
             _log.exception("notification_failed", notification=self.section.id)
             self._fail(type(unexpected).__name__)
             return False
-        if self._tries >= FAILS_AFTER:
-            _log.info("notification_told_again", notification=self.section.id)
-        self._tries, self._failing_since_us, self._error = 0, None, error
+        self.note_success(error)
         self._told_us, self._last_s = wall_us(), time.monotonic()
         self._batch = []
         changed = []
         for item in items:
-            # It may have changed while the message was under way.
-            known = self.tellings.get(item.telling.alarm.id)
+            # It may have changed while the message was under way, or be another cell's.
+            known = self._under_way.pop(item.telling.alarm.id, None)
             if known is not None:
                 telling = rules.sent(known, item.events)
                 self.put(telling)
                 changed.append(telling)
+        self._under_way = {}
         self._keep(changed)
         _log.info("notification_told", notification=self.section.id, alarms=len(items))
         return True
+
+    def note_success(self, error: str) -> None:
+        """Note that a message was taken, and by whom not."""
+        if self._tries >= FAILS_AFTER:
+            _log.info("notification_told_again", notification=self.section.id)
+        self._tries, self._failing_since_us, self._error = 0, None, error
 
     def _fail(self, error: str) -> None:
         self._tries += 1

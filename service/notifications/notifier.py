@@ -1,13 +1,13 @@
 """Follows the alarms of a cell and hands them to its notifications."""
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final
 
+import structlog
 from anyio import to_thread
 from prometheus_client import CollectorRegistry, Gauge
 
@@ -37,8 +37,12 @@ from service.store import (
 TICK_S: Final = 0.2
 LOOK_S: Final = 1.0
 SILENCES_S: Final = 2.0
+#: Changed alarms that are looked at in one go.
+_AT_ONCE: Final = 20
 #: Tellings in one change of the outbox.
 _PORTION: Final = 200
+
+_log = structlog.get_logger(__name__)
 
 
 class Notifier:
@@ -128,7 +132,7 @@ class Notifier:
 
     def leave(self, assets: Sequence[str]) -> None:
         """Know nothing of the alarms of some assets any more: another cell tells them."""
-        self._drain()
+        self._drain(len(self._news))
         self._assets.difference_update(assets)
         for channel in self._channels.values():
             channel.forget(assets)
@@ -152,7 +156,10 @@ class Notifier:
             return False, f"the cell has another configuration, without {notification!r}"
         if audit is not None:
             self._outbox.record(audit)
-        return await send_test(self._settings, channel.section, who)
+        told, detail = await send_test(self._settings, channel.section, who)
+        if told:
+            channel.note_success(detail)
+        return told, detail
 
     # ------------------------------------------------------------------ work
     async def run(self) -> None:
@@ -165,13 +172,15 @@ class Notifier:
             tasks.create_task(self._follow_silences(), name="silences")
             while True:
                 for _ in range(round(LOOK_S / TICK_S)):
-                    self._drain()
+                    while self._news:
+                        self._drain(_AT_ONCE)
+                        await asyncio.sleep(0)  # a poll that is due comes in between
                     await asyncio.sleep(TICK_S)
-                self._look()
+                _try(self._look)
 
-    def _drain(self) -> None:
-        while self._news:
-            self._news.popleft()()
+    def _drain(self, most: int) -> None:
+        for _ in range(min(most, len(self._news))):
+            _try(self._news.popleft())
 
     def _begin(
         self, book: AlarmBook, tellings: Sequence[Telling], assets: Collection[str] | None
@@ -274,8 +283,17 @@ class Notifier:
         """Know what was silenced: by another process, or before the start."""
         while True:
             await asyncio.sleep(SILENCES_S)
-            with contextlib.suppress(StoreUnavailableError):  # those that are known still hold
-                await to_thread.run_sync(self._read_silences)
+            await to_thread.run_sync(_try, self._read_silences)
+
+
+def _try(work: Callable[[], None]) -> None:
+    """Work; whatever it is that fails, machines are followed and the next alarm is told."""
+    try:
+        work()
+    except StoreUnavailableError:
+        return  # the silences that are known still hold
+    except Exception:
+        _log.exception("notifications_failed")
 
 
 def _is_up(channel: Channel) -> float:

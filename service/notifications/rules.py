@@ -105,7 +105,8 @@ def _acknowledged(telling: Telling, before: Alarm, section: NotificationSection)
     # Programs keep a state of their own, and who was called in waits for somebody to take over.
     event = f"{ACKNOWLEDGED}:{telling.raise_number}"
     tells = section.kind == "webhook" or telling.called
-    if tells and telling.told and before.state != AlarmState.ACKED and event not in owed:
+    knows = telling.told or any(kind_of(one) in (RAISED, ESCALATED) for one in owed)
+    if tells and knows and before.state != AlarmState.ACKED and event not in owed:
         owed += (event,)
     return replace(telling, owed=owed)
 
@@ -115,7 +116,8 @@ def _gone(telling: Telling) -> Telling:
     told_later = [event for event in telling.owed if kind_of(event) in (RAISED, ESCALATED)]
     if telling.alarm.state in SET_ASIDE_STATES or (telling.released_us is None and told_later):
         # Nobody is told of it: it was held back until now, or is not to be heard of.
-        kept = tuple(event for event in telling.owed if event not in told_later)
+        left = telling.owed if telling.told else ()  # without its raise a return means nothing
+        kept = tuple(event for event in left if event not in told_later)
         telling = replace(telling, owed=kept)
         told_later = []
     event = f"{RETURNED}:{telling.raise_number}"
@@ -125,12 +127,17 @@ def _gone(telling: Telling) -> Telling:
 
 
 def sent(telling: Telling, events: Sequence[str]) -> Telling:
-    """Take in that events were told."""
+    """Take in that events were told; the alarm may have changed while they were under way."""
     told = telling.told
     for event in events:
         told = kind_of(event) != RETURNED
     owed = tuple(event for event in telling.owed if event not in events)
-    return closed(replace(telling, owed=owed, told=told))
+    kinds = {kind_of(event) for event in owed}
+    if told and telling.alarm.state not in ACTIVE_STATES and RETURNED not in kinds:
+        owed = (*owed, f"{RETURNED}:{telling.raise_number}")
+    if not told and telling.alarm.state == AlarmState.UNACK and RAISED not in kinds:
+        owed = (*owed, f"{RAISED}:{telling.raise_number}")
+    return closed(replace(telling, owed=owed, told=told, over=False))
 
 
 def given_up(telling: Telling, now_us: int) -> Telling:

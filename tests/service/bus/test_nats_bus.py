@@ -22,6 +22,7 @@ from service.bus.nats_bus import NatsCellBus, NatsConnection
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
+from service.notifications.states import NotificationState
 from service.store import Alarm, run_name
 
 PATIENCE_S = 60.0
@@ -91,8 +92,19 @@ class Cell:
         async def metrics(command: Any) -> bytes:
             return b'# HELP up Up.\n# TYPE up gauge\nup{process="cell"} 1.0\n'
 
+        async def notifications(command: Any) -> list[NotificationState]:
+            fails = "a" in self.assets
+            return [
+                NotificationState("mail", len(self.assets), 0, 5, 9 if fails else None, int(fails))
+            ]
+
+        async def test(command: Any) -> tuple[bool, str]:
+            return True, f"{command.notification} by {self.bus.epoch}"
+
         handlers: Handlers = {
             commands.AssetNames: names,
+            commands.GetNotifications: notifications,
+            commands.TestNotification: test,
             commands.GetDocuments: documents,
             commands.GetJobs: jobs,
             commands.ActOnAlarm: act,
@@ -149,6 +161,11 @@ async def test_each_question_goes_to_the_cell_that_can_answer(nats: NatsServer) 
             await fleet.ask(commands.GetJobs("d"), 30)
         with pytest.raises(UnknownAlarmError):
             await fleet.ask(commands.ActOnAlarm("x", "acknowledge", "", ""), 30)
+        (mail,) = await fleet.ask(commands.GetNotifications(), 30)
+        assert mail == NotificationState("mail", 3, 0, 5, 9, 1)
+        told, by = await fleet.ask(commands.TestNotification("mail", "engineer"), 30)
+        assert told
+        assert by in {f"mail by {cell.bus.epoch}" for cell in (one, other)}, "one cell, once"
         text = (await fleet.ask(commands.GetMetrics(), 30)).decode()
         assert f'up{{cell="cell-{one.bus.epoch}",process="cell"}} 1.0' in text
         assert 'bearing_twin_partition_owner{partition="3"} 1.0' in text

@@ -181,6 +181,9 @@ async def test_a_wrong_password_is_said_without_it(bench: Bench, mailbox: Mailbo
         assert problem is not None
         assert "535" in problem
         assert PASSWORD not in problem
+        told_it, why = await told.notifier.test("mail", "engineer")
+        assert not told_it
+        assert "535" in why
         (state,) = told.notifier.states()
         assert state.waiting == 1
         assert state.failing_since_us is not None
@@ -294,6 +297,50 @@ async def test_a_silence_holds_back_telling_and_hides_no_alarm(bench: Bench, hoo
         bench.clock.advance(3600)
         await until(lambda: len(events(hook)) == 2, "the end of the silence")
     assert events(hook)[1] == ("raised", f"{alarm}:raised:1")
+
+
+async def test_what_fails_inside_stops_neither_the_service_nor_the_next_message(
+    bench: Bench, hook: Hook
+) -> None:
+    async with Told(bench, site(hook)) as told:
+        told.notifier.take(None)  # type: ignore[arg-type]
+        alarm = told.raise_alarm()
+        await until(lambda: events(hook), "the next alarm")
+        assert events(hook) == [("raised", f"{alarm}:raised:1")]
+
+
+async def test_another_cell_goes_on_with_what_was_told(bench: Bench, hook: Hook) -> None:
+    def of_fleet() -> tuple[Notifier, AlarmBook]:
+        notifier = Notifier(
+            site(hook), bench.store, bench.outbox, bench.clock,
+            lambda asset: (asset, ""), CollectorRegistry(),
+        )  # fmt: skip
+        take = notifier.take
+        return notifier, AlarmBook(bench.outbox, bench.clock, take, begins_empty=True)
+
+    (one, book), (other, others) = of_fleet(), of_fleet()
+    running = [asyncio.create_task(each.run()) for each in (one, other)]
+    book.evaluate_all([replace(HOT, on_delay_s=0), replace(HOT, asset="bench-2", on_delay_s=0)])
+    await asyncio.sleep(1.0)
+    assert not hook.posts, "whoever does not own an asset tells nothing of it"
+    await asyncio.to_thread(one.take_over, book, {"bench-1", "bench-2"})
+    await until(lambda: len(events(hook)) == 2, "both are told")
+    one.leave(["bench-1"])
+    book.leave(["bench-1"])
+    assert bench.outbox.flush(30)
+    await asyncio.to_thread(others.take_over, ["bench-1"])
+    await asyncio.to_thread(other.take_over, others, {"bench-1"})
+    await asyncio.sleep(1.0)
+    for held_by in (book, others):
+        for asset in ("bench-1", "bench-2"):
+            held_by.evaluate(replace(COLD, asset=asset, off_delay_s=0))
+    await until(lambda: len(events(hook)) == 4, "both returns")
+    await asyncio.sleep(1.0)
+    assert sorted(kind for kind, _ in events(hook)) == ["raised", "raised", "returned", "returned"]
+    assert len({id for _, id in events(hook)}) == 4
+    for task in running:
+        task.cancel()
+    await asyncio.gather(*running, return_exceptions=True)
 
 
 @pytest.mark.parametrize("key", ["", "short", base64.b64encode(b"twelve bytes").decode()])

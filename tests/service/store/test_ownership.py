@@ -23,6 +23,8 @@ from service.store import (
     Ownership,
     Store,
     StoreError,
+    Telling,
+    TellingChange,
     lock_database,
     run_name,
 )
@@ -252,5 +254,8 @@ def test_what_a_killed_run_left_is_written_unless_another_has_taken_over(
             alarm = _alarm("late" if not written else "in time")
             with Outbox.open(folder, store, run=one.cell) as outbox:
                 outbox.record(AlarmChange(alarm))
+                outbox.record(TellingChange((Telling("mail", alarm, owed=("raised:1",)),)))
                 assert outbox.flush(PATIENCE_S)
             assert (alarm.id in {kept.id for kept in store.alarms.load()}) == written
+            told = {kept.alarm.id for kept in store.tellings.load()}
+            assert (alarm.id in told) == written
