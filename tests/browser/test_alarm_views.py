@@ -90,7 +90,7 @@ def test_a_shelved_alarm_comes_back_by_itself(
     expect(dialog).to_be_visible()
     dialog.get_by_label("Duration in minutes").fill(str(SHELVED_MIN))
     with page.expect_response(lambda response: response.url.endswith("/shelve")) as answer:
-        shelve.click()
+        dialog.get_by_label("Reason").press("Enter")
     assert answer.value.json()["state"] == "SHLVD"
     expect(row(page, hot)).to_have_attribute("data-state", "SHLVD")
     expect(row(page, hot)).to_contain_text(re.compile("SHELVED"))

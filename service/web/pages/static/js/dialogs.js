@@ -29,7 +29,10 @@ export function openDialog({ title, body, buttons, look = '' }) {
   });
 }
 
-const cancel = () => h('button', { class: 'btn', value: '', formnovalidate: true }, 'Cancel');
+// No submit button: Enter in a field is for the button that does what the dialog asks for.
+const cancel = () => h('button', {
+  class: 'btn', type: 'button', onclick: ({ target }) => target.closest('dialog').close(''),
+}, 'Cancel');
 const confirm = (text) => h('button', { class: 'btn pri', value: 'ok' }, text);
 const reasonField = (label) => [
   h('label', { for: 'reason' }, label),
