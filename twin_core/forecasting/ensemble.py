@@ -30,6 +30,7 @@ from twin_core.forecasting.members import (
 )
 from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
 from twin_core.forecasting.runaway import (
+    UPPER,
     difference_quantiles_k,
     ring_difference_k,
     runaway_probability,
@@ -258,7 +259,9 @@ def forecast(
     _, difference_k = difference_quantiles_k(between_rings_k, runaway)
     noise = noise_k * standard_normals(rng, readings.shape)
     factor = band_factor(posterior, profile)
+    hottest_c = -np.inf
     if factor is not None:
+        hottest_c = float(np.max(np.quantile(readings, UPPER, axis=0)))
         noise *= spread_members(
             readings, sensors, factor, untrained_rows(profile, posterior.trained)
         )
@@ -272,7 +275,7 @@ def forecast(
     gather_members(nodes, np.array(others, np.int64), ordered[:, len(sensors) :])
     quantiles = _quantiles(ordered)
     share = float(np.mean(runaway))
-    hottest_c = float(np.max(quantiles[-1, :, : len(sensors)]))
+    hottest_c = max(hottest_c, float(np.max(quantiles[-1, :, : len(sensors)])))
     probability = float(runaway_probability(posterior, difference_k, share, model.runaway))
     names = (*sensors, *(model.node_names[k] for k in others))
     doubts: tuple[str, ...] = ()
