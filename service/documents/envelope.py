@@ -58,9 +58,9 @@ class RunawayMap(Document):
     """Thermal runaway: beyond the limit (130 °C of a bearing), or without a steady state."""
 
     probability: Matrix = Field(
-        description="That the machine runs away, held at the point: of the default model from the "
-        "upper edges of its loop gain and of its hottest sensor; else, and before any "
-        "identification, the share of the members that run away."
+        description="That the machine runs away, held at the point: of the default model from how "
+        "much hotter the inner ring gets than the outer one, which takes up clearance; else, and "
+        "before any identification, the share of the members that run away."
     )
     not_excluded: list[list[bool]] = Field(
         description="True where the probability is above 5 %, the upper edge passes 110 °C, or the "

@@ -258,8 +258,10 @@ def _make_live(
 def _make(
     state: EstimatedState, profile: OperatingProfile
 ) -> tuple[Forecast, RunawayMargin | None]:
-    of = state.active.model, state.active.posterior, state.machine, profile
-    return forecast(*of, members=MEMBERS), heaviest_margin(*of)
+    active = state.active
+    of = active.model, active.posterior, state.machine, profile
+    margin = heaviest_margin(*of) if active.posterior.identified else None
+    return forecast(*of, members=MEMBERS), margin
 
 
 def _document(

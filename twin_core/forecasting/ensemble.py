@@ -30,6 +30,7 @@ from twin_core.forecasting.members import (
 )
 from twin_core.forecasting.paths import add_deviations, delayed, gather_members, shift_between
 from twin_core.forecasting.runaway import (
+    UPPER,
     difference_quantiles_k,
     ring_difference_k,
     runaway_probability,
@@ -279,7 +280,9 @@ def forecast(
     noise = noise_k * standard_normals(rng, readings.shape)
     factor = band_factor(posterior, profile)
     untrained = untrained_rows(profile, posterior.trained)
+    hottest_c = -np.inf
     if factor is not None:
+        hottest_c = float(np.max(np.quantile(readings, UPPER, axis=0)))
         noise *= spread_members(readings, sensors, factor, untrained)
     noisy = readings + noise
     pairs = between_joints(model)
@@ -296,7 +299,7 @@ def forecast(
     if factor is not None:
         whole_run = whole_run * factor.of_whole_run(sensors, untrained)
     share = float(np.mean(runaway))
-    hottest_c = float(np.max(quantiles[-1, :, : len(sensors)]))
+    hottest_c = max(hottest_c, float(np.max(quantiles[-1, :, : len(sensors)])))
     probability = float(runaway_probability(posterior, difference_k, share, model.runaway))
     names = (*sensors, *(model.node_names[k] for k in others))
     doubts: tuple[str, ...] = ()

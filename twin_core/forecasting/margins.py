@@ -73,8 +73,7 @@ def heaviest_margin(
 ) -> RunawayMargin | None:
     """Tell the margin where speed times load of a profile is highest, held for hours.
 
-    None before any identification, for a machine without limits of a runaway, and where the
-    machine only stands or runs without load.
+    None for a machine without limits of a runaway, and where it only stands or runs without load.
 
     Parameters
     ----------
@@ -86,9 +85,7 @@ def heaviest_margin(
     power = np.abs(profile.speed_rpm) * profile.load_n
     row = int(np.argmax(power))
     speed_rpm, load_n = abs(float(profile.speed_rpm[row])), float(profile.load_n[row])
-    if model.runaway is None or not posterior.identified:
-        return None
-    if speed_rpm < STANDING_RPM or load_n <= 0.0:
+    if model.runaway is None or speed_rpm < STANDING_RPM or load_n <= 0.0:
         return None
     there = replace(
         state, ambient_c=float(profile.ambient_c[row]), inputs=tuple(profile.inputs[row])

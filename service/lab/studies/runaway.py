@@ -271,7 +271,7 @@ def tables(runs: Sequence[RunawayRun], document: Document) -> Iterator[Table]:
     )
     yield table(
         "Benches that ran away, or of which it was said",
-        [one for one in document["benches"] if one["ran_away"] or one["probability"] > 0.05],
+        [one for one in document["benches"] if one["ran_away"] or one["probability"] > LIKELY],
         (
             ("trained", cell("trained")),
             ("family", cell("family")),

@@ -120,7 +120,6 @@ def test_the_margin_of_a_profile_is_that_of_its_heaviest_point(model: ThermalMod
     assert heaviest_margin(model, known, COLD, ahead) == runaway_margin(
         model, known, COLD, 5000.0, 7000.0
     )
-    assert heaviest_margin(model, prior_posterior(model), COLD, ahead) is None
     standing = held_profile(levels[2:], AMBIENT_C)
     assert heaviest_margin(model, known, COLD, standing) is None
     assert heaviest_margin(replace(model, runaway=None), known, COLD, ahead) is None

@@ -220,6 +220,26 @@ def test_a_calibrated_band_is_the_band_times_the_factor(family: Family) -> None:
     assert_array_equal(narrow[:, 0], wide[:, 0])  # the present row is not beyond
     untouched = "t_outer_ring_c"  # no run says anything of it
     assert_array_equal(plain.quantile(untouched), scaled.quantile(untouched))
+    # That sisters stayed cool makes a runaway no less probable, and takes no label away.
+    assert 0.0 < plain.runaway_probability == scaled.runaway_probability
+    assert set(plain.labels) == set(scaled.labels[:-1])
+
+
+def test_the_probability_of_a_runaway_is_that_of_the_posterior_with_sisters(
+    family: Family,
+) -> None:
+    alone = family.literature.posterior
+    known = identify_with_sisters(
+        family.model, family.data, family.sisters, family.literature, calibrate=False
+    ).result.posterior
+    assert known.sisters is not None
+    without, with_sisters = (heavy_forecast(family, one) for one in (alone, known))
+    assert "load law from prior only" in without.labels
+    assert any("sister" in label for label in with_sisters.labels)
+    # They narrow the load law, and with it how much clearance the rings may take up.
+    assert with_sisters.runaway_probability < without.runaway_probability
+    only_names = heavy_forecast(family, replace(alone, sisters=known.sisters))
+    assert only_names.runaway_probability > with_sisters.runaway_probability
 
 
 def test_the_band_of_the_whole_run_is_calibrated_by_itself(family: Family) -> None:

@@ -13,16 +13,16 @@ def test_figures_tables_and_json_of_a_quick_run() -> None:
     assert not calm.lost
     assert calm.margin is not None
     away = replace(calm, ran_away=True, refused="", probability=0.8, share=0.0, labelled=True)
-    silent = replace(calm, refused="", probability=0.02, share=0.2, labelled=False)
+    silent = replace(calm, refused="", probability=0.01, share=0.2, labelled=False)
     lost = runaway.RunawayRun(task, ran_away=True, lost=True)
     report = runaway.STUDY.report([away, silent, lost])
     rules = {row["name"]: row for row in report.document["rules"]}
     probable, share = (rules[f"one load, all fits: {name}"] for name in ("probability", "share"))
     assert (probable["recalled"], probable["false"], probable["benches"]) == (1, 0, 2)
     assert (share["recalled"], share["false"]) == (0, 1)
-    assert probable["brier"] == ((0.8 - 1.0) ** 2 + 0.02**2) / 2
+    assert probable["brier"] == ((0.8 - 1.0) ** 2 + 0.01**2) / 2
     assert report.document["ran_away_in_training"] == 1
     said = [(row["said"], row["happened"]) for row in report.document["reliability"]]
-    assert said == [(0.02, 0.0), (0.8, 1.0)]
+    assert said == [(0.01, 0.0), (0.8, 1.0)]
     json.dumps(report.document, allow_nan=False)
     assert all(table.markdown() for table in report.tables)

@@ -8,7 +8,8 @@ export function marginText(margin) {
   if (!margin) return '';
   const { margin_n: newtons, margin_k: kelvins, load_n: load, probability } = margin;
   // Loads up to twice that of the point are looked at.
-  const parts = [isNumber(newtons) ? `${fixed(ROUND_N * Math.round(newtons / ROUND_N), 0)} N` : `more than ${fixed(load, 0)} N`];
+  const parts = [isNumber(newtons) ? `${fixed(ROUND_N * Math.round(newtons / ROUND_N), 0)} N`
+    : `more than ${fixed(load, 0)} N`];
   if (isNumber(kelvins)) parts.push(`${fixed(kelvins, 0)} K`);
   return `Margin to thermal runaway: ${parts.join(' / ')}, probability ${percent(probability)}`;
 }
