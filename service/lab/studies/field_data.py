@@ -132,7 +132,7 @@ def _document(verdict: Verdict) -> Document:
         "reference_rmse_k": verdict.case.reference_k,
         "coverage_95": None if chosen is None else chosen.high.coverage,
         "half_width_k": None if chosen is None else chosen.high.half_width_k,
-        "ledger": None if chosen is None else _ledger(chosen.high.ledger),
+        "ledger": None if chosen is None else _ledger(chosen.ledger),
         "train_rms_k": None if chosen is None else chosen.train_rms_k,
         "parameters": None if chosen is None else chosen.parameters,
         "forecasts": verdict.outcomes[0].high.count,

@@ -130,8 +130,6 @@ class Forecasts:
         Of the twin's 95 % band.
     curves
         The forecast that rose most: hours, measured, and the twin's quantiles (3, n).
-    ledger
-        Hourly forecasts over the same rows by lead time in s, scored as the live ones are.
     """
 
     rmse_k: Mapping[str, float]
@@ -139,7 +137,6 @@ class Forecasts:
     coverage: float
     half_width_k: float
     curves: tuple[FloatArray, FloatArray, FloatArray]
-    ledger: Mapping[int, LeadScores]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +144,8 @@ class Outcome:
     """What one variant did: on the low part, inside it, and on the high part.
 
     Of ``spans`` low spans all are fitted together for the gate, and for the forecasts at high power
-    ``without_recent`` that begin with fewer than two spans of the time before.
+    ``without_recent`` that begin with fewer than two spans of the time before. ``ledger`` has
+    hourly forecasts over the rows of ``high`` by lead time in s, scored as the live ones are.
     """
 
     order: Order
@@ -156,6 +154,7 @@ class Outcome:
     checks: tuple[GateCheck, ...]
     nested: Forecasts
     high: Forecasts
+    ledger: Mapping[int, LeadScores]
     spans: int
     without_recent: int
 
@@ -215,6 +214,12 @@ def examine(order: Order) -> Outcome:
         (converged, _ranges(model, posterior)),
         nested_forecasts,
         forecasts(model, known, ahead, order.case),
+        scored(
+            [
+                issue(model, learnt, fit_naive(own), rows, order.case.sensor)
+                for (learnt, own), rows in zip(known, ahead, strict=True)
+            ]
+        ),
         len(low),
         sum(len(own) < _LEAST_SPANS for own in learned),
     )
@@ -356,13 +361,11 @@ def forecasts(
 
     ``learned`` has for every test what the model knows, and the rows that it knows it from.
     """
-    issued = []
     errors: dict[str, list[FloatArray]] = {}
     inside, half_widths, largest, curves = [], [], -np.inf, (np.zeros(0),) * 3
     for (posterior, training), rows in zip(learned, tests, strict=True):
         naive = fit_naive(training)
         values = model.parameters.values_from_z(posterior.z)
-        issued.append(issue(model, posterior, naive, rows, case.sensor))
         profile = OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
         measured = rows.temperatures_c[case.sensor]
         now = {case.sensor: float(measured[0])}
@@ -391,5 +394,4 @@ def forecasts(
         float(np.mean(np.concatenate(inside))),
         float(np.mean(np.concatenate(half_widths))),
         curves,
-        scored(issued),
     )
