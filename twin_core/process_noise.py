@@ -209,8 +209,9 @@ def known_within_k(model: ThermalModel) -> float:
 def reading_errors(model: ThermalModel, names: Iterable[str]) -> dict[str, ErrorModel]:
     """How far readings may lie from a model with the right parameters, by sensor or node.
 
-    That of a body between joints is as doubtful as its place between them, with the prior's
-    parameters at the reference point: a model that must follow it bends what is right elsewhere.
+    That of a body between joints that these alone leave unknown (`KNOWN_WITHIN_K`; the sleeves, not
+    the cage of a 6311) is as doubtful as its place between them, with the prior's parameters at the
+    reference point: a model that must follow it bends what is right elsewhere.
 
     Parameters
     ----------
@@ -233,7 +234,8 @@ def reading_errors(model: ThermalModel, names: Iterable[str]) -> dict[str, Error
         values = model.parameters.centre
         rise = steady_state(held, values, *held.reference_point, 0.0, LONG_RUN_IN)
         joint_k = np.sqrt(joint_variance(joints, rise))
-        for name in read:
+        unknown_k = known_within_k(model) / HALF_WIDTH_95
+        for name in (name for name in read if joint_k[bodies[name]] > unknown_k):
             slow_k = float(np.hypot(model.errors.slow_k, joint_k[bodies[name]]))
             errors[name] = replace(model.errors, slow_k=slow_k)
     return errors
