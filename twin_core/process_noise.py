@@ -1,10 +1,14 @@
 """What an observer's model may be wrong about."""
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_core.models import ThermalModel
 from twin_core.network import LOSSES, EdgeKind
+from twin_core.network_model import ErrorModel
 from twin_core.simulation import heat_balance_w, kernels, steady_state
 
 FRICTION_ERROR = 0.12
@@ -200,3 +204,38 @@ def joint_variance(
 def known_within_k(model: ThermalModel) -> float:
     """Half the widest 95 % band with which a node of a model counts as known, K."""
     return KNOWN_WITHIN_K * max(model.errors.scale, 1.0)
+
+
+def reading_errors(model: ThermalModel, names: Iterable[str]) -> dict[str, ErrorModel]:
+    """How far readings may lie from a model with the right parameters, by sensor or node.
+
+    That of a body between joints that these alone leave unknown (`KNOWN_WITHIN_K`; the sleeves, not
+    the cage of a 6311) is as doubtful as its place between them, with the prior's parameters at the
+    reference point: a model that must follow it bends what is right elsewhere.
+
+    Parameters
+    ----------
+    model
+        The model.
+    names
+        Sensors and nodes.
+
+    Raises
+    ------
+    SimulationError
+        If such a body is read and the model has no steady state at the reference point.
+    """
+    errors = dict.fromkeys(names, model.errors)
+    joints = between_joints(model)
+    bodies = {model.node_names[body]: body for body in set(joints[0].tolist())}
+    read = errors.keys() & bodies.keys()
+    if read:
+        held = model.at_reference(0.0)
+        values = model.parameters.centre
+        rise = steady_state(held, values, *held.reference_point, 0.0, LONG_RUN_IN)
+        joint_k = np.sqrt(joint_variance(joints, rise))
+        unknown_k = known_within_k(model) / HALF_WIDTH_95
+        for name in (name for name in read if joint_k[bodies[name]] > unknown_k):
+            slow_k = float(np.hypot(model.errors.slow_k, joint_k[bodies[name]]))
+            errors[name] = replace(model.errors, slow_k=slow_k)
+    return errors

@@ -5,7 +5,12 @@ import numpy as np
 from twin_core.bearings import bearing
 from twin_core.models import build_model
 from twin_core.network import Sensor
-from twin_core.process_noise import between_joints, hidden_spread, joint_variance
+from twin_core.process_noise import (
+    between_joints,
+    hidden_spread,
+    joint_variance,
+    reading_errors,
+)
 
 
 def test_hidden_nodes_may_deviate_where_no_sensor_would_show_it() -> None:
@@ -41,3 +46,20 @@ def test_a_body_between_joints_is_as_doubtful_as_its_neighbours_are_apart() -> N
     expected = np.zeros(13)
     expected[[9, 10]] = (12.0 / 2.0) ** 2
     np.testing.assert_allclose(variance[1], expected)
+
+
+def test_a_reading_of_a_body_between_joints_weighs_as_little_as_its_place_is_known() -> None:
+    model = build_model(bearing=bearing("6311"))
+    usual = [
+        *model.sensor_names,
+        *(name for k, name in enumerate(model.node_names, 1) if k not in (10, 11)),
+    ]
+    found = reading_errors(model, [*usual, "t_node_10_c", "t_node_11_c"])
+    assert all(found[name] is model.errors for name in usual)
+    # The right sleeve hangs between the ring and the colder end of the shaft.
+    assert 1.0 < found["t_node_10_c"].slow_k < found["t_node_11_c"].slow_k < 10.0
+    assert replace(found["t_node_10_c"], slow_k=model.errors.slow_k) == model.errors
+    sensor = Sensor("t_sleeve_c", (("t_node_10_c", 1.0),))
+    network = replace(model.network, sensors=(*model.network.sensors, sensor))
+    told = reading_errors(replace(model, network=network), ["t_sleeve_c", "t_node_10_c"])
+    assert set(told.values()) == {model.errors}, "a standard sensor is taken at its word"

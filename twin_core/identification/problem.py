@@ -19,6 +19,7 @@ from twin_core.identification.priors import NormalPrior, literature_prior
 from twin_core.identification.whitening import Loss, Whitening, whitening
 from twin_core.initial_state import initial_state
 from twin_core.models import ThermalModel
+from twin_core.process_noise import reading_errors
 from twin_core.simulation import (
     OperatingProfile,
     SimulationError,
@@ -425,6 +426,7 @@ def _prepare(
     profile = profile_of(window.minutes)
     channels = []
     start = residual
+    errors = reading_errors(model, rows.temperatures_c)
     for name, measured in rows.temperatures_c.items():
         index = np.flatnonzero(np.isfinite(measured))
         if index.size:
@@ -434,7 +436,7 @@ def _prepare(
                     model.sensor_row(name),
                     index,
                     measured[index],
-                    whitening(rows.time_s[index], *astuple(model.errors), loss=loss),
+                    whitening(rows.time_s[index], *astuple(errors[name]), loss=loss),
                     np.diff(rows.time_s, prepend=rows.time_s[0] - 60.0)[index],
                     rows.time_s,
                 )

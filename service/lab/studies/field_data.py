@@ -1,17 +1,20 @@
 """Study ``field-data``: bearings of wind turbines forecast at high power; see `field_data_runs`."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from service.lab.studies.field_data_ledger import LeadScores
 from service.lab.studies.field_data_runs import (
     CASES,
     HIGH_KW,
     LOW_KW,
     NESTED_LOW_KW,
+    RECENT_S,
+    RECENT_SPANS,
     VARIANTS,
     BearingCase,
     Outcome,
@@ -40,8 +43,9 @@ _TIE_FACTOR, _TIE_K = 1.1, 0.1
 
 NOTES = (
     f"Identified below {LOW_KW:g} kW, forecast from there for up to 24 h that reach "
-    f"{HIGH_KW:g} kW. All methods learn from the same rows, know the same speed, torque and "
-    "ambient ahead, and the temperature at the start.",
+    f"{HIGH_KW:g} kW. Each forecast rests on the last {RECENT_SPANS} low spans of the "
+    f"{RECENT_S / 86400.0:g} days before it. All methods learn from the same rows, know the same "
+    "speed, torque and ambient ahead, and the temperature at the start.",
     f"The variant was chosen by the nested test alone: identified below {NESTED_LOW_KW:g} kW, "
     f"forecast up to {LOW_KW:g} kW. The errors of refused variants at high power are printed to "
     "show what the gate has kept out.",
@@ -128,10 +132,12 @@ def _document(verdict: Verdict) -> Document:
         "reference_rmse_k": verdict.case.reference_k,
         "coverage_95": None if chosen is None else chosen.high.coverage,
         "half_width_k": None if chosen is None else chosen.high.half_width_k,
+        "ledger": None if chosen is None else _ledger(chosen.ledger),
         "train_rms_k": None if chosen is None else chosen.train_rms_k,
         "parameters": None if chosen is None else chosen.parameters,
         "forecasts": verdict.outcomes[0].high.count,
         "spans": verdict.outcomes[0].spans,
+        "forecasts_without_recent_spans": verdict.outcomes[0].without_recent,
         "variants": {
             outcome.order.variant: {
                 "accepted": all(check.passed for check in checks),
@@ -146,11 +152,21 @@ def _document(verdict: Verdict) -> Document:
     }
 
 
+def _ledger(found: Mapping[int, LeadScores]) -> Document:
+    return {
+        str(lead): {**asdict(scores.twin), "naive_mae_k": dict(scores.naive_mae_k)}
+        for lead, scores in found.items()
+    }
+
+
 def tables(outcomes: Sequence[Outcome], document: Document) -> Iterator[Table]:
     """Forecasts, then the gate."""
 
     def naive(kind: str) -> Callable[[Document], str]:
         return lambda row: text(row["naive_rmse_k"][kind])
+
+    def simple(kind: str) -> Callable[[Document], str]:
+        return lambda row: text(row["naive_mae_k"][kind])
 
     yield table(
         "Forecasts of the high part: rms error in K",
@@ -174,6 +190,30 @@ def tables(outcomes: Sequence[Outcome], document: Document) -> Iterator[Table]:
             ("half-width, K", cell("half_width_k", text, 1)),
         ),
         *NOTES,
+    )
+    yield table(
+        "Hourly forecasts at the ledger's lead times, K",
+        [
+            {"turbine": turbine, "bearing": bearing, "lead_min": int(lead) / 60.0, **scores}
+            for turbine, bearings in document["turbines"].items()
+            for bearing, found in bearings.items()
+            for lead, scores in (found["ledger"] or {}).items()
+        ],
+        (
+            ("turbine", cell("turbine")),
+            ("bearing", cell("bearing")),
+            ("lead time, min", cell("lead_min", text, 0)),
+            ("readings", cell("n")),
+            ("bias", cell("bias_k", text)),
+            ("mean abs. error", cell("mae_k", text)),
+            *((kind.replace("_", " "), simple(kind)) for kind in NAIVE_KINDS),
+            ("CRPS", cell("crps_k", text)),
+            ("interval score", cell("interval_score_k", text)),
+            ("in the 50 % band, %", cell("coverage_50", share)),
+            ("in the 95 % band, %", cell("coverage_95", share)),
+        ),
+        "Scored by the code that scores the live forecasts of a running service. The observer has "
+        "followed the machine up to each forecast.",
     )
     yield table(
         "The gate: nested extrapolation within the low part",

@@ -5,6 +5,9 @@ at least six hours below 500 kW. Forecasts begin at the end of such a span, last
 reach 1200 kW; the twin runs open loop from the temperature at their beginning. The naive forecasts
 learn from the same rows and know the same inputs.
 
+The twin learns as a running service does: each forecast at high power is made by the model of the
+last low spans before it, since bearings and their cooling change over years.
+
 A network comes in variants that differ in how the heat follows speed and load. Which of them may
 forecast is decided before the high part is seen: by a nested extrapolation inside the low part
 (identified below 250 kW only, each predicts what lies between 250 and 500 kW), and by whether its
@@ -19,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.lab.studies import turbines
+from service.lab.studies.field_data_ledger import LeadScores, issue, scored
 from service.lab.studies.study import Options, StudyError
 from service.lab.studies.turbines import Record
 from service.site.machines.machine import Machine
@@ -44,6 +48,9 @@ SPAN_S, HORIZON_S = 6 * 3600.0, 24 * 3600.0
 MOST_SPANS = 60
 """A fit takes at most this many spans, evenly chosen; more hardly teach a network of one node."""
 
+RECENT_SPANS, RECENT_S = 12, 60 * 86400.0
+"""A forecast's model is identified on as many of the spans of the time before it, at most."""
+_LEAST_SPANS = 2
 _LIMIT_Z = 3.8
 # Heat in W per rpm and N mm of friction moment.
 _W_PER_RPM_NMM = 1e-3 * 2.0 * np.pi / 60.0
@@ -134,7 +141,12 @@ class Forecasts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What one variant did: on the low part, inside it, and on the high part."""
+    """What one variant did: on the low part, inside it, and on the high part.
+
+    Of ``spans`` low spans all are fitted together for the gate, and for the forecasts at high power
+    ``without_recent`` that begin with fewer than two spans of the time before. ``ledger`` has
+    hourly forecasts over the rows of ``high`` by lead time in s, scored as the live ones are.
+    """
 
     order: Order
     parameters: Mapping[str, object]
@@ -142,7 +154,9 @@ class Outcome:
     checks: tuple[GateCheck, ...]
     nested: Forecasts
     high: Forecasts
+    ledger: Mapping[int, LeadScores]
     spans: int
+    without_recent: int
 
 
 def cases(options: Options) -> list[Order]:
@@ -186,17 +200,38 @@ def examine(order: Order) -> Outcome:
         if not found:
             raise StudyError(f"turbine {order.turbine}: {what}; expected at least one")
     nested, _ = fit(model, lower)
-    nested_forecasts = forecasts(model, nested, lower, within, order.case)
+    nested_forecasts = forecasts(model, [(nested, lower)] * len(within), within, order.case)
     posterior, converged = fit(model, low)
+    learned = [recent(low, rows) for rows in ahead]
+    known = [
+        (fit(model, own)[0], own) if len(own) >= _LEAST_SPANS else (posterior, low)
+        for own in learned
+    ]
     return Outcome(
         order,
         posterior.parameters(model),
         posterior.train_rms_k[order.case.sensor],
         (converged, _ranges(model, posterior)),
         nested_forecasts,
-        forecasts(model, posterior, low, ahead, order.case),
+        forecasts(model, known, ahead, order.case),
+        scored(
+            [
+                issue(model, learnt, fit_naive(own), rows, order.case.sensor)
+                for (learnt, own), rows in zip(known, ahead, strict=True)
+            ]
+        ),
         len(low),
+        sum(len(own) < _LEAST_SPANS for own in learned),
     )
+
+
+def recent(low: Sequence[MinuteData], rows: MinuteData) -> list[MinuteData]:
+    """The last low spans of the time before rows; one that ends with their first row counts."""
+    begin_s = float(rows.time_s[0])
+    before = [
+        one for one in low if begin_s - RECENT_S <= one.time_s[0] and one.time_s[-1] <= begin_s
+    ]
+    return before[-RECENT_SPANS:]
 
 
 def case_network(case: BearingCase) -> NetworkSection:
@@ -318,17 +353,19 @@ def _ranges(model: ThermalModel, posterior: Posterior) -> GateCheck:
 
 def forecasts(
     model: ThermalModel,
-    posterior: Posterior,
-    training: Sequence[MinuteData],
+    learned: Sequence[tuple[Posterior, Sequence[MinuteData]]],
     tests: Sequence[MinuteData],
     case: BearingCase,
 ) -> Forecasts:
-    """Forecast from the first row of every test and compare with what was measured."""
-    naive = fit_naive(training)
-    values = model.parameters.values_from_z(posterior.z)
+    """Forecast from the first row of every test and compare with what was measured.
+
+    ``learned`` has for every test what the model knows, and the rows that it knows it from.
+    """
     errors: dict[str, list[FloatArray]] = {}
     inside, half_widths, largest, curves = [], [], -np.inf, (np.zeros(0),) * 3
-    for rows in tests:
+    for (posterior, training), rows in zip(learned, tests, strict=True):
+        naive = fit_naive(training)
+        values = model.parameters.values_from_z(posterior.z)
         profile = OperatingProfile(rows.time_s, rows.speed_rpm, rows.load_n, rows.ambient_c)
         measured = rows.temperatures_c[case.sensor]
         now = {case.sensor: float(measured[0])}

@@ -5,6 +5,7 @@
 
 import csv
 import os
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -13,16 +14,21 @@ import numpy as np
 import pytest
 
 from service.lab.studies.field_data import STUDY, judge
+from service.lab.studies.field_data_ledger import issue, scored
 from service.lab.studies.field_data_runs import (
     CASES,
     HIGH_KW,
     LOW_KW,
     NESTED_LOW_KW,
+    RECENT_S,
+    RECENT_SPANS,
     VARIANTS,
     Order,
     case_network,
     examine,
     excursions,
+    fit,
+    recent,
     spans,
     variant_of,
 )
@@ -40,7 +46,10 @@ from service.lab.studies.turbines import (
     read_record,
     turbine_files,
 )
+from service.site.machines.machine import Machine
+from twin_core.naive import fit_naive
 from twin_core.network import FrictionKind
+from twin_core.verification import LEAD_TIMES_S, verify
 
 DAYS = 14
 ROTOR, GENERATOR = CASES
@@ -131,6 +140,49 @@ def test_the_variants_differ_in_the_law_of_the_heat_alone() -> None:
         assert prior.edges == speed.edges == free.edges
 
 
+def test_a_forecast_knows_the_last_spans_of_the_time_before_it(tmp_path: Path) -> None:
+    record = read_record(write_turbine(tmp_path))
+    low = spans([record], ROTOR, LOW_KW)
+    for rows in excursions([record], ROTOR, LOW_KW, HIGH_KW, np.inf):
+        own = recent(low, rows)
+        assert own == [one for one in low if one.time_s[-1] <= rows.time_s[0]][-RECENT_SPANS:]
+        assert own, "the span that it begins at the end of"
+        later = replace(rows, time_s=rows.time_s + RECENT_S + DAYS * 86400.0)
+        assert recent(low, later) == []
+
+
+def test_hourly_forecasts_see_nothing_of_what_comes_and_are_scored_as_live_ones(
+    tmp_path: Path,
+) -> None:
+    record = read_record(write_turbine(tmp_path))
+    low = spans([record], ROTOR, LOW_KW)
+    rows = excursions([record], ROTOR, LOW_KW, HIGH_KW, np.inf)[0]
+    model = Machine("default", None, case_network(ROTOR)).build()
+    posterior, _ = fit(model, low)
+    naive = fit_naive(low)
+    made = issue(model, posterior, naive, rows, ROTOR.sensor)
+    assert set(made) == set(LEAD_TIMES_S) - {300}, "ten-minute rows have no five minutes"
+    # Ten hours in, the sensor goes mad: what was issued before is what it was.
+    mad = rows.temperatures_c[ROTOR.sensor].copy()
+    mad[60:] = np.where(np.arange(mad.size - 60) % 2, np.nan, 90.0)
+    other = issue(
+        model, posterior, naive, replace(rows, temperatures_c={ROTOR.sensor: mad}), ROTOR.sensor
+    )
+    for lead, readings in made.items():
+        step = lead // 600
+        before = sum(row + step < rows.size for row in range(0, 60, 6))
+        assert np.array_equal(other[lead].quantiles_c[:before], readings.quantiles_c[:before])
+        came = rows.temperatures_c[ROTOR.sensor][np.arange(readings.measured_c.size) * 6 + step]
+        assert np.array_equal(readings.measured_c, came)
+    scores = scored([made, made])
+    assert scores[3600].twin == verify(
+        np.tile(made[3600].quantiles_c, (2, 1)), np.tile(made[3600].measured_c, 2)
+    )
+    for lead in (7200, 14400):
+        assert scores[lead].twin.mae_k < min(scores[lead].naive_mae_k.values())
+    assert scores[14400].twin.mae_k > scores[600].twin.mae_k
+
+
 def test_the_twin_beats_the_naive_forecasts_and_the_free_law_is_refused(tmp_path: Path) -> None:
     write_turbine(tmp_path)
     found = STUDY.run(lambda fraction, text: None, Options(data=tmp_path))
@@ -141,6 +193,7 @@ def test_the_twin_beats_the_naive_forecasts_and_the_free_law_is_refused(tmp_path
         assert shown["twin_rmse_k"] < min(shown["naive_rmse_k"].values())
         assert set(shown["naive_rmse_k"]) == {"persistence", "static_linear", "arx"}
         assert set(shown["variants"]) == set(VARIANTS)
+        assert list(shown["ledger"]) == [str(lead) for lead in LEAD_TIMES_S if lead != 300]
     rotor = bearings["rotor bearing"]
     assert rotor["variant"] == "load on its prior"
     assert rotor["twin_rmse_k"] < 1.0
