@@ -37,7 +37,7 @@ def virtual_bench(
     specimen: Annotated[
         int | None,
         typer.Option(
-            help="Seed of another specimen of the bench: bearing, housing and friction drawn anew."
+            help="Seed of another specimen of the bench: bearing, housing and friction drawn again."
         ),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",

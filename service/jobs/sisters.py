@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
 from service.jobs.models import machine_of, thermal_model
 from service.jobs.relatives import NO_RELATIVES, Relatives
 from service.site.asset_section import AssetSection
-from service.site.machines.machine import Machine, why_no_sister
+from service.site.machines.machine import Machine, MachineParts, why_no_sister
 from service.site.machines.packed_rows import pack_rows, unpack_rows
 from service.store import Store
 from service.store.sister_records import SisterRecord
@@ -27,6 +27,17 @@ MOST_SISTERS: Final = 30
 News = frozenset[tuple[str, float, float]]
 
 
+def machine_of_record(record: SisterRecord) -> Machine:
+    """Return the machine that a record is of.
+
+    Raises
+    ------
+    ValueError, KeyError
+        If the record is damaged.
+    """
+    return Machine.from_dict(cast(MachineParts, record.machine))
+
+
 def relatives_of(store: Store, asset: AssetSection) -> Relatives:
     """Read what the other machines of an asset's family know; none without a family.
 
@@ -41,7 +52,7 @@ def relatives_of(store: Store, asset: AssetSection) -> Relatives:
     sisters, left_out = [], {}
     for record in store.sisters.of_family(asset.family, asset.id, MOST_SISTERS):
         try:
-            other = Machine.from_dict(record.machine)  # type: ignore[arg-type]
+            other = machine_of_record(record)
             why = why_no_sister(machine, asset.family, other, record.family)
             if why:
                 left_out[record.asset] = why

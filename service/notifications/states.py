@@ -17,7 +17,7 @@ class NotificationState(msgspec.Struct, frozen=True, array_like=True):
     held
         Of these, alarms that quiet hours or a silence hold back.
     told_us
-        When something was told last; None: not since the start.
+        When the latest message was told; None: not since the start.
     failing_since_us
         When the first of the tries failed that have failed in a row; None where the last did not.
     tries

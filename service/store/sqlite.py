@@ -122,7 +122,7 @@ def _upsert_samples(connection: Connection, columns: SampleColumns) -> int:
     count = len(columns.times_us)
     if count > 1:
         # Channel by channel, each in the order in which it came: SQLite need not look for the page
-        # of every row anew.
+        # of every row again.
         order = itemgetter(*sorted(range(count), key=columns.channel_ids.__getitem__))
         columns = SampleColumns(*map(order, columns))
     whole = count - count % _ROWS

@@ -149,7 +149,7 @@ def identify_with_sisters(
     progress: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> WithSisters:
-    """Identify anew with the sisters' prior, and use it if the data speak for it.
+    """Identify again with the sisters' prior, and use it if the data speak for it.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def test_each_step_each_version_and_every_ten_minutes() -> None:
 def test_never_silent_for_long_nor_twice_in_ten_minutes_without_a_reason(
     waits_s: list[float], data: st.DataObject
 ) -> None:
-    """Whatever the times, and wherever the service was started anew between them."""
+    """Whatever the times, and wherever the service was started again between them."""
     rule, at_s, last_s = LedgerRule(), 0.0, -1e9
     for wait_s in waits_s:
         at_s += wait_s

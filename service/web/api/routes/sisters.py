@@ -6,8 +6,7 @@ from starlette.responses import Response
 from service.clock import rfc3339
 from service.documents.models import SisterLine, SisterList
 from service.domain.roles import ENGINEER
-from service.jobs.sisters import MOST_SISTERS
-from service.site.machines.machine import Machine
+from service.jobs.sisters import MOST_SISTERS, machine_of_record
 from service.web.api.access import secured
 from service.web.api.deps import Asset, Context, json_response
 
@@ -32,7 +31,7 @@ def get_sisters(context: Context, asset: Asset) -> Response:
     items = [
         SisterLine(
             asset=record.asset,
-            machine=Machine.from_dict(record.machine).name,  # type: ignore[arg-type]
+            machine=machine_of_record(record).name,
             load_n_max=record.load_n_max,
             speed_rpm_max=record.speed_rpm_max,
             minutes=record.minutes,

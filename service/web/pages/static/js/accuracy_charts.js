@@ -19,7 +19,7 @@ class Chart {
     this.box = box;
   }
 
-  /** Draw data; a chart of another `kind` is made anew. */
+  /** Draw data; a chart of another `kind` is made again. */
   show(data, kind, create) {
     if (this.mounted && kind === this.kind) {
       this.mounted.plot.setData(data);
