@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.files import replacing
+from service.offline.json_files import read_json_file
 from service.offline.rows import revolutions_at
 from service.offline.tables import FloatArray, Recording
 from service.site.configuration import describe
@@ -226,21 +227,8 @@ class IdentifiedModel:
         ModelFileError
             If it cannot be read or is not such a file.
         """
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ModelFileError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValueError as error:
-            raise ModelFileError(f"{path}: not JSON ({error})") from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise ModelFileError(
-                f"{path}: not a model file; expected what 'bearing-twin identify' wrote"
-            )
-        if document.get("format_version") != FORMAT_VERSION:
-            raise ModelFileError(
-                f"{path}: format_version = {document.get('format_version')!r}: expected "
-                f"{FORMAT_VERSION}"
-            )
+        what = "a model file; expected what 'bearing-twin identify' wrote"
+        document = read_json_file(path, FORMAT, FORMAT_VERSION, ModelFileError, what)
         try:
             posterior = Posterior.from_dict(document["posterior"])
             machine = _machine(document)

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from service.files import replacing
+from service.offline.json_files import read_json_file
 from service.offline.model_file import IdentifiedModel
 from service.site.configuration import describe
 from service.site.machines.machine import Machine, why_no_sister
@@ -179,21 +180,8 @@ class Population:
         SistersError
             If it cannot be read or is not such a file.
         """
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise SistersError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValueError as error:
-            raise SistersError(f"{path}: not JSON ({error})") from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise SistersError(
-                f"{path}: not a population; expected what 'bearing-twin population' wrote"
-            )
-        if document.get("format_version") != FORMAT_VERSION:
-            raise SistersError(
-                f"{path}: format_version = {document.get('format_version')!r}: expected "
-                f"{FORMAT_VERSION}"
-            )
+        what = "a population; expected what 'bearing-twin population' wrote"
+        document = read_json_file(path, FORMAT, FORMAT_VERSION, SistersError, what)
         try:
             return cls._of_document(document)
         except (KeyError, TypeError, AttributeError) as error:
