@@ -35,13 +35,6 @@ class Quantiles(Document):
     q975: Percentiles
 
 
-class WholeRunBand(Document):
-    """Edges of the band that a whole run stays inside."""
-
-    low: Percentiles
-    high: Percentiles
-
-
 class WholeRun(Document):
     """Bands that a whole run stays inside, beside those of each moment (`nodes`)."""
 
@@ -51,7 +44,10 @@ class WholeRun(Document):
         description="Probability that all readings at `time_s`, from the first to the last, lie "
         "inside the band of a sensor.",
     )
-    sensors: dict[str, WholeRunBand] = Field(description="By sensor that was asked for.")
+    factors: dict[str, Percentiles] = Field(
+        description="By sensor that was asked for, at `time_s`: the band reaches from "
+        "q50 - factor * (q50 - q025) to q50 + factor * (q975 - q50).",
+    )
 
 
 class RunawayMargin(OperatingPoint):
@@ -168,14 +164,14 @@ def quantiles_document(
 
 
 def whole_run_document(forecast: "Forecast", names: Sequence[str] | None = None) -> WholeRun:
-    """Bands that a whole run stays inside, rounded to 0.01 K; parameters as above."""
-    wanted = [name for name in forecast.sensors if names is None or name in names]
-    edges = np.array([forecast.whole_run(name) for name in wanted])
+    """Bands that a whole run stays inside, as factors to 0.001; parameters as above."""
+    factors = np.round(forecast.whole_run_factor, 3).T.tolist()
     return WholeRun(
         level=WHOLE_RUN_LEVEL,
-        sensors={
-            name: WholeRunBand(low=low, high=high)
-            for name, (low, high) in zip(wanted, _shown(edges), strict=True)
+        factors={
+            name: of_sensor
+            for name, of_sensor in zip(forecast.sensors, factors, strict=True)
+            if names is None or name in names
         },
     )
 

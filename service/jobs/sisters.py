@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final, cast
+from typing import cast
 
 import numpy as np
 
@@ -18,10 +18,6 @@ from twin_core.identification.family import BEYOND
 from twin_core.identification.posterior import Posterior
 from twin_core.sisters import sister_of
 from twin_core.sisters.population import FEWEST_SISTERS
-
-#: Of a larger family, those that have seen the heaviest loads. Nineteen calibrate a band of 95 %.
-MOST_SISTERS: Final = 30
-
 
 #: Sisters by name, with the heaviest load and the highest speed that each has seen.
 News = frozenset[tuple[str, float, float]]
@@ -50,7 +46,7 @@ def relatives_of(store: Store, asset: AssetSection) -> Relatives:
         return NO_RELATIVES
     machine, model = machine_of(asset), thermal_model(asset)
     sisters, left_out = [], {}
-    for record in store.sisters.of_family(asset.family, asset.id, MOST_SISTERS):
+    for record in store.sisters.of_family(asset.family, asset.id):
         try:
             other = machine_of_record(record)
             why = why_no_sister(machine, asset.family, other, record.family)
@@ -88,7 +84,7 @@ def news_of(store: Store, asset: AssetSection, active: Posterior) -> News:
     trained, machine = active.trained, dict(machine_of(asset).to_dict())
     farther = [
         record
-        for record in store.sisters.summaries_of_family(asset.family, asset.id, MOST_SISTERS)
+        for record in store.sisters.summaries_of_family(asset.family, asset.id)
         if record.machine == machine
         and (
             record.load_n_max > BEYOND * trained.load_n_max

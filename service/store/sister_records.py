@@ -13,6 +13,8 @@ from service.store.part import StorePart, rows_of
 from service.store.records import JsonDocument
 from service.store.tables import SisterRecordRow
 
+#: Of a larger family, those that have seen the heaviest loads. Nineteen calibrate a band of 95 %.
+MOST_SISTERS: Final = 30
 #: Wall seconds to wait for other writers; a record can be made again at any time.
 _PATIENCE_S: Final = 3.0
 _SUMMARY: Final = tuple(
@@ -58,6 +60,12 @@ class SisterRecord:
     speed_rpm_max: float
     document: JsonDocument
 
+    @property
+    def bearing_or_network(self) -> str:
+        """Name of the bearing, of a network of one's own the network's; empty without a name."""
+        network, bearing = self.machine.get("network"), self.machine.get("bearing")
+        return str(network["name"] if network else (bearing or {}).get("designation", ""))
+
 
 class SisterRecords(StorePart):
     """One record per asset; a new one replaces the old one."""
@@ -93,8 +101,8 @@ class SisterRecords(StorePart):
             found = rows_of(connection, SisterRecordRow.asset, select(*_SUMMARY), assets)
         return {one.asset: SisterRecord(**one._mapping, document={}) for one in found}
 
-    def of_family(self, family: str, without: str, most: int) -> list[SisterRecord]:
-        """Give the records of a family, those of the heaviest loads first.
+    def of_family(self, family: str, without: str) -> list[SisterRecord]:
+        """Give the records of a family, those of the heaviest loads first, `MOST_SISTERS` at most.
 
         Parameters
         ----------
@@ -102,26 +110,22 @@ class SisterRecords(StorePart):
             Its name.
         without
             The asset that asks: no machine is a sister of itself.
-        most
-            How many at most.
         """
-        query = _family(select(*_SUMMARY, SisterRecordRow.document), family, without, most)
+        query = _family(select(*_SUMMARY, SisterRecordRow.document), family, without)
         with self._database.reading() as connection:
             return [SisterRecord(**one._mapping) for one in connection.execute(query)]
 
-    def summaries_of_family(self, family: str, without: str, most: int) -> list[SisterRecord]:
+    def summaries_of_family(self, family: str, without: str) -> list[SisterRecord]:
         """Give the same without their documents."""
-        query = _family(select(*_SUMMARY), family, without, most)
+        query = _family(select(*_SUMMARY), family, without)
         with self._database.reading() as connection:
             return [SisterRecord(**one._mapping, document={}) for one in connection.execute(query)]
 
 
-def _family(
-    query: Select[*tuple[Any, ...]], family: str, without: str, most: int
-) -> Select[*tuple[Any, ...]]:
+def _family(query: Select[*tuple[Any, ...]], family: str, without: str) -> Select[*tuple[Any, ...]]:
     row = SisterRecordRow
     return (
         query.where(row.family == family, row.asset != without)
         .order_by(row.load_n_max.desc(), row.speed_rpm_max.desc(), row.asset)
-        .limit(most)
+        .limit(MOST_SISTERS)
     )

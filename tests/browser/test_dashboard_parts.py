@@ -72,9 +72,8 @@ def test_the_band_of_the_whole_run_takes_the_place_of_the_other(parts: Page) -> 
         parts,
         FORECAST + "const { fanFrom } = await import('/js/forecast.js');"
         "const { BandChoice } = await import('/js/band_choice.js');"
-        "const low = forecast.nodes.t_inner_ring_c.q025.map((value) => value - 5);"
-        "const high = forecast.nodes.t_inner_ring_c.q975.map((value) => value + 5);"
-        "forecast.whole_run = { level: 0.9, sensors: { t_inner_ring_c: { low, high } } };"
+        "const t_inner_ring_c = forecast.time_s.map(() => 1.5);"
+        "forecast.whole_run = { level: 0.9, factors: { t_inner_ring_c } };"
         "const fan = fanFrom(forecast, 900e3, ['t_inner_ring_c']);"
         "const page = {}; let drawn = 0;"
         "const choice = new BandChoice(page, () => { drawn += 1; });"
@@ -90,8 +89,9 @@ def test_the_band_of_the_whole_run_takes_the_place_of_the_other(parts: Page) -> 
     band, was = shown["band"], shown["was"]
     assert shown["same"]
     assert shown["drawn"] == 1
-    assert band["q025"] == [value - 5 for value in was["q025"]]
-    assert band["q975"] == [value + 5 for value in was["q975"]]
+    for edge in ("q025", "q975"):
+        wide = [1.5 * (at - middle) for at, middle in zip(was[edge], was["q50"], strict=True)]
+        assert band[edge] == [a + b for a, b in zip(was["q50"], wide, strict=True)]
     assert band["q25"] == band["q75"] == band["q50"] == was["q50"], "half of all is another band"
     assert shown["stated"] in shown["text"]
     assert (shown["pressed"], shown["kept"]) == (["false", "true"], "true")

@@ -23,7 +23,7 @@ from service.store.records import StoredSample
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(0)]  # as long as it is asked for
 
 RATE = 60.0
-TWIN = "t_node_7_c.twin"
+TWIN = "t_inner_ring_c.twin"
 POLLED, HEARD = "t_inner_ring_c", "speed_rpm"
 HOLE_WALL_S = 4.0
 """So long may pass between two samples without a fault on a machine that is busy otherwise."""

@@ -232,6 +232,7 @@ def test_versions_are_activated_and_rolled_back_without_a_gap(live: Site) -> Non
         may_c = spread_c + 2.0 * max(minutes_between(before, after), 1.0)
         assert after["value"] == pytest.approx(before["value"], abs=may_c)
         assert after["quality"] >= 64, "usable: the grease of a hot machine is not known well"
+        assert tags["t_inner_ring_c.twin"]["quality"] >= 192
         statuses = versions(live)
         assert [one for one, status in statuses.items() if status == "active"] == [version]
     wait_until(

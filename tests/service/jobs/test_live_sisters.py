@@ -134,7 +134,7 @@ async def test_a_machine_learns_of_the_heavy_load_from_sisters_that_have_seen_it
 ) -> None:
     jobs = await axles.open()
     # On its own first: its band of the heavy load rests on the literature.
-    records = axles.store.sisters.of_family(FAMILY, TARGET, 30)
+    records = axles.store.sisters.of_family(FAMILY, TARGET)
     for asset in SISTERS:
         axles.store.sisters.remove(asset)
     alone = await axles.ended(jobs, (await jobs.create(TARGET, QUICK, None, "x"))[0].id)
@@ -212,8 +212,8 @@ async def test_a_record_is_made_again_when_it_has_something_new_to_tell(
 async def test_who_is_no_sister_is_left_out_with_the_reason(axles: Shop) -> None:
     jobs = await axles.open()
     other, damaged, copy, elsewhere = SISTERS[:4]
-    records = {one.asset: one for one in axles.store.sisters.of_family(FAMILY, TARGET, 30)}
-    own = axles.store.sisters.of_family(FAMILY, SISTERS[0], 30)
+    records = {one.asset: one for one in axles.store.sisters.of_family(FAMILY, TARGET)}
+    own = axles.store.sisters.of_family(FAMILY, SISTERS[0])
     (mine,) = [one for one in own if one.asset == TARGET]
     put = axles.store.sisters.put
     put(replace(records[other], machine=dict(machine_of(section()).to_dict())))

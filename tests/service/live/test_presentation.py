@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from adapters.samples import Quality
 from service.documents.forecasts import ForecastDocument, Quantiles, forecast_document
@@ -73,19 +74,19 @@ def test_a_forecast_is_plain_json_with_ordered_quantiles(hot_forecast: Forecast)
         "earliest_s",
     }
     assert shown["labels"] == list(hot_forecast.labels)
-    assert set(shown["whole_run"]["sensors"]) == set(hot_forecast.sensors)
+    assert set(shown["whole_run"]["factors"]) == set(hot_forecast.sensors)
     assert shown["whole_run"]["level"] == 0.9
-    for name, band in shown["whole_run"]["sensors"].items():
-        median = np.array(shown["nodes"][name]["q50"])
-        assert (np.array(band["low"]) < median).all()
-        assert (np.array(band["high"]) > median).all()
+    for name, factors in shown["whole_run"]["factors"].items():
+        low, median, high = (np.array(shown["nodes"][name][key]) for key in ("q025", "q50", "q975"))
+        edges = median - factors * (median - low), median + factors * (high - median)
+        assert_allclose(edges, hot_forecast.whole_run(name), rtol=5e-4, atol=0.02)
     assert ForecastDocument.model_validate(shown), "what is not checked when it is built fits, too"
 
 
 def test_only_the_wanted_nodes_are_shown(hot_forecast: Forecast) -> None:
     shown = shown_of(hot_forecast, ["t_node_3_c", "t_outer_ring_c"])
     assert list(shown.nodes) == ["t_node_3_c", "t_outer_ring_c"]
-    assert list(shown.whole_run.sensors) == ["t_outer_ring_c"], "a node has no readings"
+    assert list(shown.whole_run.factors) == ["t_outer_ring_c"], "a node has no readings"
 
 
 def test_tags_of_an_estimate_that_has_not_started(estimate: LiveEstimate) -> None:

@@ -6,7 +6,6 @@ from starlette.responses import Response
 from service.clock import rfc3339
 from service.documents.models import SisterLine, SisterList
 from service.domain.roles import ENGINEER
-from service.jobs.sisters import MOST_SISTERS, machine_of_record
 from service.web.api.access import secured
 from service.web.api.deps import Asset, Context, json_response
 
@@ -27,11 +26,11 @@ def get_sisters(context: Context, asset: Asset) -> Response:
     family = asset.summary().family
     records = []
     if family:
-        records = context.store.sisters.summaries_of_family(family, asset.id, MOST_SISTERS)
+        records = context.store.sisters.summaries_of_family(family, asset.id)
     items = [
         SisterLine(
             asset=record.asset,
-            machine=machine_of_record(record).name,
+            machine=record.bearing_or_network,
             load_n_max=record.load_n_max,
             speed_rpm_max=record.speed_rpm_max,
             minutes=record.minutes,

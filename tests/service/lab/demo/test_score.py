@@ -48,7 +48,7 @@ def forecast(
             limits={},
             time_to_limit={},
             labels=[],
-            whole_run=WholeRun(level=0.9, sensors={}),
+            whole_run=WholeRun(level=0.9, factors={}),
             runaway_probability=0.0,
             profile=[],
             missing=[],

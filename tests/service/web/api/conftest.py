@@ -223,7 +223,7 @@ class MemoryTwin:
                 name: Quantiles(**dict.fromkeys(QUANTILES, [60.0] * len(time_s)))
                 for name in nodes or RING_SENSORS + NODES
             },
-            whole_run=WholeRun(level=0.9, sensors={}),
+            whole_run=WholeRun(level=0.9, factors={}),
             limits=LIMITS,
             not_known={},
             time_to_limit={"t_inner_ring_c": {"warning": crossing, "alarm": crossing}},

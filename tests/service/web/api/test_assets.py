@@ -76,7 +76,7 @@ async def test_forecast_is_missing_until_there_is_one(world: Any) -> None:
         limits={},
         time_to_limit={},
         labels=[],
-        whole_run=WholeRun(level=0.9, sensors={}),
+        whole_run=WholeRun(level=0.9, factors={}),
         runaway_probability=0.0,
         model_version=1,
         profile=[],

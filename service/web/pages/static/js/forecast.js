@@ -28,11 +28,17 @@ export function fanFrom(forecast, nowMs, names) {
   for (const name of names.filter((one) => forecast.nodes[one])) {
     bands[name] = {};
     for (const quantile of QUANTILES) bands[name][quantile] = cut(forecast.nodes[name][quantile]);
-    const whole = forecast.whole_run?.sensors[name];
-    bands[name].whole = whole ? { low: cut(whole.low), high: cut(whole.high) } : null;
+    const factors = forecast.whole_run?.factors[name];
+    bands[name].whole = factors ? wholeRun(bands[name], cut(factors)) : null;
   }
   return { times: [nowMs, ...times.slice(next)], bands };
 }
+
+/** Edges of the band that a whole run stays inside. */
+const wholeRun = ({ q025, q50, q975 }, factors) => ({
+  low: q50.map((value, i) => value - factors[i] * (value - q025[i])),
+  high: q50.map((value, i) => value + factors[i] * (q975[i] - value)),
+});
 
 /** A fan whose outer band is that of the whole run, and that says so; it has no inner one. */
 export function ofWholeRun(fan) {
