@@ -132,11 +132,16 @@ def test_a_new_asset_is_followed_and_no_other_is_disturbed(hall: Hall) -> None:
     hall.change({name: {"template": "axle"} for name in names})
     hall.until_followed(*names)
     assert hall.until_measured("axle-20") == pytest.approx(hall.until_measured(FIRST), abs=5.0)
-    hall.until_measured(FIRST)
-    stored = hall.get(
-        f"/api/v1/assets/{FIRST}/measurements", channel="t_outer_ring_c", start=began, limit=10_000
-    )["items"]
-    assert len(stored) > 5
+
+    def read_since() -> list[dict[str, Any]]:
+        path = f"/api/v1/assets/{FIRST}/measurements"
+        items: list[dict[str, Any]] = hall.get(
+            path, channel="t_outer_ring_c", start=began, limit=10_000
+        )["items"]
+        return items
+
+    wait_until(lambda: len(read_since()) > 5, PATIENCE_S, "samples of the first asset")
+    stored = read_since()
     assert {one["quality"] for one in stored} == {192}, "no sample was lost with a connection"
     # All that is asked of an asset works for one that is not in the file.
     assert hall.push("axle-7").json()["accepted"] == 3

@@ -90,7 +90,8 @@ def test_a_network_of_ones_own_is_identified_and_forecasts(
     with out.open(newline="") as lines:
         rows = list(csv.DictReader(lines))
     names = {column.rpartition("_")[0] for column in rows[0]} - {"time"}
-    assert names == {"t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c"}
+    whole_runs = {f"{name}_whole" for name in answer["sensors"]}
+    assert names == {"t_bearing_c", "t_wall_c", "t_housing_c", "t_oil_c"} | whole_runs
     for column, name in enumerate(HEADER[4:], start=4):
         low_c, mid_c, high_c = (
             np.array([float(row[f"{name}_{level}"]) for row in rows])
