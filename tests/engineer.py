@@ -1,6 +1,10 @@
 """What an engineer does with the Python client, on a site that has identified by itself."""
 
+import os
+import subprocess
+import sys
 from datetime import timedelta
+from pathlib import Path
 
 import httpx2
 import pytest
@@ -46,8 +50,30 @@ def go_from_a_run_to_a_forecast(url: str, key: str, asset: str) -> None:
         assert "30000" in error.detail
         with pytest.raises(ProblemError, match="404 Not Found"):
             client.state("no such machine")
+    run_the_example(url, key)
     with Client(url, "bt_wrong") as stranger, pytest.raises(ProblemError, match="401"):
         stranger.assets()
+
+
+def run_the_example(url: str, key: str) -> None:
+    """The script of docs/client.md, as it is printed."""
+    page = Path(__file__).parent.parent / "docs" / "client.md"
+    script = page.read_text().partition("```python\n")[2].partition("```")[0]
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ
+        | {
+            "BEARING_TWIN_URL": url,
+            "BEARING_TWIN_KEY": key,
+            "PYTHONPATH": str(page.parents[1] / "client"),
+        },
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "after an hour" in done.stdout
 
 
 def read_the_run(client: Client, url: str, key: str, asset: str) -> None:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 from urllib.parse import quote
 
@@ -37,6 +36,7 @@ from bearing_twin_client.problem import ProblemError
 from bearing_twin_client.rows import Row
 
 ENDED = ("succeeded", "failed", "cancelled")
+SHORTEST_PAUSE_S = 0.1
 
 Document = TypeVar("Document", bound=BaseModel)
 Page = TypeVar("Page", Measurements, ModelList)
@@ -69,12 +69,7 @@ class Client:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -291,7 +286,7 @@ def _retry_after_s(answer: httpx2.Response) -> float | None:
     """Seconds after which a service that is busy wants to be asked again; else None."""
     text = answer.headers.get("Retry-After", "")
     busy = answer.status_code == httpx2.codes.SERVICE_UNAVAILABLE
-    return float(text) if busy and text.isdecimal() else None
+    return max(float(text), SHORTEST_PAUSE_S) if busy and text.isdecimal() else None
 
 
 def _document(kind: type[Document], answer: httpx2.Response) -> Document:

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import ssl
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -11,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import bearing_twin_client
+import httpx2
 import pytest
+import trustme
 from bearing_twin_client import Client, ProblemError, ProfileStep, columns
 from generate_documents import DOCUMENTS, OPENAPI, documents
 from pydantic import ValidationError
@@ -33,7 +36,9 @@ def busy(retry_after: str) -> Answer:
 
 
 @contextmanager
-def served(*answers: Answer) -> Iterator[tuple[Client, list[str]]]:
+def served(
+    *answers: Answer, certificate: trustme.LeafCert | None = None
+) -> Iterator[tuple[Client, list[str]]]:
     """A client, and the requests so far of a server that gives these answers in their order."""
     left, calls = list(answers), []
 
@@ -54,10 +59,16 @@ def served(*answers: Answer) -> Iterator[tuple[Client, list[str]]]:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        address = f"http://127.0.0.1:{server.server_port}/"
+        if certificate is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            certificate.configure_cert(context)
+            server.socket = context.wrap_socket(server.socket, server_side=True)
+            address = f"https://localhost:{server.server_port}/"
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         try:
-            with Client(f"http://127.0.0.1:{server.server_port}/", "key") as client:
+            with Client(address, "key") as client:
                 yield client, calls
         finally:
             server.shutdown()
@@ -138,6 +149,19 @@ def test_a_redirect_does_not_take_the_key_elsewhere() -> None:
     with served(elsewhere, EMPTY) as (client, calls), pytest.raises(ProblemError):
         client.assets()
     assert len(calls) == 1
+
+
+def test_https_with_an_authority_of_the_plant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority = trustme.CA()
+    certificate = authority.issue_cert("localhost")
+    with served(certificate=certificate) as (client, _), pytest.raises(httpx2.ConnectError):
+        client.assets()
+    authority.cert_pem.write_to_path(tmp_path / "ca.pem")
+    monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "ca.pem"))
+    with served(EMPTY, certificate=certificate) as (client, _):
+        assert client.assets() == []
 
 
 def test_a_name_stays_one_part_of_the_address() -> None:
