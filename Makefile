@@ -31,9 +31,11 @@ docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "build/docs/index.html"
 
-# What /openapi.json and /asyncapi.json show, and the schema of model files; tests show every difference.
-descriptions: $(VENV)/.installed-run
+# What /openapi.json and /asyncapi.json show, the types of the Python client, and the schema of model
+# files; tests show every difference.
+descriptions: $(VENV)/.installed-test
 	$(BIN)/python -m service.web.api.descriptions docs
+	$(BIN)/python client/generate_documents.py
 	$(BIN)/python -m service.offline.model_schema docs
 
 kernels: $(VENV)/.installed-test

@@ -18,6 +18,7 @@ import httpx2
 import jsonschema_rs
 import pytest
 import websockets
+from engineer import go_from_a_run_to_a_forecast
 from processes import Site, wait_until
 
 from service.lab.demo.configuration import ASSET
@@ -227,6 +228,11 @@ def reset_what_is_gone(published: Published, alarm_id: str) -> bool:
         return False
     call("POST", f"{ALARMS}/{alarm_id}/reset", 200)
     return True
+
+
+def test_the_python_client_goes_from_a_run_to_a_forecast(published: Published) -> None:
+    site = published.site
+    go_from_a_run_to_a_forecast(f"http://127.0.0.1:{site.port}", site.key, ASSET)
 
 
 def test_every_other_route_answers_as_published(published: Published) -> None:
