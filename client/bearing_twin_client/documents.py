@@ -972,18 +972,18 @@ class VerdictSettings(BaseModel):
     """
 
 
-class WholeRunBand(BaseModel):
+class WholeRun(BaseModel):
     """
-    Edges of the band that a whole run stays inside.
+    Bands that a whole run stays inside, beside those of each moment (`nodes`).
     """
 
-    low: list[float | None]
+    level: float
     """
-    One temperature per time, °C.
+    Probability that all readings at `time_s`, from the first to the last, lie inside the band of a sensor.
     """
-    high: list[float | None]
+    factors: dict[str, list[float | None]]
     """
-    One temperature per time, °C.
+    By sensor that was asked for, at `time_s`: the band reaches from q50 - factor * (q50 - q025) to q50 + factor * (q975 - q50).
     """
 
 
@@ -1370,6 +1370,64 @@ class JobDocument(BaseModel):
     """
 
 
+class LiveForecast(BaseModel):
+    """
+    The latest live forecast: of the controller's plan, else of the present point held.
+    """
+
+    time_s: list[float]
+    """
+    Seconds from the present moment.
+    """
+    nodes: dict[str, Quantiles]
+    """
+    By sensor and node.
+    """
+    whole_run: WholeRun
+    limits: dict[str, Limits]
+    not_known: dict[str, str]
+    """
+    Nodes without a sensor whose temperature the model does not know well enough, and why: by node. Their quantiles are no forecast to act on.
+    """
+    time_to_limit: dict[str, dict[str, Crossing]]
+    """
+    By sensor and level.
+    """
+    labels: list[str]
+    """
+    What the result rests on.
+    """
+    runaway_probability: float
+    """
+    That the machine runs away thermally; see `runaway` of the envelope.
+    """
+    runaway_margin: RunawayMargin | None = None
+    """
+    The margin at the heaviest point of the profile (speed times load). Null before the first identification, for a network without limits of a runaway, and where nothing but standing or no load lies ahead.
+    """
+    model_version: int
+    profile: list[ForecastStep]
+    """
+    What the forecast follows.
+    """
+    missing: list[str]
+    """
+    Speed, load and ambient without a usable value now; with any of them the forecast starts from an uncertain state.
+    """
+    made_at: AwareDatetime
+    """
+    Process time of the state that it begins from.
+    """
+    intervals_made_at: AwareDatetime
+    """
+    Process time of the state that the widths of the intervals are of. Earlier than `made_at`, by 15 minutes at most, where the machine goes on at its operating point far from its limits; the medians are always of `made_at`.
+    """
+    planned: bool
+    """
+    Whether it follows the controller's plan.
+    """
+
+
 class Measurements(BaseModel):
     """
     History with quality, ascending by time, then by channel.
@@ -1534,18 +1592,53 @@ class VerdictDocument(BaseModel):
     time: AwareDatetime
 
 
-class WholeRun(BaseModel):
+class WhatIfAnswer(BaseModel):
     """
-    Bands that a whole run stays inside, beside those of each moment (`nodes`).
+    A what-if, and whether it was kept.
     """
 
-    level: float
+    time_s: list[float]
     """
-    Probability that all readings at `time_s`, from the first to the last, lie inside the band of a sensor.
+    Seconds from the present moment.
     """
-    sensors: dict[str, WholeRunBand]
+    nodes: dict[str, Quantiles]
     """
-    By sensor that was asked for.
+    By sensor and node.
+    """
+    whole_run: WholeRun
+    limits: dict[str, Limits]
+    not_known: dict[str, str]
+    """
+    Nodes without a sensor whose temperature the model does not know well enough, and why: by node. Their quantiles are no forecast to act on.
+    """
+    time_to_limit: dict[str, dict[str, Crossing]]
+    """
+    By sensor and level.
+    """
+    labels: list[str]
+    """
+    What the result rests on.
+    """
+    runaway_probability: float
+    """
+    That the machine runs away thermally; see `runaway` of the envelope.
+    """
+    runaway_margin: RunawayMargin | None = None
+    """
+    The margin at the heaviest point of the profile (speed times load). Null before the first identification, for a network without limits of a runaway, and where nothing but standing or no load lies ahead.
+    """
+    model_version: int
+    profile: list[ForecastStep]
+    """
+    What the forecast follows.
+    """
+    missing: list[str]
+    """
+    Speed, load and ambient without a usable value now; with any of them the forecast starts from an uncertain state.
+    """
+    kept_at: AwareDatetime | None
+    """
+    Process time of the state that it begins from, where it is kept; else null.
     """
 
 
@@ -1662,111 +1755,3 @@ class EnvelopeDocument(BaseModel):
     What the result rests on.
     """
     present: PresentPoint
-
-
-class LiveForecast(BaseModel):
-    """
-    The latest live forecast: of the controller's plan, else of the present point held.
-    """
-
-    time_s: list[float]
-    """
-    Seconds from the present moment.
-    """
-    nodes: dict[str, Quantiles]
-    """
-    By sensor and node.
-    """
-    whole_run: WholeRun
-    limits: dict[str, Limits]
-    not_known: dict[str, str]
-    """
-    Nodes without a sensor whose temperature the model does not know well enough, and why: by node. Their quantiles are no forecast to act on.
-    """
-    time_to_limit: dict[str, dict[str, Crossing]]
-    """
-    By sensor and level.
-    """
-    labels: list[str]
-    """
-    What the result rests on.
-    """
-    runaway_probability: float
-    """
-    That the machine runs away thermally; see `runaway` of the envelope.
-    """
-    runaway_margin: RunawayMargin | None = None
-    """
-    The margin at the heaviest point of the profile (speed times load). Null before the first identification, for a network without limits of a runaway, and where nothing but standing or no load lies ahead.
-    """
-    model_version: int
-    profile: list[ForecastStep]
-    """
-    What the forecast follows.
-    """
-    missing: list[str]
-    """
-    Speed, load and ambient without a usable value now; with any of them the forecast starts from an uncertain state.
-    """
-    made_at: AwareDatetime
-    """
-    Process time of the state that it begins from.
-    """
-    intervals_made_at: AwareDatetime
-    """
-    Process time of the state that the widths of the intervals are of. Earlier than `made_at`, by 15 minutes at most, where the machine goes on at its operating point far from its limits; the medians are always of `made_at`.
-    """
-    planned: bool
-    """
-    Whether it follows the controller's plan.
-    """
-
-
-class WhatIfAnswer(BaseModel):
-    """
-    A what-if, and whether it was kept.
-    """
-
-    time_s: list[float]
-    """
-    Seconds from the present moment.
-    """
-    nodes: dict[str, Quantiles]
-    """
-    By sensor and node.
-    """
-    whole_run: WholeRun
-    limits: dict[str, Limits]
-    not_known: dict[str, str]
-    """
-    Nodes without a sensor whose temperature the model does not know well enough, and why: by node. Their quantiles are no forecast to act on.
-    """
-    time_to_limit: dict[str, dict[str, Crossing]]
-    """
-    By sensor and level.
-    """
-    labels: list[str]
-    """
-    What the result rests on.
-    """
-    runaway_probability: float
-    """
-    That the machine runs away thermally; see `runaway` of the envelope.
-    """
-    runaway_margin: RunawayMargin | None = None
-    """
-    The margin at the heaviest point of the profile (speed times load). Null before the first identification, for a network without limits of a runaway, and where nothing but standing or no load lies ahead.
-    """
-    model_version: int
-    profile: list[ForecastStep]
-    """
-    What the forecast follows.
-    """
-    missing: list[str]
-    """
-    Speed, load and ambient without a usable value now; with any of them the forecast starts from an uncertain state.
-    """
-    kept_at: AwareDatetime | None
-    """
-    Process time of the state that it begins from, where it is kept; else null.
-    """
