@@ -10,6 +10,8 @@ import os
 import socket
 from collections.abc import Callable, Mapping
 
+#: What a side sends to have the configuration file read again; systemd takes no notice of it.
+RELOAD = "X_RELOAD=1"
 #: A sign of life is sent this many times within the watchdog's time.
 _SIGNS_PER_WATCHDOG = 4
 _MICROSECONDS = 1e6
@@ -43,6 +45,10 @@ class ServiceManager:
     def stopping(self) -> None:
         """Say that the service is about to end."""
         self._send("STOPPING=1")
+
+    def reload(self) -> None:
+        """Have the supervisor read the configuration file again."""
+        self._send(RELOAD)
 
     def alive(self) -> None:
         """Give a sign of life, where they are expected."""

@@ -17,6 +17,7 @@ import socket
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from functools import partial
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,9 @@ from service.app.exits import STATUS_REFUSED, STATUS_TEMPORARY
 from service.app.sides import key_check_process, side_process, sides_of
 from service.domain.sides import SideName
 from service.security.loopback import is_loopback
-from service.service_manager import ServiceManager
+from service.service_manager import RELOAD, ServiceManager
+from service.site.configuration import SettingsError
+from service.site.examination import load_site
 from service.site.settings import Settings
 
 #: Wall seconds without a sign of life after which a side hangs and is killed.
@@ -104,6 +107,8 @@ class Side:
         self._work = work
         self.is_ready = asyncio.Event()
         self._settings = settings
+        self._before: Settings | None = None  # until the side has started with the present ones
+        self._changing = False
         self._context = context
         self._listener = listener
         self._address = str(folder / name)
@@ -135,6 +140,14 @@ class Side:
                 status = await self._run_once(listener)
                 if self._stopping.is_set():
                     return
+                if self._changing:
+                    self._changing = False
+                    self.is_ready.clear()
+                    continue
+                if status == STATUS_REFUSED and self._before is not None:
+                    _log.error("configuration_refused", side=self.name, keeps="the one before")
+                    self._settings, self._before = self._before, None
+                    continue
                 if status in (STATUS_REFUSED, STATUS_TEMPORARY):
                     raise SideEndedError(self.name, status)
                 if self.is_ready.is_set():
@@ -158,6 +171,12 @@ class Side:
             _log.error("side_killed", side=self.name, reason=f"did not end within {limit_s:g} s")
             self.kill()
             await self._gone.wait()
+
+    def change(self, settings: Settings) -> None:
+        """Start the side again with another configuration; one that it refuses is given up."""
+        self._before, self._settings = self._settings, settings
+        self._changing = not self._gone.is_set()
+        self.terminate()
 
     def terminate(self) -> None:
         """Ask the process to end."""
@@ -209,6 +228,7 @@ class Side:
                     self._signed_s = time.monotonic()
                     if report == "READY=1":
                         self.is_ready.set()
+                        self._before = None
                     on_report(self.name, report)
 
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as inbox:
@@ -265,7 +285,13 @@ async def supervise(
         sides.append(Side(web, settings, context, Path(folder), listening))
         sides += [Side(name, settings, context, Path(folder)) for name in plant]
         try:
-            await run_sides(sides, manager=manager, on_ready=on_ready, stop=stop)
+            await run_sides(
+                sides,
+                manager=manager,
+                on_ready=on_ready,
+                stop=stop,
+                reload=partial(_read_again, settings, sides),
+            )
         finally:
             listening.cancel()
             await asyncio.gather(listening, return_exceptions=True)
@@ -277,10 +303,16 @@ async def run_sides(
     manager: ServiceManager,
     on_ready: Callable[[], None],
     stop: asyncio.Event,
+    reload: Callable[[], Coroutine[Any, Any, None]] | None = None,
 ) -> None:
     """Run sides, the cell first, until ``stop`` is set; see `supervise`."""
+    reloading: set[asyncio.Task[None]] = set()
 
     def report(side: SideName, text: str) -> None:
+        if text == RELOAD and reload is not None:
+            task = asyncio.create_task(reload())
+            reloading.add(task)
+            task.add_done_callback(reloading.discard)
         if side != "cell":
             return
         # Devices are read and kept from when the cell is ready, whatever the others do.
@@ -304,10 +336,28 @@ async def run_sides(
                 if side.done():
                     side.result()
         finally:
-            for task in (*beside, stopping):
+            for task in (*beside, *reloading, stopping):
                 task.cancel()
-            await asyncio.gather(*beside, stopping, return_exceptions=True)
+            await asyncio.gather(*beside, *reloading, stopping, return_exceptions=True)
             manager.stopping()
+
+
+async def _read_again(settings: Settings, sides: Sequence[Side]) -> None:
+    """Start all sides again with what the configuration file holds now.
+
+    Where the service listens and keeps its data it was told when it started.
+    """
+    try:
+        fresh, _ = await asyncio.to_thread(load_site, settings.file)
+    except SettingsError as error:
+        _log.error("configuration_refused", detail=error.lines[0], keeps="the one before")
+        return
+    if fresh.service != settings.service:
+        _log.warning("configuration", detail="service: takes effect after a restart of the service")
+    fresh = fresh.model_copy(update={"service": settings.service})
+    _log.info("configuration_changed", file=str(settings.file))
+    for side in sides:
+        side.change(fresh)
 
 
 @contextlib.asynccontextmanager

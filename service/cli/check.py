@@ -1,7 +1,6 @@
 """``bearing-twin check``: what is wrong with a configuration, and what its sources say now."""
 
 import asyncio
-import json
 import sys
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +10,8 @@ from service.cli.serve import ConfigFile
 from service.domain.channels import unit_of
 
 if TYPE_CHECKING:
-    from service.app.checking import Examination
-    from service.app.probing import Probe
+    from service.ingest.probing import Probe
+    from service.site.examination import Examination
 
 
 def check(
@@ -28,9 +27,10 @@ def check(
     good value; else 2. A serial port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
-    from service.app.checking import environment_errors, examine, ports_in_use
-    from service.app.probing import probe
+    from service.app.checking import environment_errors, ports_in_use
+    from service.ingest.probing import probe
     from service.logs import configure_logging
+    from service.site.examination import examine
 
     configure_logging("critical")
     found = examine(config)
@@ -42,7 +42,10 @@ def check(
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
     if as_json:
-        typer.echo(json.dumps(_document(config, errors, warnings, probed), allow_nan=False))
+        from service.documents.commissioning import CheckDocument
+
+        file = None if config is None else str(config)
+        typer.echo(CheckDocument.of(file, errors, warnings, probed).to_bytes().decode())
     else:
         _print(found, probed)
     for line in errors:
@@ -51,37 +54,6 @@ def check(
         sys.stderr.write(f"bearing-twin: warning: {line}\n")
     if errors:
         raise typer.Exit(2)
-
-
-def _document(
-    config: ConfigFile, errors: list[str], warnings: list[str], probed: "Probe"
-) -> dict[str, object]:
-    return {
-        "file": None if config is None else str(config),
-        "ok": not errors,
-        "errors": errors,
-        "warnings": warnings,
-        "sources": [
-            {"name": one.name, "driver": one.driver, "up": one.up, "detail": one.detail}
-            for one in probed.sources
-        ],
-        "channels": [
-            {
-                "asset": one.asset,
-                "channel": one.channel,
-                "source": one.source,
-                "value": one.value,
-                "unit": unit_of(one.channel),
-                "quality": one.quality,
-                "age_s": one.age_s,
-                "detail": one.detail,
-            }
-            for one in probed.channels
-        ],
-        "plans": [
-            {"asset": one.asset, "source": one.source, "steps": one.steps} for one in probed.plans
-        ],
-    }
 
 
 def _print(found: "Examination", probed: "Probe") -> None:

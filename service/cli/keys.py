@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.serve import ConfigFile
+from service.cli.serve import ConfigFile, begin_file
 from service.clock import rfc3339
 from service.domain.roles import ROLES
 from service.site.settings import load_settings
@@ -46,6 +46,7 @@ def create(
     """Make a key and print it; it is shown this once and kept only as a hash."""
     from service.security.keys import create_key
 
+    begin_file(config)
     with _store(config) as store:
         new = create_key(store, role, expires_in_days, label, actor=command_line_actor())
     typer.echo(json.dumps({"key": new.text} | _facts(new.record)) if as_json else new.text)

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,20 @@ ConfigFile = Annotated[
     typer.Option("-c", "--config", help="Configuration file (TOML).", dir_okay=False),
 ]
 
+_FIRST_LINE = "# Configuration of Bearing Twin. The page Commissioning fills it.\n"
+
 _log = structlog.get_logger(__name__)
+
+
+def begin_file(config: ConfigFile) -> None:
+    """Make a configuration file that is not there yet, so that the page can fill it."""
+    if config is None or config.exists() or not config.parent.is_dir():
+        return
+    try:
+        config.write_text(_FIRST_LINE, encoding="utf-8")
+    except OSError:
+        return  # whoever reads it says that it cannot be read
+    sys.stderr.write(f"bearing-twin: {config} is new and empty; commission the bench on the page\n")
 
 
 def serve(
@@ -38,8 +52,9 @@ def serve(
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
     """
     # Imported here: drivers and store take a second to load, which --help should not pay.
-    from service.app.checking import load_site
+    from service.site.examination import load_site
 
+    begin_file(config)
     settings, warnings = load_site(config)
     configure_logging()
     status = asyncio.run(_serve(settings, warnings, only))

@@ -111,8 +111,8 @@ TomlTable = dict[str, Any]
 """A table of the configuration as it was read: whoever it belongs to checks it."""
 
 
-def read_toml(file: Path) -> TomlTable:
-    """Read a TOML file.
+def read_toml(file: Path, text: str | None = None) -> TomlTable:
+    """Read a TOML file, or the text that it would hold.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def read_toml(file: Path) -> TomlTable:
         If it cannot be read.
     """
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8") if text is None else text)
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

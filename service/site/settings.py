@@ -189,6 +189,8 @@ class Settings(BaseSettings):
     templates: tuple[TomlTable, ...] = ()
     assets: tuple[AssetSection, ...] = ()
     base_dir: Path = Field(Path(), exclude=True)
+    #: What it was read from.
+    file: Path | None = Field(None, exclude=True)
 
     @classmethod
     def settings_customise_sources(
@@ -314,13 +316,15 @@ def _completed(
     return whole
 
 
-def load_settings(file: Path | None) -> Settings:
+def load_settings(file: Path | None, text: str | None = None) -> Settings:
     """Read a configuration file and the environment.
 
     Parameters
     ----------
     file : pathlib.Path or None
         TOML file; None takes the defaults, relative to the present directory.
+    text : str, optional
+        What the file would hold, when that is not what it holds now.
 
     Raises
     ------
@@ -328,12 +332,12 @@ def load_settings(file: Path | None) -> Settings:
         If the file cannot be read or keys are wrong; one line for each, which names the file and
         the key.
     """
-    document = {} if file is None else read_toml(file)
+    document = {} if file is None else read_toml(file, text)
     base_dir = Path() if file is None else file.parent
     where = f"{file}: " if file else ""
     folder = folder_of_files.set(base_dir)
     try:
-        return Settings(**document, base_dir=base_dir)
+        return Settings(**document, base_dir=base_dir, file=file)
     except ValidationError as error:
         raise SettingsError(*(where + line for line in describe_all(error))) from error
     except UnreadableVariableError as error:

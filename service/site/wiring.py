@@ -231,14 +231,21 @@ def _sources(
     for number, table in tables.items():
         name = str(table.get("name"))
         try:
-            found[name] = _source(f"sources[{number}]", table, base_dir)
+            found[name] = source_of(f"sources[{number}]", table, base_dir)
         except SettingsError as error:
             found[name] = None
             errors += error.lines
     return found
 
 
-def _source(key: str, table: TomlTable, base_dir: Path) -> SourceWiring:
+def source_of(key: str, table: TomlTable, base_dir: Path) -> SourceWiring:
+    """Check the table of one source against its driver.
+
+    Raises
+    ------
+    SettingsError
+        One line for each error, which begins with ``key``.
+    """
     driver = table.get("driver")
     if not isinstance(driver, str) or driver not in DRIVERS:
         raise SettingsError(f"{key}.driver = {driver!r}: {suggestion(str(driver), DRIVERS)}")

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import multiprocessing
 import socket
 import ssl
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from service.clock import ProcessClock, wall_us
 from service.documents.messages import ServiceHealth, SourceDocument
 from service.domain.errors import CellUnavailableError
 from service.security.loopback import is_loopback
+from service.service_manager import ServiceManager
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 from service.store import Outbox, Store
@@ -177,6 +179,7 @@ class _Start:
                     follow=following.follow,
                     apply_assets=partial(_apply_assets, reader, replicas),
                     is_known=is_known,
+                    apply_file=_apply_file(settings),
                 )
             )
             for name, work in (
@@ -221,6 +224,12 @@ class _Start:
                 await self._stop.wait()
         if self._stop.is_set():
             raise StoppedError
+
+
+def _apply_file(settings: Settings) -> Callable[[], None] | None:
+    """How to have the service follow its file; only a supervisor of ours starts it again."""
+    supervised = multiprocessing.parent_process() is not None
+    return ServiceManager().reload if supervised and not settings.is_fleet else None
 
 
 async def _apply_assets(reader: ReaderBus, replicas: Replicas) -> dict[str, str]:

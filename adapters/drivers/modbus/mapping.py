@@ -291,7 +291,7 @@ def check(
                 f"source {source.name!r}: channel {binding.asset}/{binding.channel} is bound twice"
             )
         seen.add((binding.asset, binding.channel))
-        for cell in filter(None, (_value_cell(config), _status_cell(config))):
+        for cell in filter(None, (value_cell(config), _status_cell(config))):
             if cell.address + cell.count > ADDRESSES:
                 raise ConfigurationError(
                     f"channel {binding.asset}/{binding.channel}: register {cell.address} with "
@@ -334,7 +334,7 @@ def compile_units(
             channel=binding.channel,
             config=config,
             unit=unit.unit,
-            reading=readings.setdefault(_value_cell(config), Reading()),
+            reading=readings.setdefault(value_cell(config), Reading()),
             status=readings.setdefault(status_cell, Reading()) if status_cell else None,
             sentinels=_sentinels(binding, config),
             status_bits=tuple(sorted(config.status.bits.items())) if config.status else (),
@@ -372,7 +372,8 @@ def group(cells: dict[Cell, Reading]) -> list[Group]:
     return groups
 
 
-def _value_cell(config: ModbusChannel) -> Cell:
+def value_cell(config: ModbusChannel) -> Cell:
+    """Say where a channel's raw value is, and how its registers make a number."""
     if config.type == "bool":
         return Cell(config.kind, config.address, 1, "", False)
     # With both orders big the bytes lie as ">": ABCD. Each order that is little reverses its own

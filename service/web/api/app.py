@@ -33,6 +33,7 @@ from service.web.api.proxies import KnownProxies
 from service.web.api.routes import measurements, routers
 from service.web.api.snapshots import SnapshotShortcut
 from service.web.api.turns import Turns
+from service.web.probes import Probes
 
 API_PREFIX = "/api/v1"
 _DASHBOARD = Path(service.web.pages.__file__).parent / "static"
@@ -63,6 +64,7 @@ def create_app(context: ServiceContext) -> FastAPI:
         finally:
             context.bus.close()
             turns.close()
+            probes.close()
             trail.settle()
 
     security = context.settings.security
@@ -71,6 +73,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     )
     trail = AuditTrail(context.outbox)
     turns = Turns()
+    probes = Probes()
     app = _new_app(
         lifespan=lifespan,
         middleware=[
@@ -91,6 +94,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.authenticator = authenticator
     app.state.trail = trail
     app.state.turns = turns
+    app.state.probes = probes
     install_handlers(app)
     _take_in_routes(app)
     app.router.routes.append(page_route(_DASHBOARD / "index.html"))

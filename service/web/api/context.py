@@ -58,6 +58,8 @@ class ServiceContext:
     is_known
         Tells whether an asset that is not among `assets` is one all the same, which no cell of the
         fleet follows at the moment.
+    apply_file
+        Has the service follow the configuration file as it is now; None where only a restart does.
     registry
         Metrics of the web side itself.
     """
@@ -79,4 +81,5 @@ class ServiceContext:
     follow: Callable[[Collection[str] | None], Awaitable[int]] = _all_are
     apply_assets: Callable[[], Awaitable[Mapping[str, str]]] = _no_assets
     is_known: Callable[[str], bool] = lambda asset: False
+    apply_file: Callable[[], None] | None = None
     registry: CollectorRegistry = field(default_factory=CollectorRegistry)

@@ -24,6 +24,8 @@ _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
     (re.compile(IMPORT_PATH), 8192 * KIB),
     (re.compile(r"/api/v1/assets:remove"), 8192 * KIB),
+    (re.compile(r"/api/v1/commissioning/dbc"), 8192 * KIB),
+    (re.compile(r"/api/v1/commissioning/(?:check|configuration)"), 1024 * KIB),
 )
 
 _JSON = re.compile(r"application/(?:[a-z0-9.-]+\+)?json")

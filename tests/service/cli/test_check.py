@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.app.checking import examine
 from service.domain.channels import CHANNEL_NEEDS
+from service.site.examination import examine
 
 from .conftest import ASSET
 

@@ -102,7 +102,7 @@ def test_a_configuration_that_is_no_toml(
 
 
 def test_a_configuration_that_is_not_there(refused: Callable[..., str]) -> None:
-    assert "gone.toml: cannot be read" in refused("serve", "-c", "gone.toml")
+    assert "gone.toml: cannot be read" in refused("serve", "-c", "nowhere/gone.toml")
 
 
 @pytest.mark.parametrize(

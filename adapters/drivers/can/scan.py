@@ -1,0 +1,151 @@
+"""What a DBC file describes, and what of it really arrives on a bus."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from cantools.database.can import Database
+
+from adapters.drivers.can.bus import close_bus, open_bus
+from adapters.drivers.can.config import CanChannel, CanSource
+from adapters.drivers.can.decoding import bind, load_dbc
+from adapters.protocol import ChannelBinding
+from adapters.samples import Sample, is_good, meaning
+
+RECEIVE_S: Final = 0.25  # wall; one wait for a frame
+MOST_UNKNOWN: Final = 50
+#: Parts the message from its signal in the names of bindings; in neither name of a DBC.
+_PART: Final = "/"
+
+
+@dataclass(frozen=True, slots=True)
+class SignalSeen:
+    """A signal of a DBC file.
+
+    Attributes
+    ----------
+    unit
+        As the file gives it.
+    frames
+        How many of its frames came while one listened.
+    value
+        The latest; None where none came or it means "no value".
+    detail
+        Why there is no good value; else empty.
+    """
+
+    message: str
+    signal: str
+    unit: str
+    frames: int = 0
+    value: float | None = None
+    detail: str = "no frame came"
+
+
+@dataclass(frozen=True, slots=True)
+class BusSeen:
+    """What came while one listened to a bus; ``unknown`` are identifiers outside the DBC."""
+
+    frames: int = 0
+    signals: Sequence[SignalSeen] = ()
+    unknown: Sequence[str] = ()
+
+
+@dataclass(slots=True)
+class _Heard:
+    frames: int = 0
+    by_message: dict[str, int] = field(default_factory=dict)
+    latest: dict[str, Sample] = field(default_factory=dict)
+    unknown: dict[str, None] = field(default_factory=dict)
+
+
+def described_signals(source: CanSource) -> list[SignalSeen]:
+    """List the signals of a source's DBC file; opens no bus.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read or is no DBC.
+    """
+    return _signals(load_dbc(source), _Heard())
+
+
+def listen(source: CanSource, listen_s: float) -> BusSeen:
+    """Listen to a bus, and decode as the driver does; blocks for so many wall seconds.
+
+    Nothing is sent, but what opening an adapter takes.
+
+    Raises
+    ------
+    ConfigurationError
+        The DBC file cannot be used.
+    Exception
+        Whatever the interface's library raises when the bus cannot be opened.
+    """
+    database = load_dbc(source)
+    messages = bind(source, _bindings(source, database))
+    heard = _Heard()
+    bus = open_bus(source)
+    try:
+        until = time.monotonic() + listen_s
+        while (left_s := until - time.monotonic()) > 0:
+            frame = bus.recv(min(RECEIVE_S, left_s))
+            if frame is None or frame.is_error_frame or frame.is_remote_frame:
+                continue
+            heard.frames += 1
+            message = messages.find(frame.arbitration_id, frame.is_extended_id)
+            if message is None:
+                if len(heard.unknown) < MOST_UNKNOWN:
+                    heard.unknown[f"{frame.arbitration_id:X}"] = None
+                continue
+            name = message.message.name
+            heard.by_message[name] = heard.by_message.get(name, 0) + 1
+            samples = message.decode(frame.data, time.time_ns() // 1000)
+            heard.latest |= {sample.channel: sample for sample in samples}
+    finally:
+        close_bus(bus)
+    return BusSeen(heard.frames, _signals(database, heard), tuple(heard.unknown))
+
+
+def _bindings(source: CanSource, database: Database) -> list[ChannelBinding]:
+    return [
+        ChannelBinding(
+            "",
+            f"{message.name}{_PART}{signal.name}",
+            CanChannel(source=source.name, message=message.name, signal=signal.name),
+        )
+        for message in database.messages
+        for signal in message.signals
+    ]
+
+
+def _signals(database: Database, heard: _Heard) -> list[SignalSeen]:
+    return [
+        _seen(
+            message.name,
+            signal.name,
+            signal.unit or "",
+            heard.by_message.get(message.name, 0),
+            heard.latest,
+        )
+        for message in database.messages
+        for signal in message.signals
+    ]
+
+
+def _seen(
+    message: str, signal: str, unit: str, frames: int, latest: Mapping[str, Sample]
+) -> SignalSeen:
+    sample = latest.get(f"{message}{_PART}{signal}")
+    if sample is None:
+        return SignalSeen(message, signal, unit, frames)
+    good = is_good(sample.quality)
+    return SignalSeen(
+        message,
+        signal,
+        unit,
+        frames,
+        sample.value if good else None,
+        "" if good else meaning(sample.quality),
+    )
