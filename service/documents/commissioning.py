@@ -1,13 +1,14 @@
 """What is found while a bench is put into service: configuration, checks, registers, signals."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import Field
 
 from service.clock import rfc3339
 from service.documents.base import Document, Number, Page, Time
 from service.domain.channels import unit_of
+from service.domain.json_values import Json
 from service.site.file_versions import FileVersion
 
 if TYPE_CHECKING:  # the drivers' libraries are loaded in the worker that probes
@@ -34,8 +35,8 @@ class CommissioningDocument(Document):
     why_not: str | None = Field(description="Why it cannot be changed here; null: it can.")
     takes_effect: Takes = Field(description="When a saved change is in effect.")
     revision: str = Field(description="Names the text of the file; a change is based on it.")
-    sources: list[dict[str, Any]] = Field(description="As in the file.")
-    assets: list[dict[str, Any]] = Field(description="As in the file.")
+    sources: list[dict[str, Json]] = Field(description="As in the file.")
+    assets: list[dict[str, Json]] = Field(description="As in the file.")
     bearings: list[CatalogueBearing] = Field(description="The catalogue.")
 
 

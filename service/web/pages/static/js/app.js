@@ -53,10 +53,17 @@ const VIEWS = {
     title: 'Assets', from: 'engineer', load: async () => (await import('./views/assets.js')).AssetsView,
     style: 'css/assets.css',
   },
+  // Reached from Assets, and fetched only then: a bench is put into service once.
+  commissioning: {
+    title: 'Commissioning', from: 'admin', style: 'css/commissioning.css', hidden: true,
+    load: async () => (await import('./views/commissioning.js')).CommissioningView,
+  },
 };
 const FETCH_OTHERS_MS = 3000;
 /** Views that show no asset of their own. */
-const OF_ALL = ['fleet', 'alarms', 'assets'];
+const OF_ALL = ['fleet', 'alarms', 'assets', 'commissioning'];
+/** Views that can be shown without any asset. */
+const OF_NONE = ['assets', 'commissioning'];
 const ROLES = ['viewer', 'operator', 'engineer', 'admin'];
 const TICK_MS = 250;
 const AWAY_RETRY_MS = 3000;
@@ -83,11 +90,11 @@ const may = (role) => ROLES.indexOf(session?.role) >= ROLES.indexOf(role);
 const refusal = (role) =>
   (may(role) ? '' : `Needs the role ${role}; you are logged in as ${session?.role}.`);
 /** Whether a view can be shown with the assets that there are; only one needs none. */
-const isOf = (name) => (name === 'assets' ? may(VIEWS.assets.from)
+const isOf = (name) => (OF_NONE.includes(name) ? may(VIEWS[name].from)
   : assets.length > (name === 'fleet' ? 1 : 0));
 const viewName = () => {
   const { view: name } = readHash();
-  if (!assets.length) return 'assets';
+  if (!assets.length) return name === 'commissioning' && isOf(name) ? name : 'assets';
   const known = VIEWS[name] && may(VIEWS[name].from) && isOf(name);
   return known ? name : several() && !name ? 'fleet' : 'operator';
 };
@@ -179,7 +186,8 @@ async function knowFeed(one) {
 
 /** The views and the asset that is looked at; views of all assets look at none. */
 function showHeader() {
-  header.showViews(Object.entries(VIEWS).filter(([key]) => isOf(key)).map(([key, { title, from }]) => ({
+  const tabs = Object.entries(VIEWS).filter(([key, { hidden }]) => isOf(key) && !hidden);
+  header.showViews(tabs.map(([key, { title, from }]) => ({
     title, href: assetHash(key, several() ? feed.assetId : null), current: key === shown,
     reason: refusal(from),
   })));
@@ -219,7 +227,9 @@ function fetchStyle(href) {
 
 /** Have every view at hand before the service may be away. */
 function fetchOthers() {
-  for (const [name, { from }] of Object.entries(VIEWS)) if (may(from)) fetchView(name).catch(() => {});
+  for (const [name, { from, hidden }] of Object.entries(VIEWS)) {
+    if (may(from) && !hidden) fetchView(name).catch(() => {});
+  }
 }
 
 /** Show what the address asks for. */
@@ -239,7 +249,7 @@ function chooseFeed() {
 /** Assets have come or gone: what lists them is made again, what shows one of them stays. */
 function takeAssets(list) {
   assets = list;
-  const lost = shown !== 'assets' && live.feeds.get(feed?.assetId) !== feed;
+  const lost = !OF_NONE.includes(shown) && live.feeds.get(feed?.assetId) !== feed;
   if (lost || !isOf(shown) || ['fleet', 'alarms', ''].includes(shown)) {
     follow();
     return;
@@ -269,7 +279,7 @@ function showLink() {
 }
 
 /** Whether the page speaks of all assets instead of one. */
-const ofAll = () => ['fleet', 'assets', ''].includes(shown);
+const ofAll = () => ['fleet', 'assets', 'commissioning', ''].includes(shown);
 /** Whether no asset is known as a whole. */
 const ofNone = () => ofAll() || (live.many && shown === 'alarms');
 const bannerFeeds = () => (ofAll() || shown === 'alarms' ? [...live.feeds.values()] : [feed]);

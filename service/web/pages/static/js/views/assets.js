@@ -53,7 +53,8 @@ export class AssetsView {
     put(box, h('h1', { class: 'vh' }, 'Assets'), this.form.element, this.file.element,
       h('section', { class: 'panel p-assets' },
         h('header', {}, h('h2', {}, 'Assets'), this.count, h('span', { class: 'sp' }),
-          h('span', { class: 'row filters' }, this.search, this.removal, this.importing, this.add)),
+          h('span', { class: 'row filters' }, this.search, this.removal, this.importing, this.add,
+            page.may('admin') && h('a', { class: 'btn', href: '#commissioning' }, 'Commission a bench'))),
         this.status, this.problem,
         scrollable('scroll', 'All assets', h('table', { class: 'at' },
           h('thead', {}, h('tr', {}, h('th', { class: 'tick' }, this.all),
@@ -147,7 +148,9 @@ export class AssetsView {
     put(this.body, shown.map((row) => this.row(row)));
     if (!shown.length) {
       put(this.body, h('tr', {}, h('td', { colspan: HEAD.length + 1, class: 'mut pad' },
-        rows.length ? 'No asset matches the search.' : 'No asset is configured yet.')));
+        rows.length ? 'No asset matches the search.' : ['No asset is configured yet. ',
+          this.page.may('admin') && h('a', { href: '#commissioning' },
+            'Commission a bench: from its address to the first live value.')])));
     }
     if (at) {
       const controls = [...this.body.querySelectorAll(
