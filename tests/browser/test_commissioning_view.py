@@ -145,21 +145,28 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     shot(page, "3-signals")
     use(page, "Use SpindleState.ShaftRpm", "Speed (rpm)")
     use(page, "Use ForceCell.RadialForce", "Load (N)")
-    for step in ("sources", "channels", "bearing", "limits"):
+    for step in ("sources", "channels"):
         done(page, step)
 
+    save = page.get_by_role("button", name="Save", exact=True)
+    expect(save).to_have_attribute("title", "First: the bearing, limits.")
     page.get_by_label("Id of the bench").fill("spindle-1")
+    page.get_by_label("Bearing", exact=True).select_option("6016 (80 × 125 × 22 mm)")
+    done(page, "bearing")
     corner = page.get_by_role("slider", name="Corner of the low-risk region")
     corner.press("ArrowLeft")
     expect(page.get_by_label("Low risk up to this speed in rpm")).to_have_value("4200")
     page.get_by_label("Low risk up to this load in N").fill("3000")
     page.get_by_label("Inner ring: warning in °C").fill("70")
 
+    page.get_by_label("Region and limits are right for this bench").check()
+    done(page, "limits")
+
     page.get_by_role("button", name="Check everything").click()
     done(page, "check")
     expect(page.get_by_text(f"✓ Inner ring: {INNER_C} °C")).to_be_visible()
     shot(page, "4-checked")
-    page.get_by_role("button", name="Save", exact=True).click()
+    save.click()
     expect(page.get_by_text("✓ Live: 5 of 5 channels are live.")).to_be_visible()
     took_s = time.monotonic() - began_s
     shot(page, "5-live")
@@ -177,6 +184,7 @@ def test_a_newcomers_bench_is_live_from_the_browser(
     assert {name: snapshot["tags"][name]["value"] for name in wanted} == wanted
     saved = service.tables()["assets"][0]
     assert saved["low_risk"] == {"speed_rpm_max": 4200, "load_n_max": 3000}
+    assert saved["bearing"] == "6016"
     page.get_by_role("link", name="Open the operator’s page").click()
     expect(page.locator("body")).to_have_attribute("data-view", "operator")
     assert took_s < WITHIN_S

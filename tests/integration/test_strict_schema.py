@@ -22,8 +22,10 @@ from engineer import go_from_a_run_to_a_forecast
 from processes import Site, wait_until
 
 from service.lab.demo.configuration import ASSET
+from service.site.file_versions import save
 from service.site.machines.bearings import named_bearing
 from service.site.machines.machine import Machine
+from service.site.settings import load_settings
 from service.store.fleet_runs import FleetRun
 from service.store.sister_records import SisterRecord
 
@@ -371,6 +373,37 @@ def provision(published: Published) -> None:
     call("GET", "/api/v1/provisioning", 200)
 
 
+def commission(published: Published) -> None:
+    """The routes of the page Commissioning, with a change that changes nothing."""
+    call, base = published.call, "/api/v1/commissioning"
+    known = call("GET", base, 200)
+    source = {"name": "strange", "driver": "modbus-tcp", "host": "127.0.0.1", "port": 9}
+    call("POST", f"{base}/units", 200, json={"source": source, "count": 1})
+    call("POST", f"{base}/registers", 200, json={"source": source, "count": 1})
+    dbc = 'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|9] "" A\n'
+    name = call("POST", f"{base}/dbc", 201, json={"name": "strange.dbc", "text": dbc})["name"]
+    bus = {"name": "bus", "driver": "can", "channel": "socket://127.0.0.1:9", "dbc": name}
+    call("POST", f"{base}/signals", 200, json={"source": bus, "listen_s": 0.1})
+    same = {"revision": known["revision"], "assets": known["assets"]}
+    assert call("POST", f"{base}/check", 200, json=same)["file"] == known["file"]
+    call("PUT", f"{base}/configuration", 409, json=same | {"revision": "old"})
+    assert not call("PUT", f"{base}/configuration", 200, json=same)["changed"]
+    settings = load_settings(published.site.configuration)
+    text = published.site.configuration.read_text(encoding="utf-8")
+    more = {"who": "test", "what": "a comment", "now_us": 1}
+    version = save(
+        published.site.configuration,
+        settings.data_dir,
+        f"{text}# strange\n",
+        based_on=known["revision"],
+        **more,
+    )
+    assert version is not None
+    call("GET", f"{base}/versions", 200)
+    again = f"{base}/versions/{version.number}/restore"
+    assert not call("POST", again, 200, json={"revision": version.revision})["changed"]
+
+
 def test_every_refusal_is_a_problem_as_published(published: Published) -> None:
     refusals: list[tuple[int, str | None, Callable[[dict[str, Any]], bool]]] = [
         (401, None, lambda operation: bool(operation["security"])),
@@ -408,6 +441,7 @@ def fitting(method: str, path: str) -> dict[str, Any]:
         "identifications": {},
         "shelve": {"duration_s": 60},
         "comment": {"comment": "x"},
+        "restore": {"revision": "x"},
         "out-of-service": {"comment": "x"},
     }
     last = path.rpartition("/")[2]

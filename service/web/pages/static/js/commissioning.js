@@ -83,15 +83,16 @@ export function missing({ channels }) {
 export function draftOf(asset) {
   if (!asset) {
     return {
-      id: 'bench-1', name: '', catalogue: true, bearing: '6311', dimensions: {},
+      id: 'bench-1', name: '', catalogue: true, bearing: '', dimensions: {}, agreed: false,
       low: { speed_rpm_max: 4300, load_n_max: 3400 }, limits: {}, channels: {}, rest: {},
     };
   }
   const { id, name = '', bearing, low_risk: low, limits = {}, channels = {}, ...rest } = asset;
   const named = typeof bearing === 'string';
   return {
-    id, name, rest, catalogue: named, bearing: named ? bearing : '6311', dimensions: named ? {} : { ...bearing },
+    id, name, rest, catalogue: named, bearing: named ? bearing : '', dimensions: named ? {} : { ...bearing },
     low: { ...low }, limits: structuredClone(limits), channels: structuredClone(channels), known: true,
+    agreed: true,
   };
 }
 
@@ -106,7 +107,7 @@ export function assetTable(draft) {
   return {
     id: draft.id.trim(),
     ...(draft.name.trim() ? { name: draft.name.trim() } : {}),
-    ...(draft.rest.network && !draft.rest.bearing && !draft.catalogue && !draft.dimensions.bore_mm ? {}
+    ...(draft.rest.network && !draft.bearing && !draft.dimensions.bore_mm ? {}
       : { bearing: draft.catalogue ? draft.bearing : draft.dimensions }),
     ...draft.rest,
     low_risk: draft.low,

@@ -22,8 +22,9 @@ export class RegionPlane {
   }
 
   /** low: { speed_rpm_max, load_n_max }; present: { speed, load } as measured, or null */
-  show(low, present = null) {
+  show(low, present = this.present) {
     this.low = low;
+    this.present = present;
     if (!this.dragged) {
       this.most = {
         speed: nice(Math.max(low.speed_rpm_max, present?.speed ?? 0, 100) * 1.5),
@@ -90,7 +91,7 @@ export class RegionPlane {
 
   change(speed, load) {
     const low = { speed_rpm_max: Math.max(speed, 50), load_n_max: Math.max(load, 50) };
-    this.show(low, this.present);
+    this.show(low);
     this.onchange(low);
   }
 }

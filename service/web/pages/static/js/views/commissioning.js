@@ -95,7 +95,7 @@ export class CommissioningView {
   }
 
   showSources() {
-    for (const panel of this.panels?.values() ?? []) panel.stop();
+    const before = this.panels ?? new Map();
     this.panels = new Map();
     const form = new SourceForm((source) => {
       work.sources = [...work.sources.filter(({ name }) => name !== source.name), source];
@@ -103,17 +103,21 @@ export class CommissioningView {
       this.changed();
       this.bodies.sources.querySelector(`[data-source="${CSS.escape(source.name)}"] button`)?.focus();
     });
-    put(this.bodies.sources, this.sources.map((source) => this.source(source)),
+    const shown = this.sources.map((source) => this.source(source, before.get(source.name)));
+    for (const panel of before.values()) if (![...this.panels.values()].includes(panel)) panel.stop();
+    put(this.bodies.sources, shown,
       h('details', { open: this.sources.length === 0 }, h('summary', {}, 'Add a source'), form.element));
   }
 
-  source(source) {
+  /** panel: what shows a source of this name already; it goes on if the source is the same */
+  source(source, before) {
     const actions = {
       taken: () => Object.keys(work.draft.channels),
       use: (name, channel, value) => this.use(name, channel, value),
     };
     const Panel = source.driver === 'can' ? SignalPanel : /^modbus/.test(source.driver) ? RegisterPanel : null;
-    const panel = Panel && new Panel(source, actions);
+    const same = before && JSON.stringify(before.source) === JSON.stringify(source);
+    const panel = same ? before : Panel && new Panel(source, actions);
     if (panel) this.panels.set(source.name, panel);
     const isNew = work.sources.includes(source);
     return h('section', { class: 'source', 'data-source': source.name, 'aria-label': `Source ${source.name}` },
@@ -173,9 +177,9 @@ export class CommissioningView {
       if (draft.catalogue) draft.bearing = catalogue.value;
       this.showBearing();
       this.changed();
-    } }, options([...bearings.map((one) => [one.designation,
-      `${one.designation} (${one.bore_mm} × ${one.outer_mm} × ${one.width_mm} mm)`]), ['', 'dimensions of my own']],
-    draft.catalogue ? draft.bearing : ''));
+    } }, options([...draft.catalogue && !draft.bearing ? [['?', 'choose …']] : [], ...bearings.map((one) =>
+      [one.designation, `${one.designation} (${one.bore_mm} × ${one.outer_mm} × ${one.width_mm} mm)`]),
+    ['', 'dimensions of my own']], draft.catalogue ? draft.bearing || '?' : ''));
     const size = (key, label) => field(label, h('input', { type: 'number', step: 'any', min: 0, required: true,
       value: draft.dimensions[key] ?? '', oninput: (event) => {
         draft.dimensions[key] = Number(event.target.value);
@@ -204,15 +208,18 @@ export class CommissioningView {
         const value = Number(event.target.value);
         if (!(value > 0)) return;
         draft.low = { ...draft.low, [key]: value };
-        this.plane.show(draft.low, this.plane.present);
+        this.plane.show(draft.low);
         this.changed();
       } });
     const [speed, load] = [edge('speed_rpm_max'), edge('load_n_max')];
     const present = values.speed_rpm == null || values.load_n == null ? null
       : { speed: values.speed_rpm, load: values.load_n };
-    this.plane.present = present;
     this.plane.show(draft.low, present);
     const limited = Object.keys(draft.channels).filter(isTemperature);
+    const agreed = h('input', { type: 'checkbox', checked: Boolean(draft.agreed), onchange: () => {
+      draft.agreed = agreed.checked;
+      this.update();
+    } });
     this.scales = new LimitScales((name, limits) => {
       draft.limits[name] = limits;
       this.changed();
@@ -223,7 +230,8 @@ export class CommissioningView {
     h('div', { class: 'two' }, this.plane.element, h('div', { class: 'fields' },
       field('Low risk up to this speed in rpm', speed), field('Low risk up to this load in N', load))),
     limited.length ? this.scales.element
-      : h('p', { class: 'mut' }, 'Temperature limits appear when a temperature is among the channels.'));
+      : h('p', { class: 'mut' }, 'Temperature limits appear when a temperature is among the channels.'),
+    h('label', { class: 'row agree' }, agreed, 'Region and limits are right for this bench'));
   }
 
   showCheck() {
@@ -265,11 +273,17 @@ export class CommissioningView {
     this.mark('channels', !lacks.length, lacks.length ? `missing: ${lacks.join(', ')}`
       : `${many} channels${'ambient_c' in draft.channels ? '' : '; ambient is assumed'}`);
     const { bore_mm: bore, outer_mm: outer, width_mm: width } = draft.dimensions;
-    const bearing = draft.catalogue ? draft.bearing : bore && outer && width && `${bore}x${outer}x${width}`;
-    this.mark('bearing', Boolean(bearing && draft.id.trim()), bearing || 'give bore, outside and width');
+    const own = bore && outer && width && `${bore}x${outer}x${width}`;
+    const bearing = (draft.catalogue ? draft.bearing : own) || draft.rest.network;
+    this.mark('bearing', Boolean(bearing && draft.id.trim()), bearing
+      || (draft.catalogue ? 'choose one' : 'give bore, outside and width'));
     const faults = limitFaults(draft);
-    this.mark('limits', !faults.length && !lacks.includes('a temperature'), faults[0]
-      ?? `low risk up to ${draft.low.speed_rpm_max} rpm and ${draft.low.load_n_max} N`);
+    const bounded = !faults.length && !lacks.includes('a temperature') && Boolean(draft.agreed);
+    this.mark('limits', bounded, faults[0] ?? `${draft.agreed ? '' : 'look and confirm: '}low risk up to `
+      + `${draft.low.speed_rpm_max} rpm and ${draft.low.load_n_max} N`);
+    const waits = [lacks.length > 0 && 'channels', !bearing && 'the bearing', !bounded && 'limits']
+      .filter(Boolean).join(', ');
+    refuse(this.saver, this.known.why_not ?? (waits && `First: ${waits}.`));
     this.mark('check', Boolean(work.checked), work.checked ? 'every source and channel answers' : 'not checked yet');
     this.mark('save', Boolean(work.saved), work.saved ? 'saved' : 'not saved yet');
   }
@@ -321,7 +335,7 @@ export class CommissioningView {
     } catch (error) {
       this.fail(this.live, error);
     } finally {
-      this.saver.disabled = Boolean(this.known.why_not);
+      this.update();
     }
   }
 
@@ -338,6 +352,7 @@ export class CommissioningView {
       h('p', {}, h('a', { class: 'btn', href: assetHash('operator', id) }, 'Open the operator’s page')));
       if (!this.told) {
         this.told = true;
+        this.page.connection.stream?.tryNow();
         this.page.connection.guarded(() => this.page.reloadAssets());
         this.refresh();
       }
