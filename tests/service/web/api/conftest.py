@@ -493,7 +493,14 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for a cell in the same process: a slow machine delays it as long as who asks."""
+    monkeypatch.setattr("service.bus.replica.PATIENCE_S", 60.0)
+    monkeypatch.setattr("service.bus.replicas.PATIENCE_S", 60.0)
+
+
+@pytest.fixture
+async def world(tmp_path: Path, empty_store: Path, patient: None) -> AsyncIterator[World]:
     shutil.copy(empty_store, tmp_path)
     clock = ProcessClock()
     settings = Settings()
