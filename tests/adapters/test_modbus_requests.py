@@ -168,7 +168,9 @@ def test_a_fast_round_waits_for_one_slow_request_at_most(
     )
     late_us = [at - number * 100_000 for number, at in enumerate(began[100_000])]
     assert all(0 <= late <= max(costs[1:]) for late in late_us)  # and so none is left out
-    assert all(began.values())
+    load = sum(cost * count / ms / 1e3 for ms, cost, count in slow)
+    if load + cost_us / 100_000 < 0.9:
+        assert all(began.values())
 
 
 def test_slow_rounds_come_to_an_end_where_the_device_cannot_keep_the_fast_one() -> None:
