@@ -254,7 +254,7 @@ def _checked(
             raise ValueError(f"{given}: expected 1 (high), 2 (medium) or 3 (low)")
         return int(value)
     else:
-        return _text(key, given)
+        return _text(key, given) or None
     if key == "allowable_response_time_s":
         if not 0 < value <= _LONGEST_RESPONSE_S:
             raise ValueError(f"{value:g}: expected more than 0 and at most {_LONGEST_RESPONSE_S:g}")

@@ -47,7 +47,7 @@ COLUMNS: Final = (
     "changed",
     "origin",
 )
-_ROWS = "rows"
+_ROWS, _COMMENT = "rows", "comment"
 
 
 class AlarmSheetError(ValueError):
@@ -142,8 +142,10 @@ def _check_header(columns: Sequence[str]) -> None:
         raise AlarmSheetError(f"line 1: missing column {listed(missing)}; expected it")
 
 
-def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake]]:
-    """Read a sheet as JSON: ``{"rows": [{"asset": …, "tag": …, "kind": …, "level": …, …}]}``.
+def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake], str]:
+    """Read a sheet as JSON: ``{"rows": [{"asset": …, "tag": …, "kind": …, …}], "comment": …}``.
+
+    Returns the rows, what is wrong with others, and the comment; empty where there is none.
 
     Raises
     ------
@@ -156,6 +158,12 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake]]:
         raise AlarmSheetError(f"not valid JSON: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get(_ROWS), list):
         raise AlarmSheetError('expected {"rows": [{"asset": …, "tag": …, "kind": …}, …]}')
+    others = [str(name) for name in document if name not in (_ROWS, _COMMENT)]
+    if others:
+        raise AlarmSheetError(f"{others[0]}: unknown key; expected {_ROWS!r} and {_COMMENT!r}")
+    comment = document.get(_COMMENT, "")
+    if not isinstance(comment, str) or "\x00" in comment:
+        raise AlarmSheetError(f"{_COMMENT}: expected a text")
     rows: list[WantedRow] = []
     mistakes: list[Mistake] = []
     for place, cells in enumerate(document[_ROWS], 1):
@@ -169,7 +177,7 @@ def read_json(content: bytes) -> tuple[list[WantedRow], list[Mistake]]:
         mistakes += (Mistake(place, name, "expected a text") for name in wrong)
         if not unknown and not wrong:
             rows.append(_wanted(place, cells | names))
-    return rows, mistakes
+    return rows, mistakes, comment
 
 
 def _wanted(place: int, cells: Mapping[str, Any]) -> WantedRow:
