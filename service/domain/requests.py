@@ -245,14 +245,33 @@ class AlarmSettingFields(RequestBody):
     remarks: str | None = Field(None, max_length=1000)
 
 
+_AN_ALARM = {
+    "asset": "bench-1",
+    "tag": "t_inner_ring_c",
+    "kind": "measured limit",
+    "level": "warning",
+    "setpoint": 65.0,
+}
+
+
 class AlarmSettingPatch(AlarmSettingFields):
     """A change of one alarm, and why."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [_AN_ALARM | {"comment": "as the maker of the grease says"}]}
+    )
 
     comment: str = Field(min_length=1, max_length=500, description="Why.")
 
 
 class AlarmSettingsToImport(RequestBody):
     """Changes of many alarms; a row may also hold the other columns of the sheet."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"rows": [_AN_ALARM], "comment": "as the maker of the grease says"}]
+        }
+    )
 
     rows: list[AlarmSettingFields]
     comment: str = Field("", max_length=500, description="Why; may be a parameter too.")
