@@ -12,6 +12,7 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
+from pydantic.config import JsonDict
 
 from service.domain.channels import NODES, RING_SENSORS
 from service.domain.json_values import Json
@@ -245,7 +246,7 @@ class AlarmSettingFields(RequestBody):
     remarks: str | None = Field(None, max_length=1000)
 
 
-_AN_ALARM = {
+_AN_ALARM: JsonDict = {
     "asset": "bench-1",
     "tag": "t_inner_ring_c",
     "kind": "measured limit",
