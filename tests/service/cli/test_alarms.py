@@ -51,8 +51,8 @@ def test_a_mistake_names_line_and_column_and_changes_nothing(
 ) -> None:
     (tmp_path / "bad.csv").write_text(
         "asset,tag,kind,level,setpoint\n"
-        "bench-1,t_inner_ring_c,measured limit,warning,40\n"
-        "bench-1,t_inner_ring_c,measured limit,alarm,warm\n"
+        "motor-1,t_inner_ring_c,measured limit,warning,40\n"
+        "motor-1,t_inner_ring_c,measured limit,alarm,warm\n"
     )
     done = cli("alarms", "import", "bad.csv", "-c", config, "--comment", "try")
     assert done.returncode == 2
