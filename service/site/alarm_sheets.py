@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
@@ -47,6 +48,15 @@ COLUMNS: Final = (
     "changed",
     "origin",
 )
+_NUMBERS: Final = (
+    "setpoint",
+    "deadband",
+    "on_delay_s",
+    "off_delay_s",
+    "re_alarm_s",
+    "allowable_response_time_s",
+)
+_COMMA = re.compile(r"-?\d+,\d+")
 _ROWS, _COMMENT = "rows", "comment"
 
 
@@ -101,7 +111,7 @@ def _cell(value: object) -> object:
 
 
 def read_csv(content: bytes) -> tuple[list[WantedRow], list[Mistake]]:
-    """Read a sheet as CSV, in UTF-8, with commas or semicolons.
+    """Read a sheet as CSV, in UTF-8, with commas, or with semicolons and decimal commas.
 
     An empty cell asks for what the configuration has; a column that is not there changes nothing.
     What is not settable (description, times of the twin …) is not looked at, but for the unit.
@@ -123,10 +133,17 @@ def read_csv(content: bytes) -> tuple[list[WantedRow], list[Mistake]]:
                     mistakes.append(Mistake(line, "row", str(cells)))
                     continue
                 texts = {name: text_of(str(cell).strip()) for name, cell in cells.items()}
+                if delimiter == ";":
+                    texts |= {key: _with_point(texts[key]) for key in _NUMBERS if key in texts}
                 rows.append(_wanted(line, texts))
     except TableFileError as error:
         raise AlarmSheetError(str(error)) from error
     return rows, mistakes
+
+
+def _with_point(text: str) -> str:
+    """Read a decimal comma, with which a spreadsheet saves where it saves semicolons too."""
+    return text.replace(",", ".") if _COMMA.fullmatch(text) else text
 
 
 def _check_header(columns: Sequence[str]) -> None:

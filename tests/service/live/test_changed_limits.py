@@ -75,6 +75,24 @@ async def test_no_part_shows_the_old_limit_and_alarms_keep_their_ids(
     assert live.documents.summary().limits["t_inner_ring_c"].warning == OLD
 
 
+async def test_a_twin_that_is_made_anew_begins_with_what_was_changed(
+    make_live: Callable[..., Any], make_section: Callable[..., Any]
+) -> None:
+    twins: dict[str, Any] = {}
+    first = make_live()
+    first.store.alarm_settings.change({("bench-1", NAME): {"setpoint": 60.0}}, LINE, "", 0)
+    tuning = AlarmTuning(first.store, twins)
+    tuning.first()
+    for changed in ({}, {"limits": {"t_inner_ring_c": {"warning": 72, "alarm": 90}}}):
+        twins["bench-1"] = make_live(make_section(**changed)).runtime
+        tuning.settle(twins["bench-1"])
+        assert twins["bench-1"].settings.limits["t_inner_ring_c"].warning == 60
+    first.store.alarm_settings.change({("bench-1", NAME): {}}, LINE, "", 1)
+    await tuning.apply()
+    limits = twins["bench-1"].settings.limits["t_inner_ring_c"]
+    assert (limits.warning, limits.alarm) == (72, 90)
+
+
 async def test_what_does_not_fit_any_more_leaves_the_limits_of_the_configuration(
     make_live: Callable[..., Any],
 ) -> None:

@@ -230,6 +230,15 @@ def test_mistakes_name_the_line_of_the_file_and_the_unit() -> None:
     assert (only.column, only.text) == ("asset", "no asset 'bench-2'; did you mean 'bench-1'?")
 
 
+def test_a_spreadsheet_of_a_country_with_decimal_commas_is_read() -> None:
+    text = "asset;tag;kind;level;setpoint\nbench-1;t_inner_ring_c;measured limit;alarm;88,5\n"
+    rows, _ = read_csv(text.encode())
+    (change,) = judge_settings(ASSETS, {}, rows).changes.values()
+    assert change == {"setpoint": 88.5}
+    with_points, _ = read_csv(text.replace(";", ",").replace("88,5", '"88,5"').encode())
+    assert "expected a number" in judge_settings(ASSETS, {}, with_points).mistakes[0].text
+
+
 def test_columns_hold_all_that_can_be_set() -> None:
     assert set(FIELDS) <= set(COLUMNS)
     assert set(TEXTS) <= set(FIELDS)

@@ -70,7 +70,6 @@ DryRun = Annotated[bool, Query(description="Say what would change, and write not
     summary="Every alarm that can be raised, with its settings",
     **secured(
         VIEWER,
-        404,
         responses={200: {"content": {CSV: {"schema": {"type": "string"}}}}},
     ),
 )
@@ -208,7 +207,7 @@ def _sheet(
     revision = store.alarm_settings.revision()
     assets = _assets(context, None if asset is None else [asset])
     if asset is not None and asset not in assets:
-        raise parameter_problem("asset", f"no asset {asset!r}", 404)
+        raise parameter_problem("asset", f"no asset {asset!r}")
     overlays = store.alarm_settings.present(None if asset is None else {asset})
     begin, offset = _place(after)
     rows: list[dict[str, Any]] = []
