@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.keys import command_line_actor
+from service.cli.known_assets import store_if_there
 from service.cli.serve import ConfigFile
 from service.clock import wall_us
 from service.site.configuration import SettingsError
@@ -86,7 +87,8 @@ def import_(
     All rows or none: one mistake refuses the sheet, and the status is 2 then. A running service
     follows within about two seconds.
     """
-    from service.site.alarm_settings import judge_settings, silenced
+    from service.documents.alarm_settings import silenced
+    from service.site.alarm_settings import judge_settings
     from service.store import Store
 
     settings = load_settings(config)
@@ -141,6 +143,34 @@ def import_(
             sys.stderr.write(f"bearing-twin: {file.name}: {mistake}\n")
         sys.stderr.write(f"bearing-twin: {file.name}: nothing is changed\n")
         sys.exit(2)
+
+
+def changed_alarm_settings(settings: Settings) -> list[str]:
+    """Say which alarm settings in effect are not those of the configuration, one line each."""
+    from service.site.alarm_overlay import SETTINGS, in_effect, rows_of
+    from service.store import StoreError
+
+    lines: list[str] = []
+    try:
+        with store_if_there(settings) as store:
+            overlays = {} if store is None else store.alarm_settings.present()
+            if store is None or not overlays:
+                return []
+            assets = _assets(settings, store)
+    except StoreError:  # nothing that is wrong with a configuration
+        return []
+    for name, asset in assets.items():
+        overlay = overlays.get(name, {})
+        for row in rows_of(asset, overlay):
+            named = " ".join(part for part in row.name if part)
+            for key in row.changed:
+                if key in SETTINGS:
+                    before, now = row.base[key], row.values[key]
+                    lines.append(f"{name}: {named}: {key} is {now}, changed from {before}")
+        for alarm, problem in in_effect(asset, overlay).problems.items():
+            named = " ".join(part for part in alarm if part)
+            lines.append(f"{name}: {named}: what was changed is not in effect: {problem}")
+    return lines
 
 
 def _assets(settings: Settings, store: "Store") -> "dict[str, AlarmedAsset]":

@@ -12,7 +12,7 @@ from service.documents.alarms import AlarmDocument, alarm_document
 from service.documents.base import Document, Number, Page, Time
 from service.domain.json_values import Json
 from service.site.alarm_overlay import FORECAST, MEASURED, AlarmedAsset, Overlay, rows_of
-from service.site.alarm_settings import JudgedSettings, Mistake
+from service.site.alarm_settings import Difference, JudgedSettings, Mistake
 from service.site.alarm_sheets import OF_THE_TWIN, cells_of
 from service.store import Alarm, AlarmSettingChange, Store
 from service.store.forecast_records import StoredForecast, all_degrees
@@ -250,6 +250,31 @@ def imported(
         revision=revision,
         in_effect=in_effect,
     )
+
+
+def silenced(differences: Sequence[Difference], active: Sequence[Alarm]) -> list[Alarm]:
+    """Say which alarms that are there now a change ends or makes less urgent.
+
+    Parameters
+    ----------
+    differences
+        What would change.
+    active
+        Alarms that are not over.
+    """
+    after = {(one.asset, *one.name, one.field): one.after for one in differences}
+
+    def falls_silent(alarm: Alarm) -> bool:
+        key = (alarm.asset, alarm.kind, alarm.channel, alarm.level)
+        setpoint, priority = after.get((*key, "setpoint")), after.get((*key, "priority"))
+        return (
+            after.get((*key, "enabled")) is False
+            or (setpoint is not None and alarm.value is not None and alarm.value < setpoint)
+            or (setpoint is not None and alarm.predicted and setpoint > (alarm.limit_value or 0))
+            or (priority is not None and priority > alarm.priority)
+        )
+
+    return [alarm for alarm in active if alarm.present and falls_silent(alarm)]
 
 
 def mistake_document(mistake: Mistake) -> SettingMistake:

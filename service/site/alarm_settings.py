@@ -26,7 +26,6 @@ from service.site.alarm_overlay import (
     points_of,
     rows_of,
 )
-from service.store import Alarm
 
 STATUSES: Final = ("default", "proposed", "approved")
 #: No text of a sheet is longer.
@@ -330,31 +329,6 @@ def _unfinished(row: AlarmRow) -> Iterator[tuple[str, str]]:
         for key in ("rationalised_by", "rationalised_at"):
             if not row.values[key]:
                 yield key, "missing; an approved row says who approved it and when"
-
-
-def silenced(differences: Sequence[Difference], active: Sequence[Alarm]) -> list[Alarm]:
-    """Say which alarms that are there now a change ends or makes less urgent.
-
-    Parameters
-    ----------
-    differences
-        What would change.
-    active
-        Alarms that are not over.
-    """
-    after = {(one.asset, *one.name, one.field): one.after for one in differences}
-
-    def falls_silent(alarm: Alarm) -> bool:
-        key = (alarm.asset, alarm.kind, alarm.channel, alarm.level)
-        setpoint, priority = after.get((*key, "setpoint")), after.get((*key, "priority"))
-        return (
-            after.get((*key, "enabled")) is False
-            or (setpoint is not None and alarm.value is not None and alarm.value < setpoint)
-            or (setpoint is not None and alarm.predicted and setpoint > (alarm.limit_value or 0))
-            or (priority is not None and priority > alarm.priority)
-        )
-
-    return [alarm for alarm in active if alarm.present and falls_silent(alarm)]
 
 
 def _named(name: AlarmName) -> str:

@@ -42,6 +42,11 @@ def test_a_sheet_goes_out_and_comes_in(cli: Cli, config: str, tmp_path: Path) ->
         assert (change.after, change.comment) == ({"setpoint": 99.5}, "review")
         (line,) = store.audit.page().items
         assert (line.action, line.detail.startswith("review; ")) == ("alarm_settings.import", True)
+    told = [line for line in cli("check", "-c", config).stderr.splitlines() if "measured" in line]
+    assert told == [
+        "bearing-twin: warning: motor-1: measured limit t_inner_ring_c alarm: setpoint is 99.5, "
+        "changed from 105.0"
+    ]
     out = cli("alarms", "export", "-c", config)
     assert ",99.5,°C," in out.stdout
 

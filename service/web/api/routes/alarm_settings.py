@@ -18,13 +18,14 @@ from service.documents.alarm_settings import (
     change_document,
     imported,
     sheet_of,
+    silenced,
 )
 from service.documents.problems import FieldError
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import AlarmSettingPatch, AlarmSettingsToImport
 from service.domain.roles import ENGINEER, VIEWER
 from service.site.alarm_overlay import AlarmedAsset
-from service.site.alarm_settings import JudgedSettings, Mistake, WantedRow, judge_settings, silenced
+from service.site.alarm_settings import JudgedSettings, Mistake, WantedRow, judge_settings
 from service.site.alarm_sheets import (
     NAMES,
     AlarmSheetError,
