@@ -2,6 +2,7 @@
 
 import ipaddress
 import os
+import re
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -87,9 +88,16 @@ class OpcUaChannel(MeasuredChannel):
     value = value of the node * scale + offset.
     """
 
-    node: str = Field(pattern=r"^(ns=\d+;|nsu=[^;]+;)?[isgb]=.+$")
+    node: str
     scale: float = 1.0
     offset: float = 0.0
+
+    @field_validator("node")
+    @classmethod
+    def _is_node_id(cls, node: str) -> str:
+        if not re.fullmatch(r"(ns=\d+;|nsu=[^;]+;)?(i=\d+|[sgb]=.+)", node):
+            raise ValueError("expected a node id: ns=2;s=NAME, nsu=URI;s=NAME or ns=2;i=NUMBER")
+        return node
 
     @field_validator("scale")
     @classmethod

@@ -163,11 +163,13 @@ class Session:
         client.application_uri = _APPLICATION_URI
         if source.certificate is not None:
             client.application_uri = _uri_in(_certificate(source.certificate)) or _APPLICATION_URI
+            assert source.private_key is not None  # noqa: S101 - by the configuration's model
+            assert source.server_certificate is not None  # noqa: S101
             await client.set_security(
                 SecurityPolicyBasic256Sha256,
-                str(source.certificate),
-                str(source.private_key),
-                server_certificate=str(source.server_certificate),
+                _file(source.certificate),
+                _file(source.private_key),
+                server_certificate=_file(source.server_certificate),
                 mode=ua.MessageSecurityMode.SignAndEncrypt,
             )
         if source.user is not None:
@@ -272,6 +274,12 @@ def _is_filter_refused(result: Any) -> bool:
         ua.StatusCodes.BadMonitoredItemFilterInvalid,
         ua.StatusCodes.BadFilterNotAllowed,
     )
+
+
+def _file(path: Path) -> Any:
+    """Read a certificate or key; what it is shows in the file, whatever its name."""
+    data = path.read_bytes()
+    return uacrypto.CertProperties(data, "pem" if b"-----BEGIN" in data else "der")
 
 
 def _certificate(path: Path) -> x509.Certificate:

@@ -174,6 +174,7 @@ async def test_encrypted_only_with_the_pinned_server(
     free_port: int,
     origin: dt.datetime,
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     server = peer("opcua_server.py", free_port, origin.isoformat(), tmp_path)
     await asyncio.to_thread(server.start)
@@ -182,7 +183,10 @@ async def test_encrypted_only_with_the_pinned_server(
         "server_certificate": str(tmp_path / "server.der"),
         "certificate": str(tmp_path / "client.der"),
         "private_key": str(tmp_path / "client.pem"),
+        "user": "twin",
+        "password_variable": "PLC_PASSWORD",
     }
+    monkeypatch.setenv("PLC_PASSWORD", "secret")
     async with follow("TIC101.PV", **security) as record:
         await record.until(lambda: GOOD in record.qualities("TIC101.PV"), 60.0)
     wrong = {**security, "server_certificate": str(tmp_path / "other.der")}
@@ -192,6 +196,10 @@ async def test_encrypted_only_with_the_pinned_server(
         assert not health.up
         assert "is not the pinned one, other.der" in health.detail
         assert set(record.qualities("TIC101.PV")) == {int(Quality.COMM_FAILURE)}
+    monkeypatch.setenv("PLC_PASSWORD", "wrong")
+    async with follow("TIC101.PV", **security) as record:
+        await record.until(lambda: record.driver.health().errors.get("connect", 0) >= 2)
+        assert "User does not have permission" in record.driver.health().detail
     async with follow("TIC101.PV") as record:  # the server takes no connection in the clear
         await record.until(lambda: record.driver.health().errors.get("connect", 0) >= 2)
         assert GOOD not in record.qualities("TIC101.PV")

@@ -14,6 +14,7 @@ from typing import Any
 
 from asyncua import Server, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
 from asyncua.server.history import HistoryDict
 from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -59,8 +60,15 @@ class Buffer(HistoryDict):  # type: ignore[misc]
         return found[:7], found[7].SourceTimestamp if len(found) > 7 else None
 
 
+class Users:
+    def get_user(
+        self, iserver: Any, username: str | None = None, password: str | None = None, **_: Any
+    ) -> User | None:
+        return User(UserRole.User) if (username, password) == ("twin", "secret") else None
+
+
 async def main(port: int, origin: dt.datetime, folder: Path | None) -> None:
-    server = Server()
+    server = Server(user_manager=None if folder is None else Users())
     server.iserver.history_manager.set_storage(Buffer(origin))
     await server.init()
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/plc")
