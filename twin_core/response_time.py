@@ -7,7 +7,7 @@ holds where the intervals come from the model and the state, not from noise.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from statistics import NormalDist
+from math import erf, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +21,9 @@ _RANKS = np.linspace(QUANTILE_LEVELS[0], QUANTILE_LEVELS[-1], 39)
 
 def _weights() -> FloatArray:
     """(5, r) weights of the quantiles at each rank, linear on the normal scale."""
-    scale = NormalDist()
-    scores = [scale.inv_cdf(level) for level in QUANTILE_LEVELS]
-    ranks = [scale.inv_cdf(float(rank)) for rank in _RANKS]
+    z = np.linspace(-2.5, 2.5, 5001)
+    share = np.array([0.5 * (1.0 + erf(one / sqrt(2.0))) for one in z])
+    scores, ranks = np.interp(QUANTILE_LEVELS, share, z), np.interp(_RANKS, share, z)
     return np.array([np.interp(ranks, scores, one) for one in np.eye(len(QUANTILE_LEVELS))])
 
 

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from adapters.samples import is_good
 from service.documents.alarm_settings import (
     AlarmSettingHistory,
     AlarmSettingList,
@@ -21,13 +22,15 @@ from service.documents.alarm_settings import (
     silenced,
 )
 from service.documents.problems import FieldError
+from service.documents.tags import Tag
 from service.domain.errors import CellUnavailableError
 from service.domain.requests import AlarmSettingPatch, AlarmSettingsToImport
 from service.domain.roles import ENGINEER, VIEWER
-from service.site.alarm_overlay import AlarmedAsset
+from service.site.alarm_overlay import FORECAST, AlarmedAsset
 from service.site.alarm_settings import JudgedSettings, Mistake, WantedRow, judge_settings
 from service.site.alarm_sheets import (
     NAMES,
+    OF_THE_TWIN,
     AlarmSheetError,
     as_csv,
     read_csv,
@@ -92,6 +95,7 @@ async def list_alarm_settings(
     after = None if cursor is None else decode_cursor(cursor, After).after
     read = partial(_sheet, context, asset, None if format_ == "csv" else limit, after)
     rows, following, revision = await turns_of(request).read(caller_of(request), read)
+    await _add_present_forecasts(context, rows)
     if format_ == "csv":
         headers = {"Content-Disposition": 'attachment; filename="alarm-settings.csv"'}
         return Response(as_csv(rows).encode(), headers=headers, media_type=CSV)
@@ -222,6 +226,33 @@ def _sheet(
                 return rows, encode_cursor(After(after=f"{number} {name}")), revision
             rows.append(cells)
     return rows, None, revision
+
+
+async def _add_present_forecasts(context: ServiceContext, rows: Sequence[dict[str, Any]]) -> None:
+    """Say what the live forecasts say of the limits now; nothing while the cell is away."""
+    snapshots: dict[str, Mapping[str, Tag]] = {}
+    for cells in rows:
+        if cells["kind"] != FORECAST:
+            continue
+        name = cells["asset"]
+        if name not in snapshots:
+            snapshots[name] = await _tags(context, name)
+        tag = snapshots[name].get(f"{cells['tag']}.time_to_{cells['level']}_s")
+        if tag is not None and is_good(tag["quality"]):
+            time_s = tag["value"]
+            said = "not within the horizon" if time_s is None else f"in {time_s:.0f} s (median)"
+            cells[OF_THE_TWIN[-1]] += f"; present forecast: {said}"
+
+
+async def _tags(context: ServiceContext, name: str) -> Mapping[str, Tag]:
+    asset = context.assets.get(name)
+    if asset is None:
+        return {}
+    try:
+        await asset.refresh("snapshot")
+        return asset.snapshot()["tags"]
+    except CellUnavailableError:
+        return {}
 
 
 def _place(after: str | None) -> tuple[str, int]:

@@ -220,5 +220,11 @@ async def test_the_time_to_respond_rests_on_kept_forecasts(settings: Any) -> Non
     lead = row((await viewer.get(SETTINGS)).json(), **(ALARM | {"kind": "forecast limit"}))
     assert lead["time_to_respond_p50_s"] == pytest.approx(3500, abs=5)
     assert lead["time_to_respond_p05_s"] < lead["time_to_respond_p50_s"]
+    assert "present forecast" not in lead["time_basis"]
+    ahead = {"value": 1234.0, "unit": "s", "quality": 192, "time": "2026-11-23T00:00:00.000Z"}
+    settings.bench.tags["t_inner_ring_c.time_to_alarm_s"] = ahead
+    settings.context.changed("bench-1")
+    lead = row((await viewer.get(SETTINGS)).json(), **(ALARM | {"kind": "forecast limit"}))
+    assert lead["time_basis"].endswith("; present forecast: in 1234 s (median)")
     alarm = row((await viewer.get(SETTINGS)).json(), **ALARM)
     assert "no limit above the alarm" in alarm["time_basis"]
