@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from service.alarm_kinds import forecast_limit
@@ -24,6 +26,7 @@ FORECASTS_MAX = 500
 _NOT_IDENTIFIED = "not identified yet"
 _UNKNOWN = "not known: no forecast of an identified model is kept"
 
+_Kept = tuple[Sequence[int], NDArray[np.float64]]
 Status = Literal["default", "proposed", "approved"]
 
 
@@ -163,7 +166,8 @@ def sheet_of(store: Store, asset: AlarmedAsset, overlay: Overlay) -> list[dict[s
         if not any(_NOT_IDENTIFIED in label for label in one.issued.content.labels)
     ]
     probability = asset.section.alarms.rule(forecast_limit.KIND).raise_probability
-    times = {name: _time(name, limits, kept, probability) for name in limits}
+    channels = {channel: _of_channel(kept, channel) for _, channel, _ in limits}
+    times = {name: _time(name, limits, channels[name[1]], probability) for name in limits}
     nothing = dict.fromkeys(OF_THE_TWIN) | {OF_THE_TWIN[-1]: "not forecast for this kind"}
     return [cells_of(row, times.get(row.name, nothing)) for row in rows]
 
@@ -171,16 +175,10 @@ def sheet_of(store: Store, asset: AlarmedAsset, overlay: Overlay) -> list[dict[s
 def _time(
     name: tuple[str, str, str],
     limits: Mapping[tuple[str, str, str], float],
-    kept: Sequence[StoredForecast],
+    of_channel: Sequence[_Kept],
     probability: float,
 ) -> dict[str, Any]:
     kind, channel, level = name
-    of_channel = [
-        (one.issued.content.lead_times_s, quantiles)
-        for one in kept
-        if channel in one.issued.content.channels
-        and not _has_gaps(quantiles := _quantiles(one, channel))
-    ]
     if not of_channel:
         return dict(zip(OF_THE_TWIN, (None, None, _UNKNOWN), strict=True))
     if kind == FORECAST:
@@ -194,13 +192,17 @@ def _time(
     return _cells(time_between(of_channel, limits[name], alarm_c), of_what)
 
 
-def _quantiles(one: StoredForecast, channel: str) -> Any:
-    content = one.issued.content
-    return all_degrees(content.quantiles)[:, content.channels.index(channel), :]
-
-
-def _has_gaps(quantiles: Any) -> bool:
-    return not math.isfinite(float(quantiles.sum()))
+def _of_channel(kept: Sequence[StoredForecast], channel: str) -> list[_Kept]:
+    """Lead times and quantiles of a channel, of each forecast that has them all."""
+    found: list[_Kept] = []
+    for one in kept:
+        content = one.issued.content
+        if channel in content.channels:
+            place = content.channels.index(channel)
+            quantiles = all_degrees([of_lead[place] for of_lead in content.quantiles])
+            if math.isfinite(float(quantiles.sum())):
+                found.append((content.lead_times_s, quantiles))
+    return found
 
 
 def _cells(found: ResponseTime | None, of_what: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any, Final
 
@@ -162,6 +162,10 @@ def _judge_asset(
     places: dict[AlarmName, int] = {}
     mistakes = judged.mistakes
     for row in rows:
+        forecast = (FORECAST, *row.name[1:])
+        if row.name not in points and home_of(forecast, "setpoint") == row.name:
+            # The limit of what is not measured, as the history names it.
+            row = replace(row, name=forecast) if set(row.fields) <= {"setpoint"} else row
         point = points.get(row.name)
         if point is None:
             mistakes.append(Mistake(row.place, *_unknown(row.name, points)))

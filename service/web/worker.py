@@ -119,11 +119,17 @@ def _asset(name: str) -> "AssetSection":
     """Section of an asset with its limits in effect; the same object until one of them changes."""
     from service.site.alarm_overlay import in_effect
     from service.site.alarmed_assets import alarmed_assets
+    from service.store import StoreUnavailableError
 
     settings, store = _prepared(), _store()
-    overlays = store.alarm_settings.revision()
     in_file = any(asset.id == name for asset in settings.assets)
-    stored = None if in_file else store.assets.get(name)
+    try:
+        overlays = store.alarm_settings.revision()
+        stored = None if in_file else store.assets.get(name)
+    except StoreUnavailableError:
+        if name not in _sections:
+            raise
+        return _sections[name][1]  # while the store is away nobody changes anything
     if not in_file and (stored is None or stored.table is None):
         raise NotReadyError(f"asset {name!r} was removed")
     revisions = overlays, stored.revision if stored else 0

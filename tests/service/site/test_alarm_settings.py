@@ -180,6 +180,9 @@ def test_a_forecast_has_the_limit_of_the_measurement() -> None:
     node = ("forecast limit", "t_node_5_c", "alarm")
     overlay = after({}, judge({}, (node, {"setpoint": 99})))
     assert in_effect(ASSET, overlay).section.limits["t_node_5_c"].alarm == 99
+    # Undone as the history names it.
+    back = judge(overlay, (("measured limit", *node[1:]), {"setpoint": None}))
+    assert (back.mistakes, after(overlay, back)[("measured limit", *node[1:])]) == ([], {})
     assert in_effect(ASSET, overlay).problems == {}
 
 
