@@ -12,9 +12,7 @@ from adapters.samples import Quality, is_bad, is_good
 def test_an_unknown_driver_names_the_known() -> None:
     with pytest.raises(UnknownDriverError, match=r"'modbus-udp'.*'modbus-tcp'"):
         driver_spec("modbus-udp")
-    with pytest.raises(
-        UnknownDriverError, match=r"'x'.*can, modbus-rtu,.* opcua, replay"
-    ):
+    with pytest.raises(UnknownDriverError, match=r"'x'.*can, modbus-rtu,.* opcua, replay"):
         driver_spec("x")
 
 

@@ -9,7 +9,7 @@ from adapters.drivers.opcua.values import Point, moment_of, reading_of
 from adapters.protocol import Clock
 from adapters.samples import Sample, is_bad
 
-WINDOW_US = 3_600_000_000  # one answer holds no more than this span of one node
+WINDOW_US = 600_000_000  # one answer holds no more than this span of one node
 TRIES = 3  # a history may lag behind the present value
 RETRY_S = 1.0
 

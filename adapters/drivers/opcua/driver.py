@@ -24,7 +24,8 @@ RECONNECT_FIRST_S = 0.5
 RECONNECT_LAST_S = 10.0
 UNCHANGED_S = 5.0  # a node that has told nothing for so long is read
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
-HISTORY_PORTIONS = 4  # of the history that wait to be handed over
+HISTORY_WAITS = 4  # answers of the history that wait to be handed over
+PORTION = 1000  # samples of the history that are handed over at once
 MOST_GAPS = 16  # of a channel that wait for the server's history
 
 
@@ -59,7 +60,7 @@ class OpcUaDriver:
         self._behind_us: int | None = None  # the server's clock behind ours, at most
         self._backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         self._filling: asyncio.Task[None] | None = None
-        self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_PORTIONS)
+        self._history: asyncio.Queue[list[Sample]] = asyncio.Queue(HISTORY_WAITS)
 
     @property
     def name(self) -> str:
@@ -140,8 +141,11 @@ class OpcUaDriver:
                 samples += self._take(await session.read(silent), stands=True)
             while not self._history.empty():
                 past = self._history.get_nowait()
-                self._health.samples += len(past)
-                yield Batch(past)
+                for begin in range(0, len(past), PORTION):
+                    portion = past[begin : begin + PORTION]
+                    self._health.samples += len(portion)
+                    yield Batch(portion)
+                    await asyncio.sleep(0)  # others of the service have their turn
             if samples:
                 self._health.polls += 1
                 yield Batch(samples)
@@ -190,7 +194,10 @@ class OpcUaDriver:
             self._behind_us = min(behind_us, self._behind_us or behind_us)
         if point.lost_at_us and first:
             if self._source.backfill and time_us > point.lost_at_us:
-                point.gaps = [*point.gaps, (point.lost_at_us, time_us)][-MOST_GAPS:]
+                point.gaps.append((point.lost_at_us, time_us))
+                if len(point.gaps) > MOST_GAPS:
+                    del point.gaps[1]  # the first one may be under way
+                    point.history_problem = f"more than {MOST_GAPS} gaps wait: the oldest stays"
             point.lost_at_us = 0
         self._back.add(point.label)
         late = point.last_us - 1_000_000 <= time_us < point.last_us  # else the clock was set back
@@ -299,7 +306,7 @@ class OpcUaDriver:
                 if (one.asset, one.channel) == (point.asset, point.channel)
             ]
             if own:
-                point.gaps = [(min(own) - 1, max(own) + 1), *point.gaps][-MOST_GAPS:]
+                point.gaps.insert(0, (min(own) - 1, max(own) + 1))
 
 
 def _point(binding: ChannelBinding) -> Point:
