@@ -27,6 +27,8 @@ from service.plant.protocol import TagValue
 ALARM_ACTIVE, NOT_TRUSTED, OLD = 1, 2, 4
 NEVER: Final = 65535
 _WORD: Final = 0xFFFF
+#: Of the numbers that float32 has.
+_LARGEST: Final = 3.4e38
 
 TagsOf = Callable[[str], Mapping[str, TagValue] | None]
 
@@ -126,7 +128,11 @@ def _words(look: _Look, mapped: MappedTag, now_us: int) -> tuple[int, int, int, 
     if shown is None:
         return (*_float_words(math.nan), Quality.CONFIG_ERROR, NEVER)
     value, quality = shown["value"], shown["quality"] & 0xFF
-    high, low = _float_words(math.nan if value is None or is_bad(quality) else value)
+    if value is None or is_bad(quality):
+        value = math.nan
+    elif abs(value) > _LARGEST:  # no float32 has it
+        value, quality = math.nan, int(Quality.BAD)
+    high, low = _float_words(value)
     if quality == Quality.WAITING_FOR_INITIAL_DATA:
         return high, low, quality, NEVER
     age_s = (now_us - from_rfc3339(shown["time"])) // MICROSECONDS
@@ -134,9 +140,6 @@ def _words(look: _Look, mapped: MappedTag, now_us: int) -> tuple[int, int, int, 
 
 
 def _float_words(value: float) -> tuple[int, int]:
-    """A number as float32, the high word first; one beyond its range is none."""
-    try:
-        high, low = struct.unpack(">2H", struct.pack(">f", value))
-    except OverflowError:
-        return _float_words(math.nan)
+    """A number as float32, the high word first."""
+    high, low = struct.unpack(">2H", struct.pack(">f", value))
     return high, low
