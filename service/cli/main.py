@@ -8,6 +8,7 @@ import typer
 from typer.exceptions import TyperException
 
 from service.app.exits import refusals, refuse
+from service.cli.alarms import alarms
 from service.cli.assets import assets
 from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
@@ -63,6 +64,7 @@ app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(assets, name="assets")
+app.add_typer(alarms, name="alarms")
 app.add_typer(fleet, name="fleet")
 app.add_typer(keys, name="keys")
 app.add_typer(notifications, name="notifications")

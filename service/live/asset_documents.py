@@ -90,6 +90,11 @@ class AssetDocuments:
         """Have the next snapshot made again."""
         self._snapshot_us = 0
 
+    def settings_changed(self, settings: AssetSection) -> None:
+        """Show other limits."""
+        self._settings = settings
+        self.changed()
+
     def model_switched(self) -> None:
         """Note that the twin runs on another model version."""
         self._switched = rfc3339(self._clock.now_us())

@@ -64,6 +64,11 @@ class Judgement:
         self._seen: dict[str, tuple[bool, int]] = {}
         self._missing: frozenset[str] = frozenset()
 
+    def change(self, settings: AssetSection) -> None:
+        """Judge by other limits; the next samples are news."""
+        self._settings = settings
+        self._seen = {}
+
     def document(self, running: bool) -> VerdictDocument:
         """Give the verdict of this moment.
 

@@ -8,6 +8,7 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
+from service.store.alarm_settings import AlarmSettingChange, AlarmSettingPage
 from service.store.database_lock import DatabaseLock, lock_database
 from service.store.durable_queue import DurableQueue
 from service.store.errors import (
@@ -59,6 +60,8 @@ __all__ = [
     "AlarmChange",
     "AlarmCount",
     "AlarmJournalPage",
+    "AlarmSettingChange",
+    "AlarmSettingPage",
     "AlarmTransition",
     "Annunciations",
     "ApiKey",

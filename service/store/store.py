@@ -5,6 +5,7 @@ from typing import Self
 
 from service.store.access import Access
 from service.store.alarm_journal import AlarmJournal
+from service.store.alarm_settings import AlarmSettings
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
@@ -60,6 +61,8 @@ class Store(Closable):
         The latest state of each twin.
     alarms : AlarmJournal
         Alarms and their journal.
+    alarm_settings : AlarmSettings
+        What was changed of alarms.
     tellings : Tellings
         What was told of the open alarms, and to whom.
     silences : Silences
@@ -87,6 +90,7 @@ class Store(Closable):
         self.sisters = SisterRecords(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
+        self.alarm_settings = AlarmSettings(database)
         self.tellings = Tellings(database)
         self.silences = Silences(database)
         self.forecasts = KeptForecasts(database)

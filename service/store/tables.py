@@ -355,6 +355,28 @@ class SilenceRow(Base):
     document: Mapped[JsonDocument]
 
 
+class AlarmSettingRow(Base):
+    """A change of an alarm's settings; see `service.store.alarm_settings`."""
+
+    __tablename__ = "alarm_settings"
+    __table_args__ = (
+        Index("ix_alarm_settings_revision", "revision"),
+        Index("ix_alarm_settings_asset", "asset"),
+    )
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    revision: Mapped[int]
+    asset: Mapped[str]
+    kind: Mapped[str]
+    channel: Mapped[str]
+    level: Mapped[str]
+    before: Mapped[JsonDocument]
+    after: Mapped[JsonDocument]
+    who: Mapped[str]
+    at_us: Mapped[int]
+    comment: Mapped[str]
+
+
 class CellRow(Base):
     """A cell of a fleet that runs, or died a moment ago; see `service.store.ownership`."""
 
