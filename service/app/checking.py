@@ -65,6 +65,11 @@ def examine(file: Path | None) -> Examination:
         for asset in assets
         for one in missing_channels(asset.channels)
     ]
+    if settings is not None:
+        # Imported here: it needs the whole configuration, and most have nothing to warn of.
+        from service.plant.publishers import warnings as of_publishers
+
+        warnings += [where + line for line in of_publishers(settings)]
     return Examination(settings, wiring, tuple(dict.fromkeys(errors)), tuple(warnings))
 
 

@@ -26,6 +26,7 @@ from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.many_values import with_many_values
+from service.cli.modbus_map import modbus_map
 from service.cli.notifications import notifications
 from service.cli.population import population
 from service.cli.serve import serve
@@ -52,6 +53,7 @@ app.command()(population)
 app.command()(forecast)
 app.command()(simulate)
 app.command("export-fmu")(export_fmu)
+app.command("modbus-map")(modbus_map)
 app.command()(drift)
 app.command()(study)
 app.command()(benchmark)

@@ -29,7 +29,8 @@ def serve(
         typer.Option(
             "--only",
             help="Run one side alone: cell (acquisition, twins, alarms), web (REST, stream, pages) "
-            "or plant (OPC UA, MQTT). Without it all run, and each is started again if it dies.",
+            "or plant (OPC UA, MQTT, Modbus). Without it all run, and each is started again if it "
+            "dies.",
         ),
     ] = None,
 ) -> int:
