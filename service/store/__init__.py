@@ -48,6 +48,7 @@ from service.store.records import (
     WriteCounts,
 )
 from service.store.rollups import Retention, RetentionTime
+from service.store.runs import Annotation, Run, RunPage
 from service.store.silences import Silence
 from service.store.store import Store
 from service.store.tellings import Telling, TellingChange
@@ -60,6 +61,7 @@ __all__ = [
     "AlarmCount",
     "AlarmJournalPage",
     "AlarmTransition",
+    "Annotation",
     "Annunciations",
     "ApiKey",
     "AuditEntry",
@@ -90,6 +92,8 @@ __all__ = [
     "RetentionTime",
     "Rollup",
     "Row",
+    "Run",
+    "RunPage",
     "Silence",
     "Store",
     "StoreDamagedError",
