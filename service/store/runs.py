@@ -182,29 +182,41 @@ class Runs(StorePart):
         return True
 
     def _stretches(self, asset: str, now_us: int) -> list[Stretch]:
-        """What is known of the speed: by ten minutes, and by minutes where those disagree."""
+        """What is known of the speed: by ten minutes, and by minutes where a run may begin or end.
+
+        Ten minutes are enough where the machine stood all the time, or turned all the time, before
+        and after as well.
+        """
+        coarse = [
+            bucket
+            for bucket in self._speed(asset, 0, now_us, _COARSE_US)
+            if bucket.min is not None and bucket.max is not None
+        ]
+        turned = {bucket.time_us for bucket in coarse if (bucket.max or 0.0) > TURNS_RPM}
         found: list[Stretch] = []
-        for bucket in self._speed(asset, 0, now_us, _COARSE_US):
-            if bucket.min is None or bucket.max is None:
-                continue
-            if bucket.max <= TURNS_RPM or bucket.min > TURNS_RPM:
+        for bucket in coarse:
+            at_us = bucket.time_us
+            within = {at_us - _COARSE_US, at_us, at_us + _COARSE_US} <= turned
+            if at_us not in turned or (within and (bucket.min or 0.0) > TURNS_RPM):
                 found.append(_stretch(bucket, _COARSE_US, now_us))
-                continue
-            end_us = min(bucket.time_us + _COARSE_US, now_us)
-            key = asset, bucket
-            minutes = self._minutes.get(key)
-            if minutes is None:
-                minutes = [
-                    _stretch(minute, MINUTE_US, now_us)
-                    for minute in self._speed(asset, bucket.time_us, end_us, MINUTE_US)
-                    if minute.mean is not None
-                ]
-                if len(self._minutes) >= _REMEMBERED:
-                    self._minutes.clear()
-                # The last minutes reach up to now, and are others the next time.
-                if end_us < now_us:
-                    self._minutes[key] = minutes
-            found += minutes
+            else:
+                found += self._by_minutes(asset, bucket, now_us)
+        return found
+
+    def _by_minutes(self, asset: str, bucket: Rollup, now_us: int) -> list[Stretch]:
+        key, end_us = (asset, bucket), bucket.time_us + _COARSE_US
+        if key in self._minutes:
+            return self._minutes[key]
+        found = [
+            _stretch(minute, MINUTE_US, now_us)
+            for minute in self._speed(asset, bucket.time_us, min(end_us, now_us), MINUTE_US)
+            if minute.mean is not None
+        ]
+        if len(self._minutes) >= _REMEMBERED:
+            self._minutes.clear()
+        # The last minutes reach up to now, and are others the next time.
+        if end_us < now_us:
+            self._minutes[key] = found
         return found
 
     def _speed(self, asset: str, start_us: int, end_us: int, bucket_us: int) -> list[Rollup]:
