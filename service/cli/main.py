@@ -27,6 +27,7 @@ from service.cli.keys import keys
 from service.cli.many_values import with_many_values
 from service.cli.notifications import notifications
 from service.cli.population import population
+from service.cli.runs import report, runs
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.study import study
@@ -57,6 +58,8 @@ app.command()(benchmark)
 app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
+app.command()(runs)
+app.command()(report)
 app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)

@@ -14,7 +14,7 @@ from service.store import AlarmTransition, Annotation, Store
 from service.store.forecast_records import IssuedContent, IssuedForecast, Outcome, Settled
 
 US = 1_000_000
-START_US = 1_795_420_800 * US  # 2026-11-23T00:00:00Z... a full minute, whatever the day
+START_US = 1_709_251_200 * US  # 2024-03-01T00:00:00Z
 NOBODY = "operator bt_1a2b3c4d"
 
 
