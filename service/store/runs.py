@@ -4,21 +4,21 @@ Runs are found in the stored speed whenever somebody asks for them: what came la
 or after an outage, is in the next answer. What people gave, names and annotations, is kept.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from typing import Final
 
-from sqlalchemy import ColumnElement, Connection, delete, insert, select, update
+from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
 
-from service.clock import MICROSECONDS, MINUTE_US
+from service.clock import HOUR_US, MICROSECONDS, MINUTE_US
 from service.domain.channels import SPEED
 from service.store.audit import add_line
 from service.store.database import Database
 from service.store.history import History
 from service.store.part import StorePart
 from service.store.records import AuditEntry, Rollup
-from service.store.tables import AnnotationRow, RunRow
+from service.store.tables import AnnotationRow, ChannelRow, RollupRow, RunRow, StaleRollupRow
 from twin_core.runs import TURNS_RPM, Ended, RunSpan, Stretch, find_runs
 
 _COARSE_US: Final = 10 * MINUTE_US
@@ -86,6 +86,7 @@ class Runs(StorePart):
         super().__init__(database)
         self._history = history
         self._minutes: dict[tuple[str, Rollup], list[Stretch]] = {}
+        self._marks: dict[str, tuple[int, _Condensed]] = {}
 
     def refresh(self, asset: str, now_us: int) -> None:
         """Find the runs of an asset in what is stored now; nothing is written where none changed.
@@ -97,16 +98,34 @@ class Runs(StorePart):
         now_us
             Process time.
         """
-        stretches = self._stretches(asset, now_us)
-        first_us = stretches[0].begin_s * MICROSECONDS if stretches else None
+        begin_us = self._looked_through(asset)
+        condensed = self._condensed(asset, now_us)
+        stretches = self._stretches(asset, begin_us, now_us)
+        first_us = begin_us or (stretches[0].begin_s * MICROSECONDS if stretches else None)
         spans = find_runs(stretches, now_us // MICROSECONDS)
+        self._write(asset, spans, begin_us, first_us)
+        if self._condensed(asset, now_us) == condensed:  # nothing came while it was looked through
+            until_us = _decided_us(spans, min(now_us, condensed.first_stale_us))
+            if until_us > begin_us:
+                self._marks[asset] = until_us, self._condensed(asset, until_us)
+
+    def _write(
+        self, asset: str, spans: Sequence[RunSpan], begin_us: int, first_us: int | None
+    ) -> None:
+        """Bring the kept runs from a time on in line with those that were found."""
+
+        def read(connection: Connection) -> tuple[list[Run], list[Run]]:
+            everything = _runs_of(connection, asset)
+            kept = [one for one in everything if one.end_us is None or one.end_us > begin_us]
+            taken = {one.id for one in everything}
+            return kept, reconciled(asset, kept, spans, first_us, taken)
+
         with self._database.reading() as connection:
-            kept = _runs_of(connection, asset)
-        if reconciled(asset, kept, spans, first_us) == kept:
+            kept, found = read(connection)
+        if found == kept:
             return
         with self._database.writing() as connection:
-            kept = _runs_of(connection, asset)
-            found = reconciled(asset, kept, spans, first_us)
+            kept, found = read(connection)
             for gone in {one.id for one in kept} - {one.id for one in found}:
                 connection.execute(delete(RunRow).where(*_is(asset, gone)))
             known = {one.id: one for one in kept}
@@ -181,7 +200,32 @@ class Runs(StorePart):
             add_line(connection, line)
         return True
 
-    def _stretches(self, asset: str, now_us: int) -> list[Stretch]:
+    def _looked_through(self, asset: str) -> int:
+        """Up to when there is nothing new to find: the rollups before are as they were then."""
+        until_us, condensed = self._marks.get(asset, (0, None))
+        if condensed is None or self._condensed(asset, until_us) == condensed:
+            return until_us
+        del self._marks[asset]
+        return 0
+
+    def _condensed(self, asset: str, until_us: int) -> "_Condensed":
+        hour, stale = RollupRow, StaleRollupRow
+        channel = (
+            select(ChannelRow.id)
+            .where(ChannelRow.asset == asset, ChannelRow.name == SPEED)
+            .scalar_subquery()
+        )
+        hours = select(func.count(), func.sum(hour.good)).where(
+            hour.channel_id == channel, hour.resolution_s == 3600, hour.time_us < until_us
+        )
+        first_stale = select(func.min(stale.hour_us)).where(
+            stale.channel_id == channel, stale.hour_us < until_us
+        )
+        with self._database.reading() as connection:
+            count, good = connection.execute(hours).one()
+            return _Condensed(count, int(good or 0), connection.scalar(first_stale) or until_us)
+
+    def _stretches(self, asset: str, begin_us: int, now_us: int) -> list[Stretch]:
         """What is known of the speed: by ten minutes, and by minutes where a run may begin or end.
 
         Ten minutes are enough where the machine stood all the time, or turned all the time, before
@@ -189,7 +233,7 @@ class Runs(StorePart):
         """
         coarse = [
             bucket
-            for bucket in self._speed(asset, 0, now_us, _COARSE_US)
+            for bucket in self._speed(asset, begin_us, now_us, _COARSE_US)
             if bucket.min is not None and bucket.max is not None
         ]
         turned = {bucket.time_us for bucket in coarse if (bucket.max or 0.0) > TURNS_RPM}
@@ -223,8 +267,32 @@ class Runs(StorePart):
         return self._history.read(asset, [SPEED], start_us, end_us, bucket_us, _MOST_BUCKETS)
 
 
+@dataclass(frozen=True, slots=True)
+class _Condensed:
+    """What there is of the rollups of a speed: hours, good samples, the first that is to come."""
+
+    hours: int
+    good: int
+    first_stale_us: int
+
+
+def _decided_us(spans: Sequence[RunSpan], limit_us: int) -> int:
+    """The last full hour, an hour ago at least, before which no run begins that ends after it."""
+    until_us = limit_us - HOUR_US
+    for span in reversed(spans):
+        end_us = None if span.end_s is None else span.end_s * MICROSECONDS
+        until_us -= until_us % HOUR_US
+        if span.begin_s * MICROSECONDS < until_us and (end_us is None or until_us <= end_us):
+            until_us = span.begin_s * MICROSECONDS
+    return until_us - until_us % HOUR_US
+
+
 def reconciled(
-    asset: str, kept: Sequence[Run], spans: Iterable[RunSpan], first_us: int | None
+    asset: str,
+    kept: Sequence[Run],
+    spans: Iterable[RunSpan],
+    first_us: int | None,
+    taken: Collection[str] = (),
 ) -> list[Run]:
     """Say which runs there are, from those that are kept and those that were found just now.
 
@@ -242,6 +310,8 @@ def reconciled(
         Those that were found, in the same order.
     first_us
         When the stored speed begins; None without any.
+    taken
+        Ids that other runs of the asset have.
 
     Returns
     -------
@@ -249,7 +319,7 @@ def reconciled(
         In the order of their starts.
     """
     left = list(kept)
-    ids = {one.id for one in kept}
+    ids = {one.id for one in kept}.union(taken)
     result: list[Run] = []
     for span in spans:
         start_us = span.begin_s * MICROSECONDS

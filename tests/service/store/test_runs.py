@@ -49,6 +49,35 @@ def test_the_same_runs_in_whatever_order_their_data_come(store: Store) -> None:
     assert runs(store) == found
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_remembered_changes_nothing(sqlite_store: Store, seed: int) -> None:
+    """Data of three days in any order, condensed now and then; against a look at the whole."""
+    store, chance = sqlite_store, random.Random(seed)
+    minutes, rpm = 3 * 24 * 60, 0.0
+    samples = []
+    for minute in range(minutes):
+        if chance.random() < 0.01:
+            rpm = chance.choice([0.0, 0.0, 1200.0, 10.0])
+        if chance.random() < 0.95:
+            time_us = START_US + minute * MINUTE_US
+            samples.append(Sample("a", "speed_rpm", time_us, rpm, 192, 0))
+    parts = [samples[first : first + 300] for first in range(0, len(samples), 300)]
+    late = [parts.pop(chance.randrange(len(parts))) for _ in range(3)]
+    for part in [*parts, *late]:
+        store.samples.write(part)
+        now_us = START_US + DAY_US * 4 if part in late else part[-1].time_us + MINUTE_US
+        store.runs.refresh("a", now_us)
+        if chance.random() < 0.7:
+            store.rollups.refresh(now_us)
+            store.runs.refresh("a", now_us)
+    found = runs(store, now_us=START_US + DAY_US * 4)
+    store.samples.write([one._replace(asset="b") for one in samples])
+    expected = runs(store, "b", START_US + DAY_US * 4)
+    assert len(expected) > 3
+    spans = [(one.start_us, one.end_us, one.ended) for one in expected]
+    assert [(one.start_us, one.end_us, one.ended) for one in found] == spans
+
+
 def test_a_name_stays_when_late_data_join_or_extend_a_run(store: Store) -> None:
     store.samples.write([*speed(range(60), 1000.0), *speed(range(100, 160), 1000.0)])
     first, second = runs(store)
