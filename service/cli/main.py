@@ -29,6 +29,7 @@ from service.cli.many_values import with_many_values
 from service.cli.modbus_map import modbus_map
 from service.cli.notifications import notifications
 from service.cli.population import population
+from service.cli.runs import report, runs
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.study import study
@@ -60,6 +61,8 @@ app.command()(benchmark)
 app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
+app.command()(runs)
+app.command()(report)
 app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)

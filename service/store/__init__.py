@@ -49,6 +49,7 @@ from service.store.records import (
     WriteCounts,
 )
 from service.store.rollups import Retention, RetentionTime
+from service.store.runs import Annotation, Run, RunPage
 from service.store.silences import Silence
 from service.store.store import Store
 from service.store.tellings import Telling, TellingChange
@@ -63,6 +64,7 @@ __all__ = [
     "AlarmSettingChange",
     "AlarmSettingPage",
     "AlarmTransition",
+    "Annotation",
     "Annunciations",
     "ApiKey",
     "AuditEntry",
@@ -93,6 +95,8 @@ __all__ = [
     "RetentionTime",
     "Rollup",
     "Row",
+    "Run",
+    "RunPage",
     "Silence",
     "Store",
     "StoreDamagedError",

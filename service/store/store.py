@@ -20,6 +20,7 @@ from service.store.opening import open_database
 from service.store.packing import Packing
 from service.store.provisioned_assets import ProvisionedAssets
 from service.store.rollups import Rollups
+from service.store.runs import Runs
 from service.store.salvage import damage_of
 from service.store.samples import Samples
 from service.store.silences import Silences
@@ -69,6 +70,8 @@ class Store(Closable):
         Times in which nobody is told.
     forecasts : KeptForecasts
         The forecast ledger.
+    runs : Runs
+        Runs of the machines with their names, and annotations.
     access : Access
         API keys and browser sessions.
     audit : Audit
@@ -94,6 +97,7 @@ class Store(Closable):
         self.tellings = Tellings(database)
         self.silences = Silences(database)
         self.forecasts = KeptForecasts(database)
+        self.runs = Runs(database, self.history)
         self.access = Access(database)
         self.audit = Audit(database)
         self.assets = ProvisionedAssets(database)

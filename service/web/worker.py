@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from service.jobs.history import AssetHistory
     from service.live.envelope import EnvelopeKeeper
     from service.live.estimate import ActiveModel, EstimatedState
+    from service.reports.files import ReportFormat
     from service.site.asset_section import AssetSection
     from service.site.settings import Settings
-    from service.store import Store
+    from service.store import Run, Store
     from service.store.forecast_records import IssuedForecast
 
 
@@ -113,6 +114,13 @@ def advice(
 def windows(asset: str) -> "Sequence[WindowDocument]":
     """Find the low-risk windows in the store."""
     return asyncio.run(_history(asset).window_documents())
+
+
+def report(asset: str, run: "Run", format: "ReportFormat", now_us: int) -> bytes:
+    """Make the report of a run."""
+    from service.reports.files import report_file
+
+    return report_file(_store(), _asset(asset), run, format, now_us)
 
 
 def _asset(name: str) -> "AssetSection":

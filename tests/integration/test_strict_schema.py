@@ -287,6 +287,7 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("GET", f"{ALARMS}/statistics", 200)
     call("GET", f"{ALARMS}/journal", 200)
     call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})
+    look_at_runs(published)
     tell_nobody(published)
     call("GET", "/readyz", 200)
     call("GET", "/metrics", 200)
@@ -308,6 +309,22 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
         published.check("GET", "/api/v1/session", 200, answer)
         answer = browser.delete("/api/v1/session", headers={"Sec-Fetch-Site": "same-origin"})
         published.check("DELETE", "/api/v1/session", 204, answer)
+
+
+def look_at_runs(published: Published) -> None:
+    call = published.call
+    call("GET", f"{A}/runs/none", 404)
+    runs = call("GET", f"{A}/runs", 200)["items"]
+    assert runs, "the bench turns"
+    run = f"{A}/runs/{runs[0]['id']}"
+    call("PATCH", run, 200, json={"name": "first"})
+    note = {"time": runs[0]["start"], "text": "noise"}
+    made = call("POST", f"{run}/annotations", 201, json=note)
+    call("POST", f"{run}/annotations", 422, json=note | {"time": "2020-01-01T00:00:00Z"})
+    assert call("GET", run, 200)["annotations"] == [made]
+    call("GET", f"{run}/report", 200, params={"format": "csv"})
+    call("DELETE", f"{run}/annotations/{made['id']}", 204)
+    call("DELETE", f"{run}/annotations/{made['id']}", 404)
 
 
 def tell_nobody(published: Published) -> None:
