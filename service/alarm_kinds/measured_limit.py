@@ -51,7 +51,7 @@ _GUIDANCE = Guidance(
         "alarm: grease ages fast and leaves the contact, the bearing can seize"
     ),
     operator_action=(
-        "warning: lower speed or load to the last step that was safe, check cooling; "
+        "warning: lower speed or load to those of the last step without this alarm, check cooling; "
         "alarm: unload and stop the machine, find the cause before it starts again"
     ),
     identification_method="limit of the bearing's maker, lowered by the site",
