@@ -15,7 +15,7 @@ COPY service service
 COPY twin_core twin_core
 COPY adapters adapters
 # The installers are not needed at run time.
-RUN /opt/venv/bin/pip install --no-cache-dir --constraint constraints.txt '.[mqtt,opcua,fleet]' \
+RUN /opt/venv/bin/pip install --no-cache-dir --constraint constraints.txt '.[mqtt,opcua,fleet,report]' \
     && /opt/venv/bin/pip uninstall --yes --quiet setuptools pip
 
 # ---- the image ----------------------------------------------------------------------------

@@ -132,6 +132,11 @@ class MeasuredChannel(StrictModel):
     flat_line_s: float | None = Field(default=None, ge=0.0)
 
     @property
+    def expected_period_s(self) -> float | None:
+        """Process seconds from one value to the next; None: as the source says."""
+        return None
+
+    @property
     def resolution(self) -> float:
         """Least step between two values, in the channel's unit; 0 where none is known."""
         return 0.0

@@ -11,6 +11,7 @@ _SPECS = {
     "can": "adapters.drivers.can:CAN",
     "modbus-rtu": "adapters.drivers.modbus:RTU",
     "modbus-tcp": "adapters.drivers.modbus:TCP",
+    "opcua": "adapters.drivers.opcua:OPCUA",
     "replay": "adapters.drivers.replay:REPLAY",
 }
 

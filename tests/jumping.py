@@ -1,13 +1,15 @@
 """An event loop whose clock jumps to the next event, so that a test of hours takes milliseconds.
 
 As trio's `MockClock` with autojump: when nothing can run and nothing is waited for but a time, it
-is that time at once. While a thread computes, or a socket or another process may answer, the clock
-runs as any other: no test fails because its machine is slow. (The package `looptime` does not see
-threads, and lets time-outs pass while one computes.)
+is that time at once. While it waits for a thread that computes, or for a socket or another process
+that may answer, the clock runs as any other. While the loop itself computes, it stands: no test
+fails because its machine is slow. (The package `looptime` does not see threads, and lets time-outs
+pass while one computes.)
 """
 
 import asyncio
 import selectors
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -26,8 +28,12 @@ class _Selector(selectors.DefaultSelector):
         if ready or (timeout is not None and timeout <= 0):
             return ready
         if timeout is None or self.loop.working or len(self.get_map()) > _OWN_FILES:
-            return super().select(timeout)
-        self.loop.jumped_s += timeout
+            began_s = time.monotonic()
+            try:
+                return super().select(timeout)
+            finally:
+                self.loop.passed_s += time.monotonic() - began_s
+        self.loop.passed_s += timeout
         return []
 
 
@@ -36,21 +42,23 @@ class JumpingLoop(asyncio.SelectorEventLoop):
 
     Attributes
     ----------
-    jumped_s
-        Seconds by which its clock is ahead of one that never jumped.
+    passed_s
+        What its clock shows: jumps, and seconds in which it waited.
     working
         Threads and others that may still answer.
     """
 
     def __init__(self) -> None:
-        self.jumped_s = 0.0
+        self.passed_s = 0.0
         self.working = 0
         selector = _Selector()
         selector.loop = self
         super().__init__(selector)
+        # What is due at a time runs at it: a sum of years and nanoseconds is not exact.
+        self._clock_resolution = 1e-6
 
     def time(self) -> float:
-        return super().time() + self.jumped_s
+        return self.passed_s
 
     def run_in_executor(self, *arguments: Any) -> Any:
         future = super().run_in_executor(*arguments)

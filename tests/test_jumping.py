@@ -39,6 +39,16 @@ def test_a_year_takes_no_time_and_events_keep_their_order() -> None:
     assert order == sorted(order, key=lambda one: one[1])
 
 
+def test_its_own_computing_takes_no_time() -> None:
+    async def busy() -> float:
+        clock = LoopClock(1.0, 0)
+        time.sleep(0.1)  # noqa: ASYNC251 - a loop that does not come to its turn
+        await asyncio.sleep(1.0)
+        return clock.now_us() / 1e6
+
+    assert run(busy()) == pytest.approx(1.0, abs=1e-6)
+
+
 @pytest.mark.parametrize("way", ["asyncio", "anyio", "future"])
 def test_no_time_out_passes_while_a_thread_works(way: str) -> None:
     async def answer() -> str:

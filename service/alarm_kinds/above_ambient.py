@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels, pairs_of
 from service.domain.channels import AMBIENT
 
 
@@ -36,4 +37,25 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill if level == "warning" else None
 
 
-KIND = AlarmKind("above ambient", Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return pairs_of(rule.limits, "K", "deadband_k")
+
+
+_GUIDANCE = Guidance(
+    alarm_type="deviation",
+    probable_causes=(
+        "friction higher than usual: grease, preload, damage; "
+        "speed or load too high; heat from outside (shaft, motor)"
+    ),
+    consequence_of_inaction="the bearing reaches its temperature limit on the next warm day",
+    operator_action=(
+        "lower speed or load; compare with the other rings and the cooling; "
+        "plan regreasing or inspection when it stays"
+    ),
+    identification_method="set by the site from normal operation",
+    suppression="warning: at standstill; alarm: never",
+)
+
+KIND = AlarmKind(
+    "above ambient", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

@@ -6,7 +6,15 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_kind import DAY_S, LEVELS, AlarmContext, AlarmKind, LevelRule
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_kind import (
+    DAY_S,
+    LEVELS,
+    AlarmContext,
+    AlarmKind,
+    LevelRule,
+    pairs_of,
+)
 from service.domain.channels import label
 
 
@@ -66,4 +74,35 @@ def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
     return ((channel, level) for channel in context.limits for level in LEVELS)
 
 
-KIND = AlarmKind("forecast limit", Settings, _conditions, _suppressed, _kept, judged="forecast")
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return pairs_of(subject.limits, "°C")
+
+
+_GUIDANCE = Guidance(
+    alarm_type="predicted (calculated)",
+    probable_causes=(
+        "the present point, or a planned step, is too heavy for the present cooling; "
+        "ambient rises; friction grows"
+    ),
+    consequence_of_inaction="the temperature exceeds the limit within the forecast's horizon",
+    operator_action=(
+        "before the time to the limit is over: lower speed or load, or change the planned "
+        "step; try the change as a what-if first"
+    ),
+    identification_method="forecast of the twin; the limit is that of the measured alarm",
+    suppression=(
+        "while the limit is already exceeded; while speed, load or ambient is unknown; "
+        "while the model is not trusted"
+    ),
+)
+
+KIND = AlarmKind(
+    "forecast limit",
+    Settings,
+    _conditions,
+    _suppressed,
+    _kept,
+    judged="forecast",
+    points=_points,
+    guidance=_GUIDANCE,
+)

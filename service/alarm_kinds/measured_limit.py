@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, pairs_of
 
 
 class Settings(LevelRule):
@@ -34,4 +35,29 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill if level == "warning" else None
 
 
-KIND = AlarmKind("measured limit", Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    measured = {name: pair for name, pair in subject.limits.items() if name in subject.channels}
+    return pairs_of(measured, "°C", "deadband_k")
+
+
+_GUIDANCE = Guidance(
+    alarm_type="absolute",
+    probable_causes=(
+        "speed or load too high for the present cooling; too much, too little or old grease; "
+        "cooling lost (fan, ambient); bearing damaged or preloaded"
+    ),
+    consequence_of_inaction=(
+        "warning: the temperature reaches the alarm limit; "
+        "alarm: grease ages fast and leaves the contact, the bearing can seize"
+    ),
+    operator_action=(
+        "warning: lower speed or load to those of the last step without this alarm, check cooling; "
+        "alarm: unload and stop the machine, find the cause before it starts again"
+    ),
+    identification_method="limit of the bearing's maker, lowered by the site",
+    suppression="warning: at standstill; alarm: never",
+)
+
+KIND = AlarmKind(
+    "measured limit", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_kind import AlarmContext, AlarmKind, LevelRule, Levels, pairs_of
 
 
 class Settings(LevelRule):
@@ -34,4 +35,25 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill or context.no_data(channel)
 
 
-KIND = AlarmKind("rate of rise", Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return pairs_of(dict.fromkeys(subject.temperatures, rule.limits), "K/min", "deadband_k_per_min")
+
+
+_GUIDANCE = Guidance(
+    alarm_type="rate-of-change",
+    probable_causes=(
+        "the bearing begins to seize; thermal runaway of friction; lubricant lost; "
+        "a step of speed or load that is far too large"
+    ),
+    consequence_of_inaction="the bearing seizes within minutes, before a limit is reached",
+    operator_action=(
+        "unload and stop the machine at once; turn it by hand and inspect the grease "
+        "before it starts again"
+    ),
+    identification_method="faster than any healthy start",
+    suppression="at standstill; while the channel sends no data",
+)
+
+KIND = AlarmKind(
+    "rate of rise", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from adapters.samples import is_good
 from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
 from service.domain.alarm_kind import DAY_S, SENSOR_FAULT, AlarmContext, AlarmKind, PlainRule
 from service.domain.channels import label
 
@@ -41,4 +42,25 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.no_data(channel)
 
 
-KIND = AlarmKind(SENSOR_FAULT, Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return (AlarmPoint(channel) for channel in subject.channels)
+
+
+_GUIDANCE = Guidance(
+    alarm_type="instrument diagnostic",
+    alarm_class="instrument",
+    probable_causes="wire broken or short, connector loose, sensor or amplifier failed",
+    consequence_of_inaction=(
+        "limits of this channel raise no alarm, and the verdict is unknown: "
+        "a hot bearing may stay unseen"
+    ),
+    operator_action=(
+        "run no heavier step and follow the neighbouring temperatures; "
+        "have wire and sensor checked, replace the sensor"
+    ),
+    suppression="while the channel sends no data at all",
+)
+
+KIND = AlarmKind(
+    SENSOR_FAULT, Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

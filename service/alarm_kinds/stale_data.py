@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
 from service.domain.alarm_kind import (
     DAY_S,
     STALE_DATA,
@@ -56,4 +57,26 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return None
 
 
-KIND = AlarmKind(STALE_DATA, Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    for source, channels in subject.sources.items():
+        if len(channels) > 1:
+            yield AlarmPoint(source_channel(source))
+    for channel in subject.channels:
+        yield AlarmPoint(channel)
+
+
+_GUIDANCE = Guidance(
+    alarm_type="instrument diagnostic",
+    alarm_class="instrument",
+    probable_causes="device without power, network or bus cut, gateway or program stopped",
+    consequence_of_inaction=(
+        "limits raise no alarm, and the verdict is unknown: a hot bearing may stay unseen"
+    ),
+    operator_action=(
+        "run no heavier step; check power and network of the device; "
+        "stop the machine if the temperatures stay unknown"
+    ),
+    suppression="of a channel: while its whole source is lost",
+)
+
+KIND = AlarmKind(STALE_DATA, Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE)

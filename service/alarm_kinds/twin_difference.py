@@ -5,7 +5,15 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition
-from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, LevelRule, Levels
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
+from service.domain.alarm_kind import (
+    DAY_S,
+    AlarmContext,
+    AlarmKind,
+    LevelRule,
+    Levels,
+    pairs_of,
+)
 
 
 class Settings(LevelRule):
@@ -35,4 +43,30 @@ def _suppressed(context: AlarmContext, channel: str, level: str) -> str | None:
     return context.standstill or context.no_data(channel) or context.not_comparable
 
 
-KIND = AlarmKind("twin difference", Settings, _conditions, _suppressed)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return pairs_of(dict.fromkeys(subject.temperatures, rule.limits), "K", "deadband_k")
+
+
+_GUIDANCE = Guidance(
+    alarm_type="deviation",
+    probable_causes=(
+        "friction higher than when the model was identified: grease, preload, damage; "
+        "cooling worse; load or speed signal wrong; sensor drifts"
+    ),
+    consequence_of_inaction=(
+        "the change grows unseen until a temperature limit is exceeded; forecasts are too cold"
+    ),
+    operator_action=(
+        "compare with the other temperatures and check cooling and load signal; "
+        "plan regreasing or inspection; identify again when the machine was changed"
+    ),
+    identification_method="comparison with the identified model",
+    suppression=(
+        "at standstill; while the channel sends no data; "
+        "while the operation is unknown or the model is not trusted"
+    ),
+)
+
+KIND = AlarmKind(
+    "twin difference", Settings, _conditions, _suppressed, points=_points, guidance=_GUIDANCE
+)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from pydantic import Field
 
 from service.domain.alarm_condition import AlarmCondition, Priority
+from service.domain.alarm_guidance import AlarmPoint, AlarmSubject, Guidance
 from service.domain.alarm_kind import DAY_S, AlarmContext, AlarmKind, PlainRule
 from service.domain.channels import label
 
@@ -46,4 +47,28 @@ def _kept(context: AlarmContext) -> Iterable[tuple[str, str]]:
     return ((channel, "") for channel in context.temperatures)
 
 
-KIND = AlarmKind("twin residual", Settings, _conditions, _suppressed, _kept)
+def _points(subject: AlarmSubject, rule: Settings) -> Iterator[AlarmPoint]:
+    return (AlarmPoint(channel) for channel in subject.temperatures)
+
+
+_GUIDANCE = Guidance(
+    alarm_type="statistical",
+    alarm_class="condition monitoring",
+    probable_causes=(
+        "a slow change of friction or cooling: grease bleeds, filter or fan dirty; sensor drifts"
+    ),
+    consequence_of_inaction="the change grows for hours or days until other alarms come",
+    operator_action=(
+        "check cooling and the sensor at the next stop; plan regreasing; "
+        "identify again when the machine was changed"
+    ),
+    identification_method="sequential test of the observer's residuals",
+    suppression=(
+        "at standstill; while the channel sends no data; "
+        "while the operation is unknown or the model is not trusted"
+    ),
+)
+
+KIND = AlarmKind(
+    "twin residual", Settings, _conditions, _suppressed, _kept, points=_points, guidance=_GUIDANCE
+)

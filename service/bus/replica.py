@@ -26,7 +26,8 @@ from service.documents.tags import Snapshot, Tag
 from service.documents.verdicts import VerdictDocument, VerdictOf
 from service.domain.errors import CellUnavailableError, NotReadyError
 from service.domain.requests import ProfileStep
-from service.store import AuditEntry
+from service.reports.files import ReportFormat
+from service.store import AuditEntry, Run
 from service.store.forecast_records import IssuedForecast
 
 #: A copy is given as it is for so many wall seconds; the cell makes a snapshot as often.
@@ -75,6 +76,9 @@ class Questions(Protocol):
 
     async def windows(self, asset: str) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store."""
+
+    async def report(self, asset: str, run: Run, format: ReportFormat, now_us: int) -> bytes:
+        """Make the report of a run."""
 
 
 @dataclass(slots=True)
@@ -366,6 +370,10 @@ class AssetReplica:
     async def windows(self) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store, with operating points and score."""
         return await self._asked().windows(self.id)
+
+    async def report(self, run: Run, format: ReportFormat, now_us: int) -> bytes:
+        """Make the report of a run of this asset, as it is at a process time."""
+        return await self._asked().report(self.id, run, format, now_us)
 
     async def renew_grease(
         self, who: str, comment: str, audit: AuditEntry | None = None

@@ -21,6 +21,7 @@ from service.bus.stream import Bus, Message, heartbeats
 from service.cell.absences import Absences
 from service.cell.acquisition import Acquisition
 from service.cell.active_models import active_models
+from service.cell.alarm_settings import AlarmTuning
 from service.cell.answers import Answers, Parts
 from service.cell.keeping import StateKeeper
 from service.cell.ledger import ForecastLedger
@@ -151,6 +152,8 @@ class Cell:
         self._absences = Absences(store, acquisition.ingest, self.alarms)
         of_store = self.provisioning.first().values()
         of_file = [CheckedAsset(asset, wiring) for asset in settings.assets] if not share else []
+        self._tuning = AlarmTuning(store, self.assets)
+        self._tuning.first()
         self._take_in(self._made([*of_file, *of_store]))
         self._kept_states: dict[str, KeptState] = {}
         self._tasks = asyncio.TaskGroup()
@@ -217,11 +220,23 @@ class Cell:
                 registry=self.registry,
                 sources=acquisition.health,
                 problems=self._reports.problems,
-                apply_assets=self.provisioning.apply,
+                apply_assets=self._apply_changes,
                 is_fleet=share is not None,
                 followed=lambda: self._followed,
             )
         )
+
+    async def _apply_changes(self) -> dict[str, str]:
+        """Take up what has changed in the store; returns which assets cannot be followed, and why.
+
+        Raises
+        ------
+        StoreUnavailableError
+            If the store does not answer.
+        """
+        wrong = await self.provisioning.apply()
+        await self._tuning.apply()
+        return wrong
 
     def _made(self, assets: Sequence[CheckedAsset]) -> list[AssetRuntime]:
         """Make what follows some assets; it reads from the store."""
@@ -235,6 +250,7 @@ class Cell:
         for runtime in runtimes:
             self.histories[runtime.id] = AssetHistory(runtime.settings, self.store, self.clock)
             self.assets[runtime.id] = runtime
+            self._tuning.settle(runtime)
 
     async def _change_assets(
         self, gone: Sequence[str], left: Sequence[str], given: Sequence[CheckedAsset]
@@ -406,6 +422,7 @@ class Cell:
                 for name, task in (
                     ("jobs", self._take_up_jobs()),
                     ("models", self.jobs.runner.activations.follow()),
+                    ("alarm settings", self._tuning.follow()),
                     ("health", self._reports.tell()),
                     ("notifications", self.notifier.run()),
                     ("heartbeat", heartbeats(self.bus)),

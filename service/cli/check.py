@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.alarms import changed_alarm_settings
 from service.cli.serve import ConfigFile
 from service.domain.channels import unit_of
 
@@ -24,12 +25,14 @@ def check(
 
     Lists everything that is wrong, one line each, and the present value of every channel. Exit
     status 0: all sections are right, every source answers and every channel that is read has a
-    good value; else 2. A serial port can be read only while the service does not run.
+    good value; else 2. A warning names each alarm setting that was changed in the store. A serial
+    port can be read only while the service does not run.
     """
     # Imported here: the field libraries take a second to load, which --help should not pay.
     from service.app.checking import environment_errors, ports_in_use
     from service.ingest.probing import probe
     from service.logs import configure_logging
+    from service.plant.publishers import warnings as publisher_warnings
     from service.site.examination import examine
 
     configure_logging("critical")
@@ -38,7 +41,9 @@ def check(
     where = "" if config is None else f"{config}: "
     if found.settings is not None:
         errors += [where + line for line in environment_errors(found.settings)]
+        warnings += [where + line for line in publisher_warnings(found.settings)]
         warnings += [where + line for line in ports_in_use(found.settings)]
+        warnings += changed_alarm_settings(found.settings)
     probed = asyncio.run(probe(found.wiring))
     errors += [where + line for line in probed.problems]
     if as_json:

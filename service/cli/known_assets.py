@@ -1,6 +1,7 @@
 """Assets that commands may name: those of the configuration file, and the provisioned ones."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from service.site.configuration import SettingsError
 from service.site.settings import Settings
 
 if TYPE_CHECKING:
-    from service.store import ProvisionedAsset
+    from service.store import ProvisionedAsset, Store
 
 
 def find_asset(settings: Settings, asset: str) -> AssetSection | None:
@@ -51,13 +52,20 @@ def asset_names(settings: Settings, others: Collection[str] = ()) -> str:
     return listed(dict.fromkeys([*names, *others])) or "none"
 
 
-def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":
-    """Assets of the store; a store that is not there yet is not made for it."""
+@contextmanager
+def store_if_there(settings: Settings) -> "Iterator[Store | None]":
+    """Open the store; None where there is none yet: it is not made for it."""
     from service.store import Store
     from service.store.opening import database_address
 
     url = database_address(settings.service.database_url, settings.data_dir)
     if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():
-        return []
+        yield None
+        return
     with Store.open(settings.service.database_url, settings.data_dir) as store:
-        return store.assets.present()
+        yield store
+
+
+def _provisioned(settings: Settings) -> "list[ProvisionedAsset]":
+    with store_if_there(settings) as store:
+        return [] if store is None else store.assets.present()

@@ -8,6 +8,7 @@ import typer
 from typer.exceptions import TyperException
 
 from service.app.exits import refusals, refuse
+from service.cli.alarms import alarms
 from service.cli.assets import assets
 from service.cli.backup import backup, restore
 from service.cli.bench import virtual_bench
@@ -25,8 +26,10 @@ from service.cli.grease import grease_renewed
 from service.cli.identify import identify
 from service.cli.keys import keys
 from service.cli.many_values import with_many_values
+from service.cli.modbus_map import modbus_map
 from service.cli.notifications import notifications
 from service.cli.population import population
+from service.cli.runs import report, runs
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.study import study
@@ -51,16 +54,20 @@ app.command()(population)
 app.command()(forecast)
 app.command()(simulate)
 app.command("export-fmu")(export_fmu)
+app.command("modbus-map")(modbus_map)
 app.command()(drift)
 app.command()(study)
 app.command()(benchmark)
 app.command("grease-renewed")(grease_renewed)
 app.command("import")(import_)
 app.command()(export)
+app.command()(runs)
+app.command()(report)
 app.command()(backup)
 app.command()(restore)
 app.command("warm-up", hidden=True)(warm_up)
 app.add_typer(assets, name="assets")
+app.add_typer(alarms, name="alarms")
 app.add_typer(fleet, name="fleet")
 app.add_typer(keys, name="keys")
 app.add_typer(notifications, name="notifications")

@@ -43,7 +43,8 @@ def serve(
         typer.Option(
             "--only",
             help="Run one side alone: cell (acquisition, twins, alarms), web (REST, stream, pages) "
-            "or plant (OPC UA, MQTT). Without it all run, and each is started again if it dies.",
+            "or plant (OPC UA, MQTT, Modbus). Without it all run, and each is started again if it "
+            "dies.",
         ),
     ] = None,
 ) -> int:
@@ -52,10 +53,12 @@ def serve(
     Ends cleanly on SIGTERM or SIGINT; nothing that was accepted is lost.
     """
     # Imported here: drivers and store take a second to load, which --help should not pay.
+    from service.plant.publishers import warnings as publisher_warnings
     from service.site.examination import load_site
 
     begin_file(config)
     settings, warnings = load_site(config)
+    warnings += tuple(f"{config}: {line}" for line in publisher_warnings(settings))
     configure_logging()
     status = asyncio.run(_serve(settings, warnings, only))
     leave_threads_behind()

@@ -1,6 +1,7 @@
 """Whether the machine is safe now, and in its next step."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -8,6 +9,8 @@ from service.documents.base import Document, Number, Time
 from service.documents.limits import Limit
 
 Word = Literal["safe", "not safe", "recovering", "unknown"]
+CODES: Final[Mapping[Word, int]] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
+"""Values of the tags ``verdict.now`` and ``verdict.next_step``."""
 
 
 class VerdictOf(Document):

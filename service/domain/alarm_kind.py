@@ -6,12 +6,20 @@ How to add one is described in ``CONTRIBUTING.md``: one file in ``service/alarm_
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Generic, Literal, Protocol, Self, TypeVar
+from typing import Generic, Literal, Protocol, Self, TypeVar, cast
 
 from pydantic import Field, model_validator
 
 from adapters.samples import Sample
 from service.domain.alarm_condition import AlarmCondition, Priority
+from service.domain.alarm_guidance import (
+    AlarmName,
+    AlarmOverride,
+    AlarmPoint,
+    AlarmSubject,
+    Guidance,
+    WarningAndAlarm,
+)
 from service.domain.channels import OPERATING_CHANNELS, label
 from service.domain.section import Section
 
@@ -67,18 +75,6 @@ class Levels(Section):
 
 
 # ---------------------------------------------------------------------- what a kind looks at
-class WarningAndAlarm(Protocol):
-    """A warning limit and an alarm limit."""
-
-    @property
-    def warning(self) -> float:
-        """Where the warning is raised."""
-
-    @property
-    def alarm(self) -> float:
-        """Where the alarm is raised."""
-
-
 class WithSource(Protocol):
     """What is known of a channel."""
 
@@ -189,6 +185,8 @@ class AlarmContext:
         Above it such a test says that something has changed.
     crossings : mapping
         How likely the forecast exceeds a limit, by channel and level; of a new forecast only.
+    overrides : mapping of AlarmName to AlarmOverride
+        What single alarms have otherwise than their kind says.
     """
 
     asset: str
@@ -207,6 +205,7 @@ class AlarmContext:
     residual_tests: Mapping[str, SequentialTest] = field(default_factory=dict)
     residual_threshold: float = 0.0
     crossings: Mapping[str, Mapping[str, Crossing]] = field(default_factory=dict)
+    overrides: Mapping[AlarmName, AlarmOverride] = field(default_factory=dict)
     _values: dict[str, float | None] = field(default_factory=dict, init=False)
     _no_data: dict[str, str | None] = field(default_factory=dict, init=False)
     _unknown: tuple[str | None] | None = field(default=None, init=False)
@@ -253,6 +252,15 @@ class AlarmContext:
         return facts is not None and self.is_present(STALE_DATA, source_channel(facts.source), "")
 
 
+def pairs_of(
+    limits: Mapping[str, WarningAndAlarm], unit: str, deadband_key: str = ""
+) -> Iterator[AlarmPoint]:
+    """Give the warning and the alarm of each channel."""
+    for channel, pair in limits.items():
+        for level in LEVELS:
+            yield AlarmPoint(channel, level, pair, unit, deadband_key)
+
+
 def source_channel(source: str) -> str:
     """Name under which a whole source stands among the channels of alarms."""
     return f"source:{source}"
@@ -260,6 +268,11 @@ def source_channel(source: str) -> str:
 
 # ------------------------------------------------------------------------------------ a kind
 Rule = TypeVar("Rule", bound=AlarmRule)
+Setting = TypeVar("Setting")
+
+
+def _or(changed: Setting | None, otherwise: Setting) -> Setting:
+    return otherwise if changed is None else changed
 
 
 def _never(context: AlarmContext, channel: str, level: str) -> None:
@@ -269,6 +282,15 @@ def _never(context: AlarmContext, channel: str, level: str) -> None:
 def _nothing_else(context: AlarmContext) -> Iterable[tuple[str, str]]:
     """No channel and level but those of the present conditions."""
     return ()
+
+
+def _no_points(subject: AlarmSubject, rule: AlarmRule) -> Iterator[AlarmPoint]:
+    """No alarm that can be named before it comes."""
+    return iter(())
+
+
+_UNCHANGED = AlarmOverride()
+_NO_GUIDANCE = Guidance()
 
 
 @lru_cache(maxsize=4096)
@@ -299,6 +321,10 @@ class AlarmKind(Generic[Rule]):
         an earlier configuration and is withdrawn.
     judged
         After each ``step`` of the live twin, or after each new ``forecast``.
+    points
+        Every alarm of the kind that an asset can have: the rows of the rationalisation sheet.
+    guidance
+        What the sheet says of the kind until an engineer writes better texts.
     """
 
     name: str
@@ -307,6 +333,8 @@ class AlarmKind(Generic[Rule]):
     suppressed: Callable[[AlarmContext, str, str], str | None] = _never
     kept: Callable[[AlarmContext], Iterable[tuple[str, str]]] = _nothing_else
     judged: Literal["step", "forecast"] = "step"
+    points: Callable[[AlarmSubject, Rule], Iterator[AlarmPoint]] = _no_points
+    guidance: Guidance = _NO_GUIDANCE
 
     @property
     def key(self) -> str:
@@ -332,6 +360,20 @@ class AlarmKind(Generic[Rule]):
         covers: tuple[str, ...] = (),
     ) -> AlarmCondition:
         """Report the state of one alarm, with the delays and priority of its rule."""
+        priority, on_delay_s, off_delay_s = (
+            rule.priority_of(level),
+            rule.on_delay_s,
+            rule.off_delay_s,
+        )
+        latched, re_alarm_s = rule.latched, rule.re_alarm_s
+        changed = context.overrides.get((self.name, channel, level))
+        if changed is not None:
+            priority = cast(Priority, _or(changed.priority, priority))
+            on_delay_s = _or(changed.on_delay_s, on_delay_s)
+            off_delay_s = _or(changed.off_delay_s, off_delay_s)
+            deadband = _or(changed.deadband, deadband)
+            latched = _or(changed.latched, latched)
+            re_alarm_s = _or(changed.re_alarm_s, re_alarm_s)
         # In the order of the fields: by name it takes three times as long, see `AlarmCondition`.
         return AlarmCondition(
             context.asset,
@@ -341,17 +383,17 @@ class AlarmKind(Generic[Rule]):
             active,
             value,
             message,
-            rule.priority_of(level),
+            priority,
             predicted,
             lead_time_s,
             probability,
-            rule.on_delay_s,
-            rule.off_delay_s,
+            on_delay_s,
+            off_delay_s,
             limit_value,
             deadband,
             unit,
-            rule.latched,
-            rule.re_alarm_s,
+            latched,
+            re_alarm_s,
             self.suppressed(context, channel, level),
             covers,
         )
@@ -372,7 +414,9 @@ class AlarmKind(Generic[Rule]):
 
         The message is the channel's name and the text with `level` and `limit` put in.
         """
-        for level, limit in zip(LEVELS, (limits.warning, limits.alarm), strict=True):
+        for level, usual in zip(LEVELS, (limits.warning, limits.alarm), strict=True):
+            changed = context.overrides.get((self.name, channel, level), _UNCHANGED)
+            limit = _or(changed.setpoint, usual)
             yield self.condition(
                 context,
                 rule,

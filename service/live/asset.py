@@ -19,6 +19,7 @@ from service.documents.assets import (
 )
 from service.documents.interfaces import Publisher
 from service.documents.messages import NewSamples
+from service.domain.alarm_guidance import AlarmName, AlarmOverride
 from service.domain.channels import AMBIENT
 from service.domain.errors import NotReadyError
 from service.live import presentation
@@ -236,6 +237,24 @@ class AssetRuntime:
             revolutions_before=round(before),
             revolutions=round(self.estimate.revolutions),
         )
+
+    def change_alarms(
+        self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]
+    ) -> None:
+        """Judge by other limits and alarm settings from the next sample on.
+
+        Alarms keep their ids and states. A forecast that tells of the limits before is gone, and
+        the next one is made at once.
+        """
+        limits_changed = settings.limits != self.settings.limits
+        self.settings = settings
+        self._watch.change(settings, overrides)
+        self._judgement.change(settings)
+        self.documents.settings_changed(settings)
+        self._verdict_due = True
+        if limits_changed:
+            self._forecasting.change_limits(settings.limits)
+            self._forecast_wanted.set()
 
     def drift_reported(self, text: str) -> None:
         """Write into the journal that the machine has changed."""

@@ -82,12 +82,18 @@ class AssetDocuments:
         self._trusted = trusted
         # Times of what changes rarely, so that an unchanged snapshot stays the same to the byte.
         self._began = self._switched = self._alarms_changed = rfc3339(clock.now_us())
+        self._trust = True, self._began
         self._snapshot: Snapshot = {"tags": {}}
         self._snapshot_us = 0
 
     def changed(self) -> None:
         """Have the next snapshot made again."""
         self._snapshot_us = 0
+
+    def settings_changed(self, settings: AssetSection) -> None:
+        """Show other limits."""
+        self._settings = settings
+        self.changed()
 
     def model_switched(self) -> None:
         """Note that the twin runs on another model version."""
@@ -208,6 +214,10 @@ class AssetDocuments:
         alarms = self._alarms.active(self._settings.id)
         tags |= presentation.alarm_tags(alarms, self._alarms_changed)
         tags["model.version"] = tag(self._estimate.active.version, "", Quality.GOOD, self._switched)
+        trusted = self._trusted()
+        if trusted != self._trust[0]:
+            self._trust = trusted, rfc3339(now_us)
+        tags["model.trusted"] = tag(int(trusted), "", Quality.GOOD, self._trust[1])
         return tags
 
     def state(self) -> State:

@@ -109,7 +109,7 @@ class Forecasting:
         clock: Clock,
         executor: Executor,
     ) -> None:
-        self._limits = settings.limits
+        self._limits: Mapping[str, Limits] = settings.limits
         self._estimate = estimate
         self._readings = readings
         self._clock = clock
@@ -122,6 +122,12 @@ class Forecasting:
         self.issue: LiveIssue | None = None
         self._ensemble: Ensemble | None = None
         self._looked_us: int | None = None
+
+    def change_limits(self, limits: Mapping[str, Limits]) -> None:
+        """Tell of other limits; what was forecast of those before is gone."""
+        self._limits = limits
+        self._latest = self._ensemble = None
+        self.summary = self.outlook = self.issue = None
 
     def look(self) -> bool:
         """Take note that somebody looks; returns whether the latest has intervals of earlier."""
@@ -157,7 +163,10 @@ class Forecasting:
         return known is None or _beyond_times(known) != _beyond_times(plan)
 
     async def make(self, missing: Sequence[str] = ()) -> bool:
-        """Make a new live forecast; False when the plan is over and nothing lies ahead.
+        """Make a new live forecast; False when there is none.
+
+        There is none when the plan is over and nothing lies ahead, or when the limits were changed
+        meanwhile.
 
         Parameters
         ----------
@@ -175,10 +184,12 @@ class Forecasting:
         has_plan = self._has_plan(made_us)
         alone = not (missing or has_plan)
         kept = self._ensemble if alone and not self._is_looked_at(made_us) else None
-        loop = asyncio.get_running_loop()
+        loop, limits = asyncio.get_running_loop(), self._limits
         live = await loop.run_in_executor(
-            self._executor, _make_live, state, steps, profile, self._limits, kept, alone
+            self._executor, _make_live, state, steps, profile, limits, kept, alone
         )
+        if limits is not self._limits:
+            return False
         self._ensemble, self._carried_on = live.ensemble, live.intervals_us != made_us
         summary = live.summary
         self._latest = _Latest(

@@ -13,8 +13,9 @@ from service.documents.limits import Level, Limit
 from service.documents.verdicts import VerdictDocument
 from service.domain.channels import label
 from service.live.readings import Readings
-from service.live.verdict import FORECAST, IDENTIFIED_MODEL, judged_temperatures
+from service.live.verdict import FORECAST, IDENTIFIED_MODEL
 from service.site.asset_section import AssetSection
+from service.site.required_channels import judged_temperatures
 from service.store import Alarm
 
 

@@ -8,20 +8,15 @@ from adapters.samples import Quality, Sample, is_good
 from service.alarms import AlarmBook
 from service.clock import rfc3339
 from service.documents.tags import Tag, tag
-from service.documents.verdicts import VerdictDocument
+from service.documents.verdicts import CODES, VerdictDocument
 from service.domain.channels import AMBIENT
 from service.live.estimate import LiveEstimate
 from service.live.forecasting import Forecasting
 from service.live.outlook import Outlook
 from service.live.readings import Readings
-from service.live.verdict import (
-    CODES,
-    Evidence,
-    judge,
-    missing_operation,
-    required_channels,
-)
+from service.live.verdict import Evidence, judge, missing_operation
 from service.site.asset_section import AssetSection
+from service.site.required_channels import required_channels
 
 #: A verdict looks ahead with no older forecast; process s, and at least this many wall s.
 FORECAST_MAX_AGE_S, FORECAST_MAX_AGE_WALL_S = 300.0, 30.0
@@ -68,6 +63,11 @@ class Judgement:
         # What of each required channel a verdict depends on, and what the last verdict lacked.
         self._seen: dict[str, tuple[bool, int]] = {}
         self._missing: frozenset[str] = frozenset()
+
+    def change(self, settings: AssetSection) -> None:
+        """Judge by other limits; the next samples are news."""
+        self._settings = settings
+        self._seen = {}
 
     def document(self, running: bool) -> VerdictDocument:
         """Give the verdict of this moment.

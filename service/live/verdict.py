@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from adapters.samples import meaning
 from service.documents.limits import Level, Limit
 from service.documents.verdicts import Judgements, TimeToLimit, VerdictOf, Word
-from service.domain.channels import AMBIENT, LOAD, SPEED, label
+from service.domain.channels import AMBIENT, label
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
 from service.site.asset_section import AssetSection
-
-CODES: Mapping[Word, int] = {"unknown": 0, "safe": 1, "not safe": 2, "recovering": 3}
-"""Values of the tags ``verdict.now`` and ``verdict.next_step``."""
+from service.site.required_channels import OPERATION, required_channels
 
 TWIN, IDENTIFIED_MODEL, FORECAST = "twin", "identified model", "forecast"
 """What can be missing and is no channel."""
@@ -28,8 +26,6 @@ _WHY = {
     IDENTIFIED_MODEL: "the model was never identified",
     FORECAST: "there is no recent forecast of the present model",
 }
-#: Operating channels that every verdict needs.
-OPERATION = (SPEED, LOAD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,28 +60,6 @@ class Evidence:
     outlook: Outlook | None
     returning: frozenset[str] = frozenset()
     assumed_ambient_c: float | None = None
-
-
-def judged_temperatures(settings: AssetSection) -> list[str]:
-    """Temperatures that a verdict needs: all measured ones with a limit, and standard sensors.
-
-    Where no temperature with a limit is measured, the limited ones are needed all the same: without
-    them nothing can be compared with a limit.
-    """
-    measured = [
-        name
-        for name in settings.channels
-        if name in settings.limits or name in settings.sensor_names
-    ]
-    if any(name in settings.limits for name in measured):
-        return measured
-    return list(dict.fromkeys((*measured, *(settings.limits or settings.sensor_names))))
-
-
-def required_channels(settings: AssetSection) -> list[str]:
-    """Every channel that a verdict needs."""
-    ambient = [AMBIENT] if AMBIENT in settings.channels else []
-    return [*judged_temperatures(settings), *OPERATION, *settings.input_names, *ambient]
 
 
 def missing_channels(settings: AssetSection, readings: Readings, now_us: int) -> list[str]:

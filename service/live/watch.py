@@ -5,6 +5,7 @@ from types import MappingProxyType
 
 from service.alarm_kinds import KINDS, rate_of_rise, twin_residual
 from service.alarms import AlarmBook, AlarmCondition
+from service.domain.alarm_guidance import AlarmName, AlarmOverride
 from service.domain.alarm_kind import AlarmContext
 from service.domain.channels import SPEED
 from service.live.estimate import LiveEstimate
@@ -69,6 +70,8 @@ class AlarmWatch:
                 alarms.rule(twin_residual.KIND).false_alarms_per_1000_h, len(self._temperatures)
             )
         )
+        self._overrides: Mapping[AlarmName, AlarmOverride] = {}
+        self._disabled: frozenset[AlarmName] = frozenset()
         self._version = estimate.active.version
         self._model: ThermalModel | None = None
         self._known: tuple[str, ...] = ()
@@ -76,6 +79,21 @@ class AlarmWatch:
         self._stepped_us: int | None = None
         self._comparable = False
         self._trusted = True
+        self._withdrawn = False
+
+    def change(self, settings: AssetSection, overrides: Mapping[AlarmName, AlarmOverride]) -> None:
+        """Judge by other limits and settings of alarms; what is disabled ends with the next step.
+
+        Parameters
+        ----------
+        settings : AssetSection
+            The asset, with its limits.
+        overrides : mapping of AlarmName to AlarmOverride
+            What single alarms have otherwise than their kind says.
+        """
+        self._settings = settings
+        self._overrides = overrides
+        self._disabled = frozenset(name for name, one in overrides.items() if not one.enabled)
         self._withdrawn = False
 
     def step(
@@ -118,6 +136,12 @@ class AlarmWatch:
         for kind, rule in self._rules:
             if kind.judged == judged:
                 conditions += kind.conditions(context, rule)
+        if self._disabled:
+            conditions = [
+                one
+                for one in conditions
+                if (one.kind, one.channel, one.level) not in self._disabled
+            ]
         self._book.evaluate_all(conditions)
         return conditions
 
@@ -198,6 +222,7 @@ class AlarmWatch:
             residual_tests={name: chart.cusum for name, chart in residuals.charts.items()},
             residual_threshold=residuals.threshold,
             crossings=crossings,
+            overrides=self._overrides,
         )
         context.rates_k_per_min = self._rates(context)
         context.differences_k = self._differences_k(context)
@@ -287,5 +312,6 @@ class AlarmWatch:
         self._withdrawn = True
         asset = self._settings.id
         for kind, _ in self._rules:
-            known |= {(asset, kind.name, channel, level) for channel, level in kind.kept(context)}
+            kept = {(kind.name, channel, level) for channel, level in kind.kept(context)}
+            known |= {(asset, *name) for name in kept - self._disabled}
         self._book.withdraw(asset, known)

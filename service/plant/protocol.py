@@ -5,11 +5,12 @@ It gets values and gives none back: it holds neither a twin nor a store, so that
 stranger sends to it can change anything.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict
 
+from service.clock import wall_us
 from service.site.settings import Settings
 
 if TYPE_CHECKING:  # the supervisor asks what is enabled, and needs no store for it
@@ -38,11 +39,18 @@ class Host:
         Check the keys of callers, and keep a line of wrong ones.
     data_dir : pathlib.Path
         A publisher keeps files in the folder of its own name below it.
+    tags_of : callable
+        The tags of an asset at this moment, as its snapshot: what is old is not called good, and
+        no verdict of it is safe. None without such an asset, or before its first snapshot.
+    now_us : callable
+        Process time, microseconds since 1970 UTC.
     """
 
     authenticator: "Authenticator"
     trail: "AuditTrail"
     data_dir: Path
+    tags_of: Callable[[str], Mapping[str, TagValue] | None] = lambda asset: None
+    now_us: Callable[[], int] = wall_us
 
 
 class Publisher(Protocol):
@@ -122,8 +130,8 @@ class PublisherEntry:
     ----------
     name : str
         Its name in the configuration, in logs and metrics, and of its extra.
-    package : str
-        Import name of the library that the extra brings.
+    package : str or None
+        Import name of the library that the extra brings; None for one that needs no extra.
     period_s : float
         Wall seconds between two looks for changed tags.
     is_enabled : callable
@@ -134,12 +142,15 @@ class PublisherEntry:
         Checks the files and values of its section; raises `SettingsError` with one line.
     listens : callable, optional
         Where it listens, for a publisher that is a server.
+    warn : callable, optional
+        One line for each thing in its section that its user should know, and that is no error.
     """
 
     name: str
-    package: str
+    package: str | None
     period_s: float
     is_enabled: Callable[[Settings], bool]
     make: Callable[[Settings], Publisher]
     check: Callable[[Settings], None] | None = None
     listens: Callable[[Settings], Endpoint] | None = None
+    warn: Callable[[Settings], Sequence[str]] | None = None

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from adapters.configuration import suggestion
-from service.plant import mqtt, opcua
+from service.plant import modbus_server, mqtt, opcua
 from service.plant.endpoints import check_endpoint
 from service.plant.protocol import Endpoint, PublisherEntry
 from service.site.configuration import SettingsError
@@ -13,6 +13,7 @@ from service.site.settings import Settings
 PUBLISHERS: Sequence[PublisherEntry] = (
     opcua.PUBLISHER,
     mqtt.PUBLISHER,
+    modbus_server.PUBLISHER,
 )
 
 
@@ -36,7 +37,7 @@ def check_extras(settings: Settings) -> None:
             f"publishers.{unknown[0]}: unknown publisher; {suggestion(unknown[0], names)}"
         )
     for entry in enabled(settings):
-        if find_spec(entry.package) is None:
+        if entry.package is not None and find_spec(entry.package) is None:
             raise SettingsError(
                 f"{entry.name}.enabled = true: needs the extra {entry.name!r}; "
                 f"install it with: pip install 'bearing-twin[{entry.name}]'"
@@ -63,6 +64,16 @@ def check_ports(settings: Settings) -> None:
 def endpoints(settings: Settings) -> list[Endpoint]:
     """Where the enabled publishers listen."""
     return [entry.listens(settings) for entry in enabled(settings) if entry.listens is not None]
+
+
+def warnings(settings: Settings) -> list[str]:
+    """What is enabled and should be known, one line each."""
+    return [
+        line
+        for entry in enabled(settings)
+        if entry.warn is not None
+        for line in entry.warn(settings)
+    ]
 
 
 def enabled(settings: Settings) -> list[PublisherEntry]:

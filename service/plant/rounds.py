@@ -76,6 +76,7 @@ class PublisherRounds:
         self._known: dict[str, dict[str, TagValue | None]] = {}
         self._alarms: Subscription | None = None
         self._unsent: Message | None = None
+        self._publishing = asyncio.Lock()
 
     async def run(self) -> None:
         """Publish until cancelled; open again, ever more slowly, whenever that fails."""
@@ -105,7 +106,14 @@ class PublisherRounds:
             await asyncio.sleep(backoff.next())
 
     async def publish_tags(self) -> None:
-        """Hand on once what has changed since the last time, and take back what is gone."""
+        """Hand on once what has changed since the last time, and take back what is gone.
+
+        One look at a time: a second one waits for the first.
+        """
+        async with self._publishing:
+            await self._publish_changes()
+
+    async def _publish_changes(self) -> None:
         refused = 0
         # A copy: assets come and go while the publisher takes its time.
         for asset, twin in list(self._assets.items()):

@@ -1,8 +1,8 @@
-"""Starts the plant side: the tags for OPC UA clients and an MQTT broker."""
+"""Starts the plant side: the tags for OPC UA and Modbus clients and an MQTT broker."""
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
@@ -20,7 +20,7 @@ from service.bus.replicas import Replicas
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
-from service.plant.protocol import Host
+from service.plant.protocol import Host, TagValue
 from service.plant.publishers import check_extras, check_ports
 from service.plant.rounds import make_publishers
 from service.security.audit_trail import AuditTrail
@@ -66,7 +66,7 @@ async def run_plant(settings: Settings, *, stop: asyncio.Event, ready: Callable[
 
 async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None]) -> None:
     waiting = Waiting(stop, lambda what, why: None)
-    await waiting.until("the port for OPC UA", partial(check_ports, settings), LEAVE_S)
+    await waiting.until("the ports of the publishers", partial(check_ports, settings), LEAVE_S)
     async with contextlib.AsyncExitStack() as stack:
         url, data_dir = settings.service.database_url, settings.data_dir
         open_store = partial(Store.open, url, data_dir)
@@ -115,7 +115,7 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             await stack.enter_async_context(background(work, name, stop))
         while not following.caught_up.is_set():
             await _pause(stop)
-        host = Host(authenticator, trail, data_dir)
+        host = Host(authenticator, trail, data_dir, partial(_tags_of, replicas), clock.now_us)
         for one in make_publishers(settings, replicas.assets, bus, host, registry):
             await stack.enter_async_context(background(one.run(), one.name, stop))
         ready()
@@ -131,6 +131,13 @@ async def _is_known(reader: ReaderBus, replicas: Replicas) -> bool:
     except CellUnavailableError:
         return False
     return True
+
+
+def _tags_of(replicas: Replicas, asset: str) -> Mapping[str, TagValue] | None:
+    replica = replicas.assets.get(asset)
+    return (
+        replica.snapshot()["tags"] if replica is not None and replica.is_known("snapshot") else None
+    )
 
 
 async def _refresh(replicas: Replicas) -> None:

@@ -152,6 +152,16 @@ class MqttSection(Section):
     ca_file: Path | None = None
 
 
+class ModbusServerSection(Section):
+    """The tags as registers for a PLC, read-only; see `docs/modbus-server.md`."""
+
+    enabled: bool = False
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(1502, ge=1, le=65535)
+    #: ``ASSET/TAG`` in the order of the registers; empty for the usual ones of every asset.
+    tags: tuple[str, ...] = ()
+
+
 class TlsSection(Section):
     """PEM files for HTTPS: the certificate (with its chain) and its private key."""
 
@@ -178,6 +188,7 @@ class Settings(BaseSettings):
     fleet: FleetSection = FleetSection()
     opcua: OpcUaSection = OpcUaSection()
     mqtt: MqttSection = MqttSection()
+    modbus_server: ModbusServerSection = ModbusServerSection()
     #: Sections of further publishers, by name; each is checked by the publisher itself.
     publishers: dict[str, TomlTable] = {}
     smtp: SmtpSection = SmtpSection()

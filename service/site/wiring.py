@@ -341,10 +341,12 @@ def _facts(
 def _max_age_s(source: SourceConfig, channel: MeasuredChannel) -> tuple[float, float | None]:
     """Age at which a channel is stale, and the least it may be where it is learned.
 
-    As configured, else five expected periods of its source, else five of its observed periods.
+    As configured, else five expected periods of it or of its source, else five of its observed
+    periods.
     """
     if channel.max_age_s is not None:
         return channel.max_age_s, None
-    if source.expected_period_s is not None:
-        return max(_LEAST_POLLED_AGE_S, _PERIODS_UNTIL_STALE * source.expected_period_s), None
+    period_s = channel.expected_period_s or source.expected_period_s
+    if period_s is not None:
+        return max(_LEAST_POLLED_AGE_S, _PERIODS_UNTIL_STALE * period_s), None
     return source.first_max_age_s, source.least_max_age_s

@@ -8,6 +8,7 @@ from service.store.alarm_records import (
     Annunciations,
     JournalFilter,
 )
+from service.store.alarm_settings import AlarmSettingChange, AlarmSettingPage
 from service.store.database_lock import DatabaseLock, lock_database
 from service.store.durable_queue import DurableQueue
 from service.store.errors import (
@@ -48,6 +49,7 @@ from service.store.records import (
     WriteCounts,
 )
 from service.store.rollups import Retention, RetentionTime
+from service.store.runs import Annotation, Run, RunPage
 from service.store.silences import Silence
 from service.store.store import Store
 from service.store.tellings import Telling, TellingChange
@@ -59,7 +61,10 @@ __all__ = [
     "AlarmChange",
     "AlarmCount",
     "AlarmJournalPage",
+    "AlarmSettingChange",
+    "AlarmSettingPage",
     "AlarmTransition",
+    "Annotation",
     "Annunciations",
     "ApiKey",
     "AuditEntry",
@@ -90,6 +95,8 @@ __all__ = [
     "RetentionTime",
     "Rollup",
     "Row",
+    "Run",
+    "RunPage",
     "Silence",
     "Store",
     "StoreDamagedError",

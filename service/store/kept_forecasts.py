@@ -144,14 +144,21 @@ class KeptForecasts(StorePart):
         rows, following = self._newest_first(query, KeptForecastRow.id, limit, cursor)
         return ForecastPage(_read(rows), following)
 
-    def since(self, asset: str, start_us: int, version: int | None = None) -> list[StoredForecast]:
-        """All forecasts of an asset made from a time on, of one model version or of all."""
+    def since(
+        self, asset: str, start_us: int, version: int | None = None, end_us: int | None = None
+    ) -> list[StoredForecast]:
+        """All forecasts of an asset made from a time on, of one model version or of all.
+
+        With an end, those made before it.
+        """
         conditions: list[ColumnElement[bool]] = [
             KeptForecastRow.asset == asset,
             KeptForecastRow.time_us >= start_us,
         ]
         if version is not None:
             conditions.append(KeptForecastRow.model_version == version)
+        if end_us is not None:
+            conditions.append(KeptForecastRow.time_us < end_us)
         query = select(*_COLUMNS).where(*conditions).order_by(KeptForecastRow.id)
         with self._database.reading() as connection:
             return _read(connection.execute(query).all())

@@ -5,6 +5,7 @@ from typing import Self
 
 from service.store.access import Access
 from service.store.alarm_journal import AlarmJournal
+from service.store.alarm_settings import AlarmSettings
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
 from service.store.closable import Closable
@@ -19,6 +20,7 @@ from service.store.opening import open_database
 from service.store.packing import Packing
 from service.store.provisioned_assets import ProvisionedAssets
 from service.store.rollups import Rollups
+from service.store.runs import Runs
 from service.store.salvage import damage_of
 from service.store.samples import Samples
 from service.store.silences import Silences
@@ -60,12 +62,16 @@ class Store(Closable):
         The latest state of each twin.
     alarms : AlarmJournal
         Alarms and their journal.
+    alarm_settings : AlarmSettings
+        What was changed of alarms.
     tellings : Tellings
         What was told of the open alarms, and to whom.
     silences : Silences
         Times in which nobody is told.
     forecasts : KeptForecasts
         The forecast ledger.
+    runs : Runs
+        Runs of the machines with their names, and annotations.
     access : Access
         API keys and browser sessions.
     audit : Audit
@@ -87,9 +93,11 @@ class Store(Closable):
         self.sisters = SisterRecords(database)
         self.states = AssetStates(database)
         self.alarms = AlarmJournal(database)
+        self.alarm_settings = AlarmSettings(database)
         self.tellings = Tellings(database)
         self.silences = Silences(database)
         self.forecasts = KeptForecasts(database)
+        self.runs = Runs(database, self.history)
         self.access = Access(database)
         self.audit = Audit(database)
         self.assets = ProvisionedAssets(database)

@@ -355,6 +355,55 @@ class SilenceRow(Base):
     document: Mapped[JsonDocument]
 
 
+class AlarmSettingRow(Base):
+    """A change of an alarm's settings; see `service.store.alarm_settings`."""
+
+    __tablename__ = "alarm_settings"
+    __table_args__ = (
+        Index("ix_alarm_settings_revision", "revision"),
+        Index("ix_alarm_settings_asset", "asset"),
+    )
+
+    id: Mapped[int] = mapped_column(_Serial, primary_key=True)
+    revision: Mapped[int]
+    asset: Mapped[str]
+    kind: Mapped[str]
+    channel: Mapped[str]
+    level: Mapped[str]
+    before: Mapped[JsonDocument]
+    after: Mapped[JsonDocument]
+    who: Mapped[str]
+    at_us: Mapped[int]
+    comment: Mapped[str]
+
+
+class RunRow(Base):
+    """A run of a machine, from its start to standstill; see `service.store.runs`."""
+
+    __tablename__ = "runs"
+
+    asset: Mapped[str] = mapped_column(primary_key=True)
+    id: Mapped[str] = mapped_column(primary_key=True)
+    start_us: Mapped[int]
+    end_us: Mapped[int | None]
+    ended: Mapped[str]
+    name: Mapped[str]
+    named_by: Mapped[str]
+
+
+class AnnotationRow(Base):
+    """What somebody noted at a moment of an asset's history."""
+
+    __tablename__ = "annotations"
+    __table_args__ = (Index("ix_annotations_asset_time_us", "asset", "time_us"),)
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    asset: Mapped[str]
+    time_us: Mapped[int]
+    text: Mapped[str]
+    who: Mapped[str]
+
+
 class CellRow(Base):
     """A cell of a fleet that runs, or died a moment ago; see `service.store.ownership`."""
 

@@ -20,8 +20,9 @@ from service.documents.identification import WindowDocument
 from service.documents.machine import PresentMachine
 from service.domain.errors import NotReadyError
 from service.domain.requests import ProfileStep
+from service.reports.files import ReportFormat
 from service.site.settings import Settings
-from service.store import Store
+from service.store import Run, Store
 from service.store.forecast_records import IssuedForecast
 from service.web import worker
 from service.web.what_if_worker import WhatIfWorker
@@ -125,6 +126,10 @@ class WorkerQuestions:
     async def windows(self, asset: str) -> Sequence[WindowDocument]:
         """Find the low-risk windows in the store."""
         return await self._study(worker.windows, asset)
+
+    async def report(self, asset: str, run: Run, format: ReportFormat, now_us: int) -> bytes:
+        """Make the report of a run."""
+        return await self._study(worker.report, asset, run, format, now_us)
 
     async def _model(self, asset: str, version: int) -> worker.Model:
         known = self._models.get(asset)

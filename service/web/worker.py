@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from service.jobs.history import AssetHistory
     from service.live.envelope import EnvelopeKeeper
     from service.live.estimate import ActiveModel, EstimatedState
+    from service.reports.files import ReportFormat
     from service.site.asset_section import AssetSection
     from service.site.settings import Settings
-    from service.store import Store
+    from service.store import Run, Store
     from service.store.forecast_records import IssuedForecast
 
 
@@ -41,8 +42,8 @@ class Model:
 
 
 _settings: "Settings | None" = None
-# What is kept of each asset, and the revision or the section that it was made of.
-_sections: "dict[str, tuple[int, AssetSection]]" = {}
+# What is kept of each asset, and the revisions or the section that it was made of.
+_sections: "dict[str, tuple[tuple[int, int], AssetSection]]" = {}
 _models: "dict[str, tuple[AssetSection, ActiveModel]]" = {}
 _keepers: "dict[str, tuple[AssetSection, EnvelopeKeeper]]" = {}
 _histories: "dict[str, tuple[AssetSection, AssetHistory]]" = {}
@@ -115,21 +116,42 @@ def windows(asset: str) -> "Sequence[WindowDocument]":
     return asyncio.run(_history(asset).window_documents())
 
 
-def _asset(name: str) -> "AssetSection":
-    """Section of an asset: of the file, else of the store, where it may change at any time."""
-    settings = _prepared()
-    found = next((asset for asset in settings.assets if asset.id == name), None)
-    if found is not None:
-        return found
-    from service.site.provisioning import check_asset
+def report(asset: str, run: "Run", format: "ReportFormat", now_us: int) -> bytes:
+    """Make the report of a run."""
+    from service.reports.files import report_file
 
-    stored = _store().assets.get(name)
-    if stored is None or stored.table is None:
+    return report_file(_store(), _asset(asset), run, format, now_us)
+
+
+def _asset(name: str) -> "AssetSection":
+    """Section of an asset with its limits in effect; the same object until one of them changes."""
+    from service.site.alarm_overlay import in_effect
+    from service.site.alarmed_assets import alarmed_assets
+    from service.store import StoreUnavailableError
+
+    settings, store = _prepared(), _store()
+    in_file = any(asset.id == name for asset in settings.assets)
+    try:
+        overlays = store.alarm_settings.revision()
+        stored = None if in_file else store.assets.get(name)
+    except StoreUnavailableError:
+        if name not in _sections:
+            raise
+        return _sections[name][1]  # while the store is away nobody changes anything
+    if not in_file and (stored is None or stored.table is None):
         raise NotReadyError(f"asset {name!r} was removed")
+    revisions = overlays, stored.revision if stored else 0
     known = _sections.get(name)
-    if known is None or known[0] != stored.revision:
-        section = check_asset(settings, name, stored.table).section
-        known = _sections[name] = stored.revision, section
+    if known is None or known[0] != revisions:
+        tables = {} if stored is None or stored.table is None else {name: stored.table}
+        found = alarmed_assets(settings, tables, {name})
+        if name not in found:
+            raise NotReadyError(f"asset {name!r} does not fit the configuration")
+        overlay = store.alarm_settings.present({name}).get(name, {})
+        section = in_effect(found[name], overlay).section
+        if known is not None and known[1] == section:  # of another asset: keep what is computed
+            section = known[1]
+        known = _sections[name] = revisions, section
     return known[1]
 
 

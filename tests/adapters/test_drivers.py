@@ -12,14 +12,15 @@ from adapters.samples import Quality, is_bad, is_good
 def test_an_unknown_driver_names_the_known() -> None:
     with pytest.raises(UnknownDriverError, match=r"'modbus-udp'.*'modbus-tcp'"):
         driver_spec("modbus-udp")
-    with pytest.raises(UnknownDriverError, match=r"'x'.*can, modbus-rtu, modbus-tcp, replay"):
+    with pytest.raises(UnknownDriverError, match=r"'x'.*can, modbus-rtu,.* opcua, replay"):
         driver_spec("x")
 
 
 def test_the_registry_imports_no_field_library() -> None:
     code = (
         "import sys, adapters.registry; "
-        "sys.exit(any(m in sys.modules for m in ('pymodbus', 'can', 'cantools', 'serial')))"
+        "libraries = 'pymodbus', 'asyncua', 'can', 'cantools', 'serial'; "
+        "sys.exit(any(one in sys.modules for one in libraries))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -77,6 +78,7 @@ def test_every_source_model_takes_its_driver_name() -> None:
     sources = {
         "modbus-tcp": {"host": "127.0.0.1"},
         "modbus-rtu": {"device": "/dev/ttyS0"},
+        "opcua": {"endpoint": "opc.tcp://127.0.0.1:4840"},
         "replay": {"file": "run.csv"},
         "can": {"channel": "can0", "dbc": "bench.dbc", "interface": "socketcan", "bitrate": 5},
     }

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from adapters.configuration import ConfigurationError
 from adapters.drivers.modbus.config import ModbusChannel, ModbusPlan, ModbusTcpSource
-from adapters.drivers.modbus.mapping import Group, Point, UnitMap, check, compile_units
+from adapters.drivers.modbus.groups import Group
+from adapters.drivers.modbus.mapping import Point, UnitMap, check, compile_units
 from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan
 from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.samples import PlanStep, Quality

@@ -204,7 +204,7 @@ async def test_what_was_split_by_a_refusal_is_read_in_one_request_again() -> Non
     server = ModbusTcpServer([device], address=("127.0.0.1", port))
     await server.serve_forever(background=True)
     line = Line(port, registers=3)
-    (unit,) = (one.map for one in line.driver._units)
+    (unit,) = (part for one in line.driver._units for part in one.maps)
     unit.join_backoff.wait_s = 0.5
     task = asyncio.create_task(line.run())
     try:

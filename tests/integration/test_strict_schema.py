@@ -284,10 +284,12 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("POST", f"{A}/models/1/activate", 200, json={"comment": "back to the priors"})
     call("GET", f"{A}/models/activations", 200)
     call("POST", f"{A}/grease-renewed", 200, json={"comment": "regreased"})
+    change_a_limit(published)
     provision(published)
     call("GET", f"{ALARMS}/statistics", 200)
     call("GET", f"{ALARMS}/journal", 200)
     call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})
+    look_at_runs(published)
     tell_nobody(published)
     call("GET", "/readyz", 200)
     call("GET", "/metrics", 200)
@@ -311,6 +313,22 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
         published.check("DELETE", "/api/v1/session", 204, answer)
 
 
+def look_at_runs(published: Published) -> None:
+    call = published.call
+    call("GET", f"{A}/runs/none", 404)
+    runs = call("GET", f"{A}/runs", 200)["items"]
+    assert runs, "the bench turns"
+    run = f"{A}/runs/{runs[0]['id']}"
+    call("PATCH", run, 200, json={"name": "first"})
+    note = {"time": runs[0]["start"], "text": "noise"}
+    made = call("POST", f"{run}/annotations", 201, json=note)
+    call("POST", f"{run}/annotations", 422, json=note | {"time": "2020-01-01T00:00:00Z"})
+    assert call("GET", run, 200)["annotations"] == [made]
+    call("GET", f"{run}/report", 200, params={"format": "csv"})
+    call("DELETE", f"{run}/annotations/{made['id']}", 204)
+    call("DELETE", f"{run}/annotations/{made['id']}", 404)
+
+
 def tell_nobody(published: Published) -> None:
     call = published.call
     call("GET", "/api/v1/notifications", 200)
@@ -325,6 +343,31 @@ def tell_nobody(published: Published) -> None:
     call("GET", "/api/v1/silences", 200)
     call("DELETE", f"/api/v1/silences/{made['id']}", 204)
     call("DELETE", f"/api/v1/silences/{made['id']}", 404)
+
+
+def change_a_limit(published: Published) -> None:
+    """A real cell: after the answer the asset, its verdict and the workers know the new limit."""
+    call, settings = published.call, "/api/v1/alarm-settings"
+    warning = {"asset": ASSET, "tag": "t_inner_ring_c", "kind": "measured limit"}
+    warning["level"] = "warning"
+    before = call("GET", A, 200)["limits"]["t_inner_ring_c"]["warning"]
+    lower = before - 1.5
+    change = warning | {"setpoint": lower, "comment": "lower"}
+    assert call("PATCH", settings, 200, json=change)["in_effect"]
+    assert call("GET", A, 200)["limits"]["t_inner_ring_c"]["warning"] == lower
+    limits = call("GET", f"{A}/envelope", 200)["sensors"]["t_inner_ring_c"]["limits"]
+    assert limits["warning"]["limit_c"] == lower
+    ahead = call("POST", f"{A}/forecasts", 200, json={"profile": [STEP]})
+    assert f'"warning":{lower:g}' in json.dumps(ahead).replace(" ", "")
+    listed = call("GET", settings, 200, params={"asset": ASSET})["items"]
+    shown = [one["setpoint"] for one in listed if warning.items() <= one.items()]
+    assert shown == [lower]
+    back = {"rows": [warning | {"setpoint": None}], "comment": "back"}
+    assert call("POST", f"{settings}/import", 200, json=back)["in_effect"]
+    assert call("GET", A, 200)["limits"]["t_inner_ring_c"]["warning"] == before
+    call("POST", f"{settings}/import", 422, json=back | {"comment": ""})
+    call("PATCH", settings, 422, json=change | {"setpoint": 499.0})
+    assert len(call("GET", f"{settings}/history", 200)["items"]) == 2
 
 
 def a_night() -> FleetRun:

@@ -39,13 +39,28 @@ Register = Annotated[int, BeforeValidator(_on_the_wire), Field(ge=0, le=LAST_REG
 Unit = Annotated[int, Field(ge=0, le=255)]
 
 BIT_KINDS = ("coil", "discrete")
+REGISTERS_PER_READ = 125  # of one request, by the Modbus specification
+BITS_PER_REGISTER = 16  # also of the longest requests: 2000 bits
 PLAN_ROW_REGISTERS = 6
 
 
-class PolledSource(SourceConfig):
-    """What is polled: `poll_interval_s` is process time."""
+PollIntervalS = Annotated[float, Field(ge=0.01)]
 
-    poll_interval_s: float = Field(default=1.0, ge=0.01)
+
+class PolledSource(SourceConfig):
+    """What is polled: how often, and what the device bears.
+
+    `poll_interval_s` is process time; a channel may have its own. `request_gap_s` (from an answer
+    to the next request) and `connect_pause_s` (from the connection to the first request) are wall
+    time. `register_gap_max` is the number of unasked-for addresses between two wanted ones that
+    one request may read across; without it 8 registers or 64 bits.
+    """
+
+    poll_interval_s: PollIntervalS = 1.0
+    registers_per_read_max: int = Field(default=REGISTERS_PER_READ, ge=1, le=REGISTERS_PER_READ)
+    register_gap_max: int | None = Field(default=None, ge=0, le=REGISTERS_PER_READ)
+    request_gap_s: float = Field(default=0.0, ge=0.0, le=10.0)
+    connect_pause_s: float = Field(default=0.0, ge=0.0, le=60.0)
 
     @property
     def expected_period_s(self) -> float:
@@ -56,7 +71,8 @@ class PolledSource(SourceConfig):
 class ModbusTcpSource(PolledSource):
     """A Modbus TCP server: a device, or a gateway with several units behind it.
 
-    `timeout_s` (connecting and answering) is wall time.
+    `timeout_s` (connecting and answering) is wall time. `framing = "rtu"` is for converters that
+    send the frames of a serial line, checksum included, through a TCP connection.
     """
 
     driver: Literal["modbus-tcp"] = "modbus-tcp"
@@ -64,11 +80,20 @@ class ModbusTcpSource(PolledSource):
     port: int = Field(default=502, ge=1, le=65535)
     unit: Unit = 1
     timeout_s: float = Field(default=1.0, ge=0.05, le=60.0)
+    framing: Literal["tcp", "rtu"] = "tcp"
 
     @property
     def where(self) -> str:
         """How messages name the server."""
         return f"{self.host}:{self.port}"
+
+    @property
+    def has_second_connection(self) -> bool:
+        """Whether a silent unit may be tried over a connection of its own.
+
+        Two connections would not keep the gaps between the requests, nor share a serial line.
+        """
+        return self.framing == "tcp" and not self.request_gap_s
 
 
 class ModbusRtuSource(PolledSource):
@@ -93,6 +118,11 @@ class ModbusRtuSource(PolledSource):
         """How messages name the line."""
         return self.device
 
+    @property
+    def has_second_connection(self) -> bool:
+        """A serial line has none."""
+        return False
+
 
 ModbusSource = ModbusTcpSource | ModbusRtuSource
 
@@ -114,7 +144,7 @@ class ModbusChannel(MeasuredChannel):
     value = raw * scale + offset, then the conversion. `register` counts from 0, as on the wire.
     `word_order = "little"` means that the low word comes first (CDAB), `byte_order = "little"`
     that the bytes within each register are swapped. `sentinels` are raw values, as decoded, that
-    mean "no value".
+    mean "no value". `poll_interval_s` is process time; without it that of the source.
     """
 
     address: Register = Field(alias="register")
@@ -128,6 +158,12 @@ class ModbusChannel(MeasuredChannel):
     sentinels: tuple[float, ...] = ()
     conversion: Literal["pt100_ohm"] | None = None
     status: ModbusStatus | None = None
+    poll_interval_s: PollIntervalS | None = None
+
+    @property
+    def expected_period_s(self) -> float | None:
+        """Its own poll interval, where it has one."""
+        return self.poll_interval_s
 
     @property
     def resolution(self) -> float:

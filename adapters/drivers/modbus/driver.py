@@ -1,32 +1,24 @@
-"""The Modbus TCP driver: polls on the process clock and hands over what can be trusted."""
+"""The Modbus driver: polls on the process clock and hands over what can be trusted."""
 
 import asyncio
 import logging
 import math
 import time
-from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from contextlib import aclosing
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import TracebackType
 from typing import Self
 
 from adapters.backoff import Backoff
-from adapters.drivers.modbus.config import (
-    PLAN_ROW_REGISTERS,
-    ModbusPlan,
-    ModbusRtuSource,
-    ModbusSource,
-)
+from adapters.drivers.modbus.config import ModbusPlan, ModbusSource
+from adapters.drivers.modbus.groups import Group
 from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
-from adapters.drivers.modbus.mapping import (
-    MAX_REGISTERS,
-    Group,
-    Point,
-    UnitMap,
-    check,
-    compile_units,
-)
-from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan
+from adapters.drivers.modbus.mapping import Point, UnitMap, check, compile_units
+from adapters.drivers.modbus.plan import ImplausiblePlanError, decode_plan, read_rows
+from adapters.drivers.modbus.rounds import Round, Rounds
 from adapters.protocol import ChannelBinding, Clock, PlanBinding, SourceHealth
 from adapters.samples import (
     Batch,
@@ -48,7 +40,6 @@ REFUSED_READ_S = 5.0  # before a read that the device refused as wrong is tried 
 PLAN_INTERVAL_S = 0.2
 PLAN_FAILED_FIRST_S = 5.0
 LOG_INTERVAL_S = 10.0  # between two lines on the same channel
-PLAN_ROWS_PER_READ = MAX_REGISTERS // PLAN_ROW_REGISTERS
 
 
 class _Probe(Enum):
@@ -63,22 +54,34 @@ class _Probe(Enum):
 class _Unit:
     """A unit with its standing: alive, or silent and tried again now and then."""
 
-    map: UnitMap
+    number: int
     backoff: Backoff
+    maps: list[UnitMap] = field(default_factory=list)  # one for each poll interval
     silent: str = ""  # why, or empty
     retry_at: float = 0.0  # wall, monotonic
     tried_at: float = 0.0  # wall, monotonic
     lost: bool = False  # the bad samples that mark the gap have been handed over
+    losses: int = 0  # gaps so far, and silences: a round that spans one is not finished
     probe: asyncio.Task[_Probe] | None = None
+
+    @property
+    def points(self) -> list[Point]:
+        return [point for one in self.maps for point in one.points]
+
+    @property
+    def witness(self) -> UnitMap | None:
+        """A map of which a first group can be read to see if the unit answers."""
+        return next((one for one in self.maps if one.groups), None)
 
 
 class ModbusDriver:
     """Polls one Modbus TCP server or serial line, see `adapters.protocol.Driver`.
 
-    Requests go out one at a time over one connection. A unit that does not answer is left out and
-    tried again after growing waits: over a connection of its own where there can be one, so that
-    it costs the others one time-out and no more. When a cycle comes too late it is skipped and
-    counted; requests never queue up.
+    Requests go out one at a time over one connection; of several poll intervals that are due those
+    of the shortest first, so that a fast one waits for one request of a slow one at most. A unit
+    that does not answer is left out and tried again after growing waits: over a connection of its
+    own where there can be one, so that it costs the others one time-out and no more. When a cycle
+    comes too late it is skipped and counted; requests never queue up.
     """
 
     def __init__(
@@ -95,8 +98,13 @@ class ModbusDriver:
         self._was_connected = False
         self._reconnect_backoff = Backoff(RECONNECT_FIRST_S, RECONNECT_LAST_S)
         maps = compile_units(source, channels, plans, clock.rate)
-        last_s = RECONNECT_LAST_S if len(maps) == 1 else SILENT_UNIT_LAST_S
-        self._units = [_Unit(unit, Backoff(RECONNECT_FIRST_S, last_s)) for unit in maps]
+        numbers = dict.fromkeys(one.unit for one in maps)
+        last_s = RECONNECT_LAST_S if len(numbers) == 1 else SILENT_UNIT_LAST_S
+        units = {number: _Unit(number, Backoff(RECONNECT_FIRST_S, last_s)) for number in numbers}
+        for one in maps:
+            units[one.unit].maps.append(one)
+        self._units = list(units.values())
+        self._rounds = Rounds(clock, maps)
         self._health = SourceHealth(source.name, source.driver)
         self._link_problem = "not connected yet"
         self._plan_problem = ""
@@ -124,8 +132,8 @@ class ModbusDriver:
         health = self._health
         health.up = not self._link_problem and any(not unit.silent for unit in self._units)
         problems = [self._link_problem] if self._link_problem else []
-        problems += [f"unit {u.map.unit}: {u.silent}" for u in self._units if u.silent]
-        points = [point for unit in self._units for point in unit.map.points if point.problem]
+        problems += [f"unit {u.number}: {u.silent}" for u in self._units if u.silent]
+        points = [point for unit in self._units for point in unit.points if point.problem]
         problems += [f"{point.label}: {point.problem}" for point in points[:5]]
         if len(points) > 5:
             problems.append(f"and {len(points) - 5} more channels")
@@ -140,8 +148,7 @@ class ModbusDriver:
 
     async def batches(self) -> AsyncIterator[Batch]:
         """Yield one batch per poll without end; cancel to stop."""
-        due_us = self._clock.now_us()
-        interval_us = round(self._source.poll_interval_s * 1e6)
+        self._rounds.begin()
         try:
             while True:
                 if not self._link.connected and not await self._connect():
@@ -150,20 +157,18 @@ class ModbusDriver:
                         yield Batch(lost)
                     await asyncio.sleep(self._reconnect_backoff.next())
                     continue
-                now_us = self._clock.now_us()
-                if due_us - now_us > interval_us:  # the clock was set back
-                    due_us = now_us
-                if now_us < due_us:
-                    await self._clock.sleep((due_us - now_us) / 1e6)
-                else:
-                    late = (now_us - due_us) // interval_us
-                    self._health.skipped += late
-                    due_us += late * interval_us
-                due_us += interval_us
-                batch = await self._poll()
+                next_round = await self._rounds.next()
+                self._health.skipped = self._rounds.skipped
+                if next_round.steps is None:
+                    next_round.steps = self._poll(next_round)
+                batch = await anext(next_round.steps)
+                if batch is None:
+                    continue
+                await next_round.end()
                 if batch.samples or batch.plans:
                     yield batch
         finally:
+            await self._rounds.end()
             await self._close()
 
     async def _connect(self) -> bool:
@@ -193,30 +198,34 @@ class ModbusDriver:
             unit.probe = None
         self._link.drop()
 
-    async def _poll(self) -> Batch:
-        """Read every unit that is due once."""
+    async def _poll(self, this: Round) -> AsyncGenerator[Batch | None]:
+        """Read every unit of a round once; None after each request, the batch at the end."""
         started = time.monotonic()
         samples: list[Sample] = []
         plans: list[PlannedProfile] = []
         read: list[UnitMap] = []
         for unit in self._units:
-            if unit.silent and not self._is_due_on_this_link(unit):
+            part = this.parts.get(unit.number)
+            if part is None or (unit.silent and not self._is_due_on_this_link(unit)):
                 continue
-            if await self._poll_unit(unit, samples):
-                read.append(unit.map)
-            elif not self._link.connected and not await self._connect():
+            async with aclosing(self._poll_unit(unit, part, samples, read)) as requests:
+                async for _ in requests:
+                    yield None
+            if part not in read and not self._link.connected and not await self._connect():
                 break
         # All units at once: a quarter faster than each between two requests.
-        for unit_map in read:
-            self._evaluate(unit_map.points, samples)
-        if self._link.connected and started >= self._plans_due:
+        for part in read:
+            self._evaluate(part.points, samples)
+        if this.has_plans and self._link.connected and started >= self._plans_due:
             self._plans_due = started + PLAN_INTERVAL_S
-            await self._read_plans(plans)
+            async with aclosing(self._read_plans(plans)) as requests:
+                async for _ in requests:
+                    yield None
         if not self._link.connected and not await self._connect():
             samples += self._lose_everything()
         if read:
             self._health.polls += 1
-        return Batch(samples, plans, time.monotonic() - started if read else None)
+        yield Batch(samples, plans, time.monotonic() - started if read else None)
 
     def _is_due_on_this_link(self, unit: _Unit) -> bool:
         """Decide how a silent unit is tried again: on this link only if that delays no one."""
@@ -235,50 +244,66 @@ class ModbusDriver:
         alone = all(other.silent for other in self._units)
         if now < (min(unit.retry_at, soon) if alone else unit.retry_at):
             return False
-        if isinstance(self._source, ModbusRtuSource):
-            return True  # a serial line has no second connection
-        witness = next((u for u in self._units if not u.silent and u.map.groups), None)
-        if witness is None:
+        if not self._source.has_second_connection:
             return True
-        unit.probe = asyncio.create_task(self._probe(unit, witness))
+        witness = next((u.witness for u in self._units if not u.silent and u.witness), None)
+        if witness is None or unit.witness is None:
+            return True
+        unit.probe = asyncio.create_task(self._probe(unit.witness, witness))
         return False
 
-    async def _probe(self, unit: _Unit, witness: _Unit) -> _Probe:
+    async def _probe(self, unit: UnitMap, witness: UnitMap) -> _Probe:
         """Ask a silent unit over a second connection, if the server serves one."""
         link = Link(self._source)
         try:
-            if not await link.connect() or not await _answers(link, witness.map):
+            if not await link.connect() or not await _answers(link, witness):
                 return _Probe.NO_SECOND_CONNECTION
-            return _Probe.ANSWERS if await _answers(link, unit.map) else _Probe.STILL_SILENT
+            return _Probe.ANSWERS if await _answers(link, unit) else _Probe.STILL_SILENT
         finally:
             link.drop()
 
-    async def _poll_unit(self, unit: _Unit, samples: list[Sample]) -> bool:
-        """Read one unit's channels; tell if it answered."""
-        if not unit.map.groups:
-            return False
-        try:
+    async def _poll_unit(
+        self, unit: _Unit, part: UnitMap, samples: list[Sample], read: list[UnitMap]
+    ) -> AsyncGenerator[None]:
+        """Read one unit's channels, stopping after each request; put `part` to `read` at the end.
+
+        Another round may read the same unit meanwhile. When it finds the unit silent, what has
+        been read here is older than the gap and worth nothing.
+        """
+        if not part.groups:
+            return
+        losses = unit.losses
+        for last_try in (False, True):
             try:
-                await self._read_groups(unit.map)
-            except LinkLostError:
-                # a server that closes now and then costs no sample
-                self._health.count_error("connection")
-                if not await self._connect():
-                    return False
-                await self._read_groups(unit.map)
-        except (NoAnswerError, LinkLostError) as error:
-            self._health.count_error("no_answer")
-            self._silence(unit, str(error), samples)
-            return False
+                async with aclosing(self._read_groups(part)) as requests:
+                    async for _ in requests:
+                        yield
+                        if unit.losses != losses:
+                            return
+            except LinkLostError as error:
+                if not last_try:
+                    # a server that closes now and then costs no sample
+                    self._health.count_error("connection")
+                    if not await self._connect():
+                        return
+                    continue
+                self._no_answer(unit, str(error), samples)
+                return
+            except NoAnswerError as error:
+                self._no_answer(unit, str(error), samples)
+                return
+            break
         if unit.silent:
-            logger.info("source %s: unit %d answers again", self.name, unit.map.unit)
+            logger.info("source %s: unit %d answers again", self.name, unit.number)
             if all(other.silent for other in self._units):
                 for other in self._units:  # the line is back, not only this unit
                     other.retry_at = 0.0
             unit.silent = ""
+        if unit.lost:
+            self._rounds.hurry(part)
         unit.backoff.reset()
         unit.lost = False
-        return True
+        read.append(part)
 
     def _evaluate(self, points: Sequence[Point], samples: list[Sample]) -> None:
         """Make samples of what has been read."""
@@ -297,10 +322,11 @@ class ModbusDriver:
             )
         self._health.samples += len(points)
 
-    def _silence(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
+    def _no_answer(self, unit: _Unit, reason: str, samples: list[Sample]) -> None:
         """Leave a unit out for a while and mark the gap in its channels."""
+        self._health.count_error("no_answer")
         if not unit.silent:
-            logger.warning("source %s: unit %d: %s", self.name, unit.map.unit, reason)
+            logger.warning("source %s: unit %d: %s", self.name, unit.number, reason)
         unit.silent = reason
         unit.tried_at = time.monotonic()
         unit.retry_at = unit.tried_at + unit.backoff.next()
@@ -314,9 +340,10 @@ class ModbusDriver:
         if unit.lost:
             return []
         unit.lost = True
+        unit.losses += 1
         now_us = self._clock.now_us()
         samples = []
-        for point in unit.map.points:
+        for point in unit.points:
             point.last_good_us = 0
             point.problem = ""
             point.last_time_us = time_us = next_time_us(point.last_time_us, now_us)
@@ -325,35 +352,39 @@ class ModbusDriver:
         self._health.samples += len(samples)
         return samples
 
-    async def _read_groups(self, unit: UnitMap) -> None:
-        """Read all groups; one that the device calls wrong is split to find the wrong cell."""
-        if unit.join_at and time.monotonic() >= unit.join_at:
-            unit.join()
+    async def _read_groups(self, part: UnitMap) -> AsyncGenerator[None]:
+        """Read all groups, stopping after each request.
+
+        One that the device calls wrong is split to find the wrong cell.
+        """
+        if part.join_at and time.monotonic() >= part.join_at:
+            part.join()
+        waiting = deque(part.groups)
         groups: list[Group] = []
-        for group in unit.groups:
+        while waiting:
+            group = waiting.popleft()
             if group.retry_at and time.monotonic() < group.retry_at:
                 group.repeat(self._clock.now_us())
                 groups.append(group)
+                continue
+            try:
+                values = await self._link.read(group.kind, part.unit, group.start, group.count)
+            except DeviceRefusedError as error:
+                halves = group.halves() if error.code in (2, 3) else None
+                if halves:
+                    waiting.extendleft(reversed(halves))
+                else:
+                    group.fail(error.code, self._clock.now_us())
+                    if error.code in (1, 2, 3):
+                        group.retry_at = time.monotonic() + REFUSED_READ_S
+                    groups.append(group)
             else:
-                groups += await self._read_group(unit.unit, group)
-        if len(groups) > len(unit.groups):
-            unit.note_split()
-        unit.groups = groups
-
-    async def _read_group(self, unit: int, group: Group) -> tuple[Group, ...]:
-        try:
-            values = await self._link.read(group.kind, unit, group.start, group.count)
-        except DeviceRefusedError as error:
-            halves = group.halves() if error.code in (2, 3) else None
-            if halves:
-                low, high = halves
-                return await self._read_group(unit, low) + await self._read_group(unit, high)
-            group.fail(error.code, self._clock.now_us())
-            if error.code in (1, 2, 3):
-                group.retry_at = time.monotonic() + REFUSED_READ_S
-        else:
-            group.store(values, self._clock.now_us())
-        return (group,)
+                group.store(values, self._clock.now_us())
+                groups.append(group)
+            yield
+        if len(groups) > len(part.groups):
+            part.note_split()
+        part.groups = groups
 
     def _note(self, point: Point, quality: int, kind: str, reason: str) -> None:
         """Count what is wrong with a channel, and tell of it when it changes."""
@@ -368,18 +399,23 @@ class ModbusDriver:
                 what = reason or "good again"
                 logger.log(level, "source %s: channel %s: %s", self.name, point.label, what)
 
-    async def _read_plans(self, plans: list[PlannedProfile]) -> None:
+    async def _read_plans(self, plans: list[PlannedProfile]) -> AsyncGenerator[None]:
         """Read the planned profiles; whatever fails here leaves the channels alone."""
         problem = ""
         for unit in self._units:
             if unit.silent:
                 continue
-            for binding in unit.map.plans:
+            for binding in [plan for one in unit.maps for plan in one.plans]:
                 config = binding.config
                 if not isinstance(config, ModbusPlan):
                     continue
+                registers: list[int] = []
                 try:
-                    registers = await self._read_plan(unit.map.unit, config)
+                    async with aclosing(
+                        read_rows(self._link, unit.number, config, registers)
+                    ) as rows:
+                        async for _ in rows:
+                            yield
                     steps = decode_plan(registers, config.word_order)
                 except (NoAnswerError, LinkLostError, DeviceRefusedError) as error:
                     problem = f"plan of {binding.asset}: {error}"
@@ -396,20 +432,6 @@ class ModbusDriver:
         else:
             self._plan_backoff.reset()
         self._plan_problem = problem
-
-    async def _read_plan(self, unit: int, config: ModbusPlan) -> list[int]:
-        """Read all rows; raise ImplausiblePlanError when the table moved between two requests."""
-        registers: list[int] = []
-        while len(registers) < config.rows * PLAN_ROW_REGISTERS:
-            left = config.rows * PLAN_ROW_REGISTERS - len(registers)
-            count = min(left, PLAN_ROWS_PER_READ * PLAN_ROW_REGISTERS)
-            address = config.address + len(registers)
-            registers += await self._link.read(config.kind, unit, address, count)
-        if config.rows > PLAN_ROWS_PER_READ:
-            first = await self._link.read(config.kind, unit, config.address, PLAN_ROW_REGISTERS)
-            if list(first[2:]) != registers[2:PLAN_ROW_REGISTERS]:
-                raise ImplausiblePlanError("table: the step changed while it was read")
-        return registers
 
 
 async def _answers(link: Link, unit: UnitMap) -> bool:

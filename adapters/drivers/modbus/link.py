@@ -3,8 +3,11 @@
 import asyncio
 import logging
 import termios
+import time
 from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
 
+from pymodbus import FramerType
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
@@ -39,11 +42,33 @@ class DeviceRefusedError(Exception):
         self.busy = code in (5, 6)
 
 
+class WriteRefusedError(Exception):
+    """Something asked for a request that is no read."""
+
+
+class _ReadOnly:
+    """In front of a pymodbus client: requests that are no reads end here, whoever makes them."""
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> Any:
+        if request.function_code not in _FUNCTION_CODES.values():
+            raise WriteRefusedError(f"function code {request.function_code} is no read")
+        return super().execute(no_response_expected, request)  # type: ignore[misc]
+
+
+class _TcpClient(_ReadOnly, AsyncModbusTcpClient):
+    pass
+
+
+class _SerialClient(_ReadOnly, AsyncModbusSerialClient):
+    pass
+
+
 class Link:
     """A connection that is thrown away after every doubt.
 
     A late reply must never be taken for the answer to a newer request, so a time-out or a foreign
-    frame drops the connection; the next `connect` starts with a new client.
+    frame drops the connection; the next `connect` starts with a new client. Nothing can be written
+    over it: the clients refuse every request that is no read.
 
     Parameters
     ----------
@@ -54,10 +79,11 @@ class Link:
     def __init__(self, source: ModbusSource) -> None:
         self.source = source
         self.timeout_s = source.timeout_s
-        self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
+        self._client: _TcpClient | _SerialClient | None = None
         self._reads: dict[Kind, Callable[..., Awaitable[ModbusPDU]]] = {}
         self._waiting = False
         self._garbage = False
+        self._free_at = 0.0  # wall (monotonic) time from which the next request may go out
 
     @property
     def connected(self) -> bool:
@@ -76,7 +102,10 @@ class Link:
             "input": client.read_input_registers,
         }
         try:
-            return bool(await client.connect())
+            connected = bool(await client.connect())
+            if connected and self.source.connect_pause_s:
+                await asyncio.sleep(self.source.connect_pause_s)
+            return connected and self.connected
         except asyncio.CancelledError:
             self.drop()
             raise
@@ -85,11 +114,11 @@ class Link:
             self.drop()
             return False
 
-    def _new_client(self) -> AsyncModbusTcpClient | AsyncModbusSerialClient:
+    def _new_client(self) -> _TcpClient | _SerialClient:
         source = self.source
         if isinstance(source, ModbusRtuSource):
             # Every frame carries a checksum, so none need be inspected here.
-            return AsyncModbusSerialClient(
+            return _SerialClient(
                 source.device,
                 baudrate=source.baudrate,
                 bytesize=source.bytesize,
@@ -100,13 +129,15 @@ class Link:
                 reconnect_delay=0,
                 trace_connect=self._connection_changed,
             )
-        return AsyncModbusTcpClient(
+        return _TcpClient(
             source.host,
             port=source.port,
             timeout=source.timeout_s,
             retries=0,
             reconnect_delay=0,
-            trace_packet=self._inspect,
+            # Frames of a serial line carry a checksum, as above.
+            framer=FramerType.RTU if source.framing == "rtu" else FramerType.SOCKET,
+            trace_packet=None if source.framing == "rtu" else self._inspect,
             trace_connect=self._connection_changed,
         )
 
@@ -132,6 +163,8 @@ class Link:
         """
         if self._client is None:
             raise LinkLostError("not connected")
+        if (wait_s := self._free_at - time.monotonic()) > 0.0:
+            await asyncio.sleep(wait_s)
         self._waiting = True
         try:
             response = await self._reads[kind](address, count=count, device_id=unit)
@@ -152,6 +185,8 @@ class Link:
             raise LinkLostError(str(error)) from error
         finally:
             self._waiting = False
+            if self.source.request_gap_s:
+                self._free_at = time.monotonic() + self.source.request_gap_s
         if response.isError():
             code = int(response.exception_code)
             if code in (0x0A, 0x0B):

@@ -1,10 +1,10 @@
-"""From the configured channels to grouped register reads, and from raw registers to samples."""
+"""From the configured channels to reads at their intervals, and from raw registers to samples."""
 
 import logging
 import math
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 
@@ -13,12 +13,12 @@ from adapters.configuration import ConfigurationError
 from adapters.drivers.modbus.config import (
     BIT_KINDS,
     PLAN_ROW_REGISTERS,
-    Kind,
     ModbusChannel,
     ModbusPlan,
     ModbusSource,
     data_sheet_hint,
 )
+from adapters.drivers.modbus.groups import Cell, Group, Limits, Reading, group, limits_of
 from adapters.protocol import ChannelBinding, PlanBinding
 from adapters.pt100 import fault, temperature_from_resistance
 from adapters.samples import Quality
@@ -26,10 +26,6 @@ from adapters.samples import Quality
 logger = logging.getLogger(__name__)
 
 ADDRESSES = 65536
-MAX_REGISTERS = 125  # of one read request, by the Modbus specification
-MAX_BITS = 2000
-REGISTER_GAP = 8  # unasked-for addresses that one request may bridge
-BIT_GAP = 64
 # Wall seconds until a group that was split is tried whole again: some devices refuse only while
 # they start, others always.
 JOIN_FIRST_S = 30.0
@@ -45,95 +41,6 @@ _FORMATS = {
     "float64": "d",
 }
 _WORDS = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2, "float64": 4}
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One raw value on the wire: where it is and how its registers make a number."""
-
-    kind: Kind
-    address: int
-    count: int  # registers or bits
-    structure: str  # struct format; empty for bits, which become an integer (first bit lowest)
-    swap_bytes: bool  # unpack from the registers packed little endian
-
-
-@dataclass(slots=True)
-class Reading:
-    """What the latest read of a cell gave: a raw number, or the code of the exception."""
-
-    raw: float = math.nan
-    exception: int = 0
-    time_us: int = 0
-
-
-@dataclass(slots=True)
-class Group:
-    """Cells of one unit and kind that are read with one request."""
-
-    kind: Kind
-    cells: list[tuple[Cell, Reading]]
-    start: int = 0
-    count: int = 0
-    retry_at: float = 0.0  # wall (monotonic) time before which a refused read is not repeated
-    _decode: list[tuple[Reading, Callable[..., tuple[float, ...]], int]] = field(
-        default_factory=list
-    )
-    _swaps: bool = False
-
-    def __post_init__(self) -> None:
-        self.start = min(cell.address for cell, _ in self.cells)
-        self.count = max(cell.address + cell.count for cell, _ in self.cells) - self.start
-        if self.kind not in BIT_KINDS:
-            self._swaps = any(cell.swap_bytes for cell, _ in self.cells)
-            self._decode = [
-                (
-                    reading,
-                    struct.Struct(cell.structure).unpack_from,
-                    2 * (cell.address - self.start + cell.swap_bytes * self.count),
-                )
-                for cell, reading in self.cells
-            ]
-
-    def store(self, values: Sequence[int | bool], time_us: int) -> None:
-        """Decode the registers or bits of an answer into the cells' readings."""
-        if self.kind in BIT_KINDS:
-            for cell, reading in self.cells:
-                first = cell.address - self.start
-                reading.raw = sum(
-                    1 << n for n, bit in enumerate(values[first : first + cell.count]) if bit
-                )
-                reading.exception = 0
-                reading.time_us = time_us
-            return
-        data = struct.pack(f">{self.count}H", *values)
-        if self._swaps:  # once more behind it, with the bytes of each register swapped
-            data += struct.pack(f"<{self.count}H", *values)
-        for reading, unpack_from, offset in self._decode:
-            (reading.raw,) = unpack_from(data, offset)
-            reading.exception = 0
-            reading.time_us = time_us
-
-    def fail(self, exception: int, time_us: int) -> None:
-        """Note that the device refused the read."""
-        for _, reading in self.cells:
-            reading.exception = exception
-            reading.time_us = time_us
-
-    def repeat(self, time_us: int) -> None:
-        """Let the readings stand as of now, without a read."""
-        for _, reading in self.cells:
-            reading.time_us = time_us
-
-    def halves(self) -> tuple["Group", "Group"] | None:
-        """Split between two cells; None when there is nothing to split."""
-        spans = sorted({(cell.address, cell.count) for cell, _ in self.cells})
-        if len(spans) < 2:
-            return None
-        middle = spans[len(spans) // 2]
-        low = [pair for pair in self.cells if (pair[0].address, pair[0].count) < middle]
-        high = [pair for pair in self.cells if (pair[0].address, pair[0].count) >= middle]
-        return Group(self.kind, low), Group(self.kind, high)
 
 
 @dataclass(slots=True)
@@ -251,9 +158,11 @@ class Point:
 
 @dataclass(slots=True)
 class UnitMap:
-    """All that is read from one unit."""
+    """All that is read from one unit at one interval (process seconds)."""
 
     unit: int
+    interval_s: float
+    limits: Limits
     points: list[Point]
     groups: list[Group]
     plans: list[PlanBinding]
@@ -270,7 +179,7 @@ class UnitMap:
         if any(reading.exception for reading in cells.values()):
             self.join_at = time.monotonic() + self.join_backoff.wait_s
         else:
-            self.groups, self.join_at = group(cells), 0.0
+            self.groups, self.join_at = group(cells, self.limits), 0.0
 
 
 def check(
@@ -281,8 +190,10 @@ def check(
     Raises
     ------
     ConfigurationError
-        A channel is bound twice, or its registers run past the last address.
+        A channel is bound twice, its registers run past the last address or do not fit into one
+        read, or the gaps between the requests alone take longer than the intervals allow.
     """
+    limits = limits_of(source)
     seen: set[tuple[str, str]] = set()
     for binding in channels:
         config = _channel(binding)
@@ -297,6 +208,12 @@ def check(
                     f"channel {binding.asset}/{binding.channel}: register {cell.address} with "
                     f"{cell.count} addresses runs past the last address, {ADDRESSES - 1}"
                 )
+            if cell.kind not in BIT_KINDS and cell.count > limits.registers:
+                raise ConfigurationError(
+                    f"channel {binding.asset}/{binding.channel}: {config.type} takes {cell.count} "
+                    f"registers, source {source.name!r} reads {limits.registers} at once "
+                    "(registers_per_read_max)"
+                )
     for plan in plans:
         bound = _plan(plan)
         if bound.address + bound.rows * PLAN_ROW_REGISTERS > ADDRESSES:
@@ -304,6 +221,24 @@ def check(
                 f"plan of {plan.asset}: register {bound.address} with {bound.rows} rows of "
                 f"{PLAN_ROW_REGISTERS} registers runs past the last address, {ADDRESSES - 1}"
             )
+        if limits.registers < PLAN_ROW_REGISTERS:
+            raise ConfigurationError(
+                f"plan of {plan.asset}: a row takes {PLAN_ROW_REGISTERS} registers, source "
+                f"{source.name!r} reads {limits.registers} at once (registers_per_read_max)"
+            )
+    if source.request_gap_s:
+        _check_gaps(source, compile_units(source, channels, plans, 1.0))
+
+
+def _check_gaps(source: ModbusSource, units: Sequence["UnitMap"]) -> None:
+    """Refuse gaps between requests that take more time than there is."""
+    share = sum(len(one.groups) * source.request_gap_s / one.interval_s for one in units)
+    if share > 1.0:
+        raise ConfigurationError(
+            f"source {source.name!r}: request_gap_s {source.request_gap_s:g} is too long: with "
+            f"{sum(len(one.groups) for one in units)} requests the gaps alone take {share:.1f} "
+            "times the poll intervals"
+        )
 
 
 def compile_units(
@@ -312,22 +247,24 @@ def compile_units(
     plans: Sequence[PlanBinding],
     rate: float,
 ) -> list[UnitMap]:
-    """Group everything bound to a source into as few reads per unit as sensible.
+    """Group everything bound to a source into as few reads per unit and interval as sensible.
 
     `rate` is the clock's; no age is judged tighter than 1.5 wall seconds.
     """
-    units: dict[int, UnitMap] = {}
-    cells: dict[int, dict[Cell, Reading]] = {}
+    limits = limits_of(source)
+    units: dict[tuple[int, float], UnitMap] = {}
+    cells: dict[tuple[int, float], dict[Cell, Reading]] = {}
 
-    def unit_map(unit_id: int | None) -> UnitMap:
+    def unit_map(unit_id: int | None, interval_s: float | None = None) -> UnitMap:
         unit = source.unit if unit_id is None else unit_id
-        cells.setdefault(unit, {})
-        return units.setdefault(unit, UnitMap(unit, [], [], []))
+        interval_s = source.poll_interval_s if interval_s is None else interval_s
+        cells.setdefault((unit, interval_s), {})
+        return units.setdefault((unit, interval_s), UnitMap(unit, interval_s, limits, [], [], []))
 
     for binding in channels:
         config = _channel(binding)
-        unit = unit_map(config.unit_id)
-        readings = cells[unit.unit]
+        unit = unit_map(config.unit_id, config.poll_interval_s)
+        readings = cells[unit.unit, unit.interval_s]
         status_cell = _status_cell(config)
         point = Point(
             asset=binding.asset,
@@ -343,33 +280,9 @@ def compile_units(
         unit.points.append(point)
     for plan in plans:
         unit_map(_plan(plan).unit_id).plans.append(plan)
-    for unit in units.values():
-        unit.groups = group(cells[unit.unit])
+    for key, unit in units.items():
+        unit.groups = group(cells[key], limits)
     return list(units.values())
-
-
-def group(cells: dict[Cell, Reading]) -> list[Group]:
-    """Join cells of the same kind that lie close together, within the limits of one request."""
-    groups: list[Group] = []
-    kinds: tuple[Kind, ...] = ("input", "holding", "coil", "discrete")
-    for kind in kinds:
-        most, gap = (MAX_BITS, BIT_GAP) if kind in BIT_KINDS else (MAX_REGISTERS, REGISTER_GAP)
-        run: list[tuple[Cell, Reading]] = []
-        start = end = 0
-        for cell, reading in sorted(
-            ((c, r) for c, r in cells.items() if c.kind == kind), key=lambda pair: pair[0].address
-        ):
-            cell_end = cell.address + cell.count
-            if run and (cell.address > end + gap or max(end, cell_end) - start > most):
-                groups.append(Group(kind, run))
-                run = []
-            if not run:
-                start = end = cell.address
-            run.append((cell, reading))
-            end = max(end, cell_end)
-        if run:
-            groups.append(Group(kind, run))
-    return groups
 
 
 def value_cell(config: ModbusChannel) -> Cell:

@@ -2,9 +2,10 @@
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import AsyncGenerator, Sequence
 
-from adapters.drivers.modbus.config import Order
+from adapters.drivers.modbus.config import PLAN_ROW_REGISTERS, ModbusPlan, Order
+from adapters.drivers.modbus.link import Link
 from adapters.samples import PlanStep
 
 # A word-swapped or foreign table shows itself in numbers that no bearing ever meets.
@@ -57,3 +58,25 @@ def decode_plan(registers: Sequence[int], word_order: Order) -> tuple[PlanStep, 
             )
         steps.append(PlanStep(float(duration_s), speed_rpm, load_n))
     return tuple(steps)
+
+
+async def read_rows(
+    link: Link, unit: int, config: ModbusPlan, registers: list[int]
+) -> AsyncGenerator[None]:
+    """Put all rows to `registers`, stopping after each request.
+
+    Raises
+    ------
+    ImplausiblePlanError
+        The table moved between two requests.
+    """
+    rows_per_read = link.source.registers_per_read_max // PLAN_ROW_REGISTERS
+    most = rows_per_read * PLAN_ROW_REGISTERS
+    while (left := config.rows * PLAN_ROW_REGISTERS - len(registers)) > 0:
+        address = config.address + len(registers)
+        registers += await link.read(config.kind, unit, address, min(left, most))
+        yield
+    if config.rows > rows_per_read:
+        first = await link.read(config.kind, unit, config.address, PLAN_ROW_REGISTERS)
+        if list(first[2:]) != registers[2:PLAN_ROW_REGISTERS]:
+            raise ImplausiblePlanError("table: the step changed while it was read")

@@ -7,8 +7,9 @@ from itertools import product
 from typing import Final
 
 from adapters.drivers.modbus.config import Kind, ModbusChannel, ModbusSource, Order, ValueType
+from adapters.drivers.modbus.groups import Cell, Group, Reading
 from adapters.drivers.modbus.link import DeviceRefusedError, Link, LinkLostError, NoAnswerError
-from adapters.drivers.modbus.mapping import Cell, Group, Reading, value_cell
+from adapters.drivers.modbus.mapping import value_cell
 
 #: Byte order of a value of two registers as data sheets write it: word order, byte order.
 ORDERS: Final[Mapping[str, tuple[Order, Order]]] = {

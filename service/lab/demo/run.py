@@ -270,7 +270,7 @@ async def set_coil(bench: BenchAnnouncement, coil: int, value: bool) -> None:
         If the controller refuses it.
     """
     async with AsyncModbusTcpClient(
-        bench["modbus"]["host"], port=bench["modbus"]["port"], timeout=3
+        bench["modbus"]["host"], port=bench["modbus"]["port"], timeout=15
     ) as modbus:
         answer = await modbus.write_coil(coil, value, device_id=2)
         if answer.isError():

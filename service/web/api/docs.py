@@ -12,7 +12,7 @@ from starlette.staticfiles import StaticFiles
 
 from service.documents.messages import asyncapi_document
 from service.documents.problems import ProblemDocument
-from service.domain.requests import AssetsToImport
+from service.domain.requests import AlarmSettingsToImport, AssetsToImport
 from service.notifications.messages import NotificationMessage
 from service.web.api.access import AUDIT, SECURITY_SCHEMES, problems
 
@@ -124,6 +124,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         for added in (
             ProblemDocument.model_json_schema(ref_template=place, mode="serialization"),
             AssetsToImport.model_json_schema(ref_template=place),
+            AlarmSettingsToImport.model_json_schema(ref_template=place),
             NotificationMessage.model_json_schema(ref_template=place, mode="serialization"),
         ):
             schemas.update(added.pop("$defs"))

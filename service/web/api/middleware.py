@@ -16,13 +16,13 @@ from service.web.api.access import known_caller
 from service.web.api.problems import Problem, problem_response
 
 STREAM_PATH = "/api/v1/stream"
-IMPORT_PATH = "/api/v1/assets:import"
+IMPORT_PATHS = ("/api/v1/assets:import", "/api/v1/alarm-settings/import")
 KIB = 1024
 _DEFAULT_BODY_BYTES = 64 * KIB
 _BODY_BYTES: Final = (
     (re.compile(r"/api/v1/assets/[^/]+/forecasts"), 256 * KIB),
     (re.compile(r"/api/v1/assets/[^/]+/measurements"), 4096 * KIB),
-    (re.compile(IMPORT_PATH), 8192 * KIB),
+    (re.compile("|".join(IMPORT_PATHS)), 8192 * KIB),
     (re.compile(r"/api/v1/assets:remove"), 8192 * KIB),
     (re.compile(r"/api/v1/commissioning/dbc"), 8192 * KIB),
     (re.compile(r"/api/v1/commissioning/(?:check|configuration)"), 1024 * KIB),
@@ -329,7 +329,7 @@ class JsonBodies:
             has_body = headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
             given = headers.get("content-type", "")
             kind = given.partition(";")[0].strip().lower()
-            others = (CSV,) if scope["path"] == IMPORT_PATH else ()
+            others = (CSV,) if scope["path"] in IMPORT_PATHS else ()
             if has_body and kind not in others and not _JSON.fullmatch(kind):
                 expected = ("application/json", *others)
                 detail = f"Content-Type {given!r}, expected {' or '.join(expected)}"

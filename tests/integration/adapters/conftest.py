@@ -84,6 +84,7 @@ async def running_driver(
     channels: dict[str, dict[str, Any]],
     plan: dict[str, Any] | None = None,
     rate: float = 1.0,
+    clock: Any = None,
 ) -> AsyncIterator[Record]:
     spec = driver_spec(source["driver"])
     bindings = [
@@ -94,7 +95,7 @@ async def running_driver(
     if plan is not None:
         assert spec.plan_model is not None
         plans = [PlanBinding("bench", spec.plan_model.model_validate({"source": "s", **plan}))]
-    clock = RunningClock(rate)
+    clock = clock or RunningClock(rate)
     settings = spec.source_model.model_validate({"name": "s", **source})
     driver = spec.create(settings, bindings, plans, clock)
     record = Record(driver, clock)

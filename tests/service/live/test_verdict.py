@@ -25,11 +25,12 @@ from service.jobs.manager import IdentificationJobs
 from service.live.outlook import ChannelOutlook, Outlook, StepOutlook, share_over
 from service.live.presentation import LimitCrossing
 from service.live.readings import Readings
-from service.live.verdict import Evidence, judge, required_channels
+from service.live.verdict import Evidence, judge
 from service.notifications.notifier import Notifier
 from service.security.keys import create_key
 from service.site.asset_section import AssetSection, Limits
 from service.site.machines.networks import read_network
+from service.site.required_channels import required_channels
 from service.site.settings import Settings
 from service.web.api import create_app
 from service.web.api.context import ServiceContext

@@ -11,9 +11,11 @@ from alarm_bench import HandClock
 
 from adapters.samples import Quality, Sample
 from service.alarms import AlarmBook, AlarmCondition
+from service.domain.alarm_guidance import AlarmOverride
 from service.live.estimate import ActiveModel, LiveEstimate
 from service.live.readings import Readings
 from service.live.watch import AlarmWatch
+from service.site.alarm_overlay import AlarmedAsset, rows_of
 from service.site.asset_section import AssetSection
 from service.site.wiring import ChannelFacts
 from service.store import Outbox, Store
@@ -318,3 +320,43 @@ def test_a_kind_that_is_switched_off_says_nothing(make_machine: Callable[..., Ma
     machine = make_machine(alarms={"measured_limit": {"enabled": False}})
     machine.run(WARM | {"t_inner_ring_c": 120.0}, 60)
     assert not [kind for kind, _ in machine.states() if kind == "measured limit"]
+
+
+LIMIT = ("measured limit", "t_inner_ring_c warning")
+
+
+def test_changed_settings_count_from_the_next_sample_and_keep_the_alarm(
+    make_machine: Callable[..., Machine], make_section: Callable[..., AssetSection]
+) -> None:
+    machine = make_machine(alarms={"rate_of_rise": {"enabled": False}})
+    hot = WARM | {"t_inner_ring_c": 75.0}
+    machine.run(hot, 60)
+    (before,) = machine.book.active()
+    assert (before.limit_value, before.priority) == (70.0, 2)
+    lower = make_section(limits={"t_inner_ring_c": {"warning": 60, "alarm": 65}})
+    name = ("measured limit", "t_inner_ring_c", "warning")
+    machine.watch.change(lower, {name: AlarmOverride(priority=3, on_delay_s=0.0)})
+    machine.run(hot, 15)
+    states = {alarm.level: alarm for alarm in machine.book.active()}
+    after = states["warning"]
+    assert (after.id, after.limit_value, after.priority) == (before.id, 60.0, 3)
+    assert states["alarm"].state == "UNACK", "the lower alarm limit counts at once"
+    machine.watch.change(lower, {name: AlarmOverride(enabled=False)})
+    machine.run(hot, STEP_S)
+    assert LIMIT not in machine.states()
+    machine.watch.change(lower, {})
+    machine.run(hot, 15)
+    assert machine.states()[LIMIT] == "UNACK"
+
+
+def test_every_alarm_that_is_watched_has_a_row(make_machine: Callable[..., Machine]) -> None:
+    levels = {"warning": 60, "alarm": 65}
+    above = {"above_ambient": {"limits": {"t_inner_ring_c": levels}}}
+    machine = make_machine(alarms=above)
+    machine.run(WARM, 60)
+    watched = {(one.kind, one.channel, one.level) for one in machine.book.normal("bench-1")}
+    section = machine.watch._settings
+    rows = {row.name for row in rows_of(AlarmedAsset(section, machine.watch._channels), {})}
+    assert watched <= rows
+    # What waits for a forecast, or for a model that knows the sensor, is not watched yet.
+    assert {name[0] for name in rows - watched} <= {"forecast limit", "twin residual"}

@@ -19,7 +19,7 @@ from service.clock import ProcessClock
 from service.domain.errors import CellUnavailableError
 from service.plant import publishers, rounds
 from service.plant.protocol import Host
-from service.plant.rounds import make_publishers
+from service.plant.rounds import PublisherRounds, make_publishers
 from service.site.configuration import SettingsError
 from service.site.settings import Settings
 
@@ -259,6 +259,27 @@ async def test_assets_that_change_while_a_publisher_takes_its_time_are_no_fault(
         await told.has(["tags", "bench-4", {"a": tag(1.0), "b": tag(2.0)}])
     assert told.lines.count(["open"]) == 1
     assert "failed" not in "".join(capsys.readouterr())
+
+
+async def test_two_looks_at_a_time_withdraw_a_tag_once(host: Host) -> None:
+    withdrawn: list[str] = []
+
+    class Slow:
+        async def publish_tags(self, asset: str, tags: dict[str, Any]) -> list[str]:
+            await asyncio.sleep(0)
+            return []
+
+        async def withdraw_tags(self, asset: str, tags: list[str]) -> None:
+            await asyncio.sleep(0)
+            withdrawn.extend(tags)
+
+    assets: dict[str, Any] = {"bench-1": Asset(), "bench-2": Asset()}
+    one = PublisherRounds("slow", Slow(), 1.0, assets, Bus(ProcessClock()), host)  # type: ignore[arg-type]
+    await one.publish_tags()
+    del assets["bench-1"], assets["bench-2"].tags["b"]
+    await asyncio.gather(one.publish_tags(), one.publish_tags())
+    assert sorted(withdrawn) == ["a", "b", "b"]
+    assert one.problem is None
 
 
 def test_a_publisher_that_there_is_not_is_named() -> None:

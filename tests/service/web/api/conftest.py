@@ -56,9 +56,11 @@ from service.domain.errors import (
 from service.domain.requests import IdentificationRequest, ProfileStep
 from service.ingest import Ingest, Spool
 from service.notifications.notifier import Notifier
+from service.reports.files import ReportFormat, report_file
 from service.security.keys import create_key
+from service.site.asset_section import AssetSection
 from service.site.settings import Settings
-from service.store import ActiveJobError, AuditEntry, Outbox, Store
+from service.store import ActiveJobError, AuditEntry, Outbox, Run, Store
 from service.store.forecast_records import IssuedContent, IssuedForecast
 from service.web.api import create_app
 from service.web.api.context import ServiceContext
@@ -342,6 +344,18 @@ class MemoryQuestions:
             ),
         )
 
+    async def report(self, asset: str, run: Run, format: ReportFormat, now_us: int) -> bytes:
+        section = AssetSection.model_validate(
+            {
+                "id": asset,
+                "bearing": "6311",
+                "low_risk": {"speed_rpm_max": 4300, "load_n_max": 3000},
+                "channels": {"speed_rpm": {"source": "push"}},
+            }
+        )
+        store = self.twins[asset].store
+        return await asyncio.to_thread(report_file, store, section, run, format, now_us)
+
     async def windows(self, asset: str) -> Sequence[WindowDocument]:
         time_us = self.twins[asset].time_us
         return [
@@ -493,7 +507,14 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-async def world(tmp_path: Path, empty_store: Path) -> AsyncIterator[World]:
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for a cell in the same process: a slow machine delays it as long as who asks."""
+    monkeypatch.setattr("service.bus.replica.PATIENCE_S", 60.0)
+    monkeypatch.setattr("service.bus.replicas.PATIENCE_S", 60.0)
+
+
+@pytest.fixture
+async def world(tmp_path: Path, empty_store: Path, patient: None) -> AsyncIterator[World]:
     shutil.copy(empty_store, tmp_path)
     clock = ProcessClock()
     settings = Settings()

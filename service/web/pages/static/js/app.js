@@ -14,6 +14,7 @@ import { currentSession, logInFromAddress, logOut, showLogin } from './login.js'
 import { assetHash, readHash } from './route.js';
 import { liveDetail, situation } from './situation.js';
 import { showWaiting } from './waiting_dialog.js';
+import { fetchStyle } from './styles.js';
 
 // Views are fetched when they are first shown, so that the first of them is there at once; `style`
 // is the style sheet of a view that has one of its own.
@@ -207,22 +208,6 @@ async function fetchView(name) {
   const { load, style } = VIEWS[name];
   const [View] = await Promise.all([load(), style && fetchStyle(style)]);
   return View;
-}
-
-const styles = new Map();
-
-function fetchStyle(href) {
-  if (!styles.has(href)) {
-    styles.set(href, new Promise((resolve, reject) => {
-      const forget = (event) => {
-        styles.delete(href);
-        event.target.remove();
-        reject(new Error(`no ${href}`));
-      };
-      document.head.append(h('link', { rel: 'stylesheet', href, onload: resolve, onerror: forget }));
-    }));
-  }
-  return styles.get(href);
 }
 
 /** Have every view at hand before the service may be away. */

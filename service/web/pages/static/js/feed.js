@@ -139,6 +139,11 @@ export class AssetFeed {
     const known = this.store.get('forecast');
     if (known && milliseconds(known.made_at) > milliseconds(forecast.made_at)) return;
     this.store.set('forecast', forecast);
+    // Somebody has changed the limits: the asset must not show those before.
+    const { limits } = this.store.get('asset') ?? {};
+    if (limits && JSON.stringify(limits) !== JSON.stringify(forecast.limits)) {
+      this.guarded(() => this.loadAsset());
+    }
   }
 
   takeVerdict(verdict) {

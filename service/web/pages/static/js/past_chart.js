@@ -34,7 +34,7 @@ export class PastChart {
 
   /**
    * model: { names, lines: { name: line }, fromMs, toMs, showTime,
-   * limits: [{ name, level, value, priority }] }.
+   * limits: [{ name, level, value, priority }], notes: [{ ms, text }] }.
    */
   update(model) {
     this.model = model;
@@ -118,6 +118,7 @@ export class PastChart {
     context.clip();
     this.paintGaps(plot);
     this.paintLimits(plot);
+    this.paintNotes(plot);
     this.paintNames(plot);
     this.reading.paintMark(plot);
     context.restore();
@@ -177,6 +178,33 @@ export class PastChart {
         bbox.left + bbox.width - 8 * ratio, y - 3 * ratio,
         { size, align: 'right', colour: token('--ink-3'), halo: token('--panel') });
     }
+  }
+
+  /** What was noted: a line at its time, with its number in the list of notes. */
+  paintNotes(plot) {
+    const { ctx: context, bbox } = plot;
+    const ratio = pixelRatio();
+    (this.model.notes ?? []).forEach(({ ms }, number) => {
+      const x = plot.valToPos(ms / 1000, 'x', true);
+      if (x < bbox.left || x > bbox.left + bbox.width) return;
+      context.strokeStyle = token('--ink-2');
+      context.lineWidth = stroke(1) * ratio;
+      context.setLineDash([2 * ratio, 3 * ratio]);
+      context.beginPath();
+      context.moveTo(x, bbox.top);
+      context.lineTo(x, bbox.top + bbox.height);
+      context.stroke();
+      context.setLineDash([]);
+      write(context, String(number + 1), x + 3 * ratio, bbox.top + bbox.height - 3 * ratio,
+        { size: fontSize() * ratio, colour: token('--ink-2'), halo: token('--panel') });
+    });
+  }
+
+  /** Time of the cursor or, without one, of its mark; null where there is neither. */
+  at() {
+    const { idx: index, left } = this.mounted?.plot.cursor ?? {};
+    if (left >= 0 && isNumber(index)) return this.mounted.plot.data[0][index] * 1000;
+    return this.reading?.mark?.ms ?? null;
   }
 
   /** Where a channel has no good data: hatched, with its name and the reason. */

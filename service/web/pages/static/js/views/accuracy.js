@@ -41,9 +41,9 @@ export class AccuracyView {
     this.answer = h('p', { class: 'verdict' }, 'loading …');
     this.detail = h('p', { class: 's mut' });
     this.boxes = {
-      reliability: h('div', { class: 'plot rel', role: 'img' }),
-      leads: h('div', { class: 'plot', role: 'img' }),
-      outcomes: h('div', { class: 'plot out', role: 'img' }),
+      reliability: h('div', { class: 'plot rel', role: 'img', 'aria-label': 'Reliability' }),
+      leads: h('div', { class: 'plot', role: 'img', 'aria-label': 'Error by lead time' }),
+      outcomes: h('div', { class: 'plot out', role: 'img', 'aria-label': 'Forecasts over what came' }),
     };
     this.outcomeText = h('p', { class: 's mut' });
     this.table = h('div', {});

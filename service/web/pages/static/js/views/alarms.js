@@ -7,6 +7,7 @@ import { channelName, fixed } from '../format.js';
 import { JournalPanel } from '../journal_panel.js';
 import { isDistrust } from '../readings.js';
 import { liveDetail } from '../situation.js';
+import { fetchStyle } from '../styles.js';
 import { ToldPanel } from '../told_panel.js';
 import { WatchedPanel } from '../watched_panel.js';
 
@@ -49,7 +50,7 @@ export class AlarmsView {
       h('section', { class: 'panel p-stat' },
         h('header', {}, h('h2', {}, 'Alarm performance')), this.statistics,
         h('h3', {}, 'Most frequent, last 24 h'), this.frequent),
-      this.told.element, this.journal.element);
+      this.told.element, this.createSettings(), this.journal.element);
     const feeds = [...page.connection.feeds.values()];
     this.endings = feeds.map((feed) =>
       feed.store.on(['alarms', 'link', 'forecast'], () => this.update(), 250));
@@ -64,6 +65,23 @@ export class AlarmsView {
     this.endings.forEach((end) => end());
     this.told.destroy();
     this.journal.destroy();
+  }
+
+  /** Settings of alarms: fetched when they are opened for the first time. */
+  createSettings() {
+    const inside = h('div', {});
+    return h('details', { class: 'panel p-settings', ontoggle: async ({ target }) => {
+      if (!target.open || this.settings) return;
+      this.settings = true;
+      try {
+        const [{ AlarmSettings }] = await Promise.all([import('../alarm_settings.js'),
+          fetchStyle('css/alarm_settings.css')]);
+        this.settings = new AlarmSettings(inside, this.page);
+      } catch {
+        this.settings = null;
+        put(inside, h('p', { role: 'alert' }, 'The settings cannot be fetched now. Close and open again.'));
+      }
+    } }, h('summary', {}, 'Alarm settings (rationalisation sheet)'), inside);
   }
 
   createFilters() {

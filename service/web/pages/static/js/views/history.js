@@ -3,7 +3,7 @@ import { assetPath, callPages, fetchFile } from '../api.js';
 import { OPERATION, UNITS } from '../channels.js';
 import { h, put, setText, unit } from '../dom.js';
 import { EventRibbon } from '../event_ribbon.js';
-import { fixed, timeZone, wholeSpan } from '../format.js';
+import { fixed, milliseconds, timeZone, wholeSpan } from '../format.js';
 import { saveBlob } from '../files.js';
 import { byChannel, extremes } from '../past.js';
 import { lineName, lookOf, PastChart } from '../past_chart.js';
@@ -41,8 +41,10 @@ export class HistoryView {
     this.charts = this.createCharts();
     this.ribbon = new EventRibbon(assetHash('alarms', page.assets.length > 1 ? asset.id : null));
     this.rows = this.names.map((name) => this.createRow(name));
+    this.runsPlace = h('div', { class: 'runs-place', hidden: true });
     put(box, h('h1', { class: 'vh' }, 'History'),
       h('section', { class: 'panel p-hctl', 'aria-label': 'Selection' }, this.controls),
+      this.runsPlace,
       h('section', { class: 'panel p-past' },
         h('header', {}, h('h2', {}, `History of ${asset.id}`), this.status,
           h('span', { class: 'sp' }), h('span', { class: 's mut hint' },
@@ -62,6 +64,7 @@ export class HistoryView {
     this.ending();
     this.asking?.abort();
     this.charts.forEach(({ chart }) => chart.destroy());
+    this.runs?.destroy();
     this.ended = true;
   }
 
@@ -81,6 +84,8 @@ export class HistoryView {
     }, text));
     this.saves = ['csv', 'parquet'].map((format) => button(format === 'csv' ? 'CSV' : 'Parquet',
       `Save the shown data as ${format === 'csv' ? 'CSV' : 'Parquet'}`, () => this.save(format)));
+    this.runsButton = button('Runs', 'Runs', () => this.openRuns());
+    this.runsButton.setAttribute('aria-expanded', 'false');
     this.controls = [
       h('div', { class: 'row' },
         h('span', { class: 'seg', role: 'group', 'aria-label': 'Range up to now' }, this.spanButtons),
@@ -93,7 +98,7 @@ export class HistoryView {
       h('div', { class: 'row' }, h('span', { class: 's mut' }, 'resolution'),
         h('span', { class: 'seg', role: 'group', 'aria-label': 'Resolution' },
           this.resolutionButtons),
-        h('span', { class: 's mut' }, 'save'), this.saves),
+        h('span', { class: 's mut' }, 'save'), this.saves, this.runsButton),
     ];
   }
 
@@ -127,6 +132,27 @@ export class HistoryView {
       });
       return { box, chart, unit: ofUnit };
     });
+  }
+
+  // ------------------------------------------------------------------ runs
+  /** The list of runs, which is fetched when it is first opened. */
+  async openRuns() {
+    const { RunsPanel } = await import('../runs_panel.js');
+    if (this.ended) return;
+    this.runs ??= new RunsPanel(this.page, {
+      names: this.names, unitOf, show: (run, notes) => this.showRun(run, notes),
+      at: () => this.charts.map(({ chart }) => chart.at()).find((ms) => ms !== null) ?? null,
+    });
+    if (!this.runsPlace.firstChild) this.runsPlace.append(this.runs.element);
+    this.runsPlace.hidden = !this.runsPlace.hidden;
+    this.runsButton.setAttribute('aria-expanded', String(!this.runsPlace.hidden));
+  }
+
+  /** A run fills the charts, with marks where something was noted. */
+  showRun({ start, end }, notes) {
+    this.notes = notes.map(({ time, text }) => ({ ms: milliseconds(time), text }));
+    const toMs = end ? milliseconds(end) : this.page.clock.now();
+    this.go({ fromMs: milliseconds(start), toMs });
   }
 
   // ------------------------------------------------------------------ the span
@@ -234,7 +260,7 @@ export class HistoryView {
       box.hidden = !names.length;
       const showTime = chart === last?.chart;
       const limits = limitsOf(this.page.store.get('asset'), names);
-      if (names.length) chart.update({ names, lines, showTime, limits, ...this.shown });
+      if (names.length) chart.update({ names, lines, showTime, limits, notes: this.notes, ...this.shown });
     }
     this.last = last?.chart;
     this.showEvents();

@@ -92,9 +92,9 @@ export class OperatorView {
 
   createTrendPanel() {
     this.boxes = {
-      temperature: h('div', { class: 'plot t', role: 'img' }),
-      speed: h('div', { class: 'plot sp1', role: 'img' }),
-      load: h('div', { class: 'plot ld1', role: 'img' }),
+      temperature: h('div', { class: 'plot t', role: 'img', 'aria-label': 'Temperatures' }),
+      speed: h('div', { class: 'plot sp1', role: 'img', 'aria-label': 'Speed' }),
+      load: h('div', { class: 'plot ld1', role: 'img', 'aria-label': 'Load' }),
     };
     this.modelText = h('span', { class: 's mut' });
     this.record = new ForecastRecord(this.page, this.hashAsset());

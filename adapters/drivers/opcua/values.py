@@ -1,0 +1,125 @@
+"""From what an OPC UA server says of a value to our samples."""
+
+import math
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+from adapters.drivers.opcua.codes import has_overflown, quality_of
+from adapters.drivers.opcua.config import OpcUaChannel
+from adapters.samples import Quality, is_bad, is_good
+
+FUTURE_US = 60_000_000  # a source time further ahead than this is none
+_EARLIEST_US = 946_684_800_000_000  # the year 2000; before it no clock has been set
+
+
+class Reading(NamedTuple):
+    """A value of a node.
+
+    `kind` and `reason` say what is wrong with it, for counting and for people; empty when it is
+    good. `overflown` tells that the server lost values before it.
+    """
+
+    time_us: int
+    value: float
+    quality: int
+    kind: str
+    reason: str
+    overflown: bool
+
+
+@dataclass(slots=True)
+class Point:
+    """A channel with its standing. Times are process time in microseconds."""
+
+    asset: str
+    channel: str
+    config: OpcUaChannel
+    last_us: int = 0  # of the latest sample
+    heard_us: int = 0  # when that was handed over
+    lost_at_us: int = 0  # latest sample before a loss that has not been filled in
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    problem: str = ""
+    history_problem: str = ""
+    quiet_until: float = 0.0  # wall (monotonic) time before which no further line is logged
+
+    @property
+    def label(self) -> str:
+        """The channel's full name for messages."""
+        return f"{self.asset}/{self.channel}"
+
+
+def reading_of(found: Any, config: OpcUaChannel, now_us: int) -> Reading:
+    """Turn a data value into a reading; never good unless it is in every respect.
+
+    Parameters
+    ----------
+    found : asyncua.ua.DataValue
+        As the server gave it.
+    config
+        Channel.
+    now_us
+        Process time, for what has no time of its own.
+    """
+    code = int(found.StatusCode.value) if found.StatusCode is not None else 0
+    quality = quality_of(code)
+    kind, reason, value = "", "", math.nan
+    if is_bad(quality):
+        kind, reason = "status", f"server says {_name(found)}"
+    else:
+        value, reason = _number(found, config)
+        if reason:
+            kind, quality = "no_number", _quality_of_nothing(reason)
+        elif config.valid_range and not config.valid_range[0] <= value <= config.valid_range[1]:
+            kind, quality = "valid_range", int(Quality.EU_EXCEEDED)
+            reason = f"outside the valid range {list(config.valid_range)}"
+        elif not is_good(quality):
+            kind, reason = "status", f"server says {_name(found)}"
+    time_us = microseconds(found.SourceTimestamp)
+    if time_us is None or time_us > now_us + FUTURE_US:
+        missing = time_us is None
+        server_us = microseconds(found.ServerTimestamp)
+        trusted = server_us is not None and server_us <= now_us + FUTURE_US
+        time_us = server_us if server_us is not None and trusted else now_us
+        if is_good(quality):
+            quality, kind = int(Quality.UNCERTAIN), "time"
+            reason = "no source time" if missing else "source time lies in the future"
+    return Reading(time_us, value, quality, kind, reason, has_overflown(code))
+
+
+def microseconds(moment: datetime | None) -> int | None:
+    """Microseconds since the epoch of an OPC UA time; None where a clock has never been set."""
+    if moment is None:
+        return None
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    past = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    time_us = (past.days * 86400 + past.seconds) * 1_000_000 + past.microseconds
+    return time_us if time_us >= _EARLIEST_US else None
+
+
+def moment_of(time_us: int) -> datetime:
+    """UTC time of microseconds since the epoch."""
+    whole_s, rest_us = divmod(time_us, 1_000_000)
+    return datetime.fromtimestamp(whole_s, UTC).replace(microsecond=rest_us)
+
+
+def _number(found: Any, config: OpcUaChannel) -> tuple[float, str]:
+    raw = found.Value.Value if found.Value is not None else None
+    if raw is None:
+        return math.nan, "no value"
+    if not isinstance(raw, bool | int | float):
+        what = "an array" if isinstance(raw, list | tuple) else f"a {type(raw).__name__}"
+        return math.nan, f"node holds {what}, expected a number"
+    value = float(raw) * config.scale + config.offset
+    return (value, "") if math.isfinite(value) else (math.nan, "not a number")
+
+
+def _quality_of_nothing(reason: str) -> int:
+    wrong_type = reason.startswith("node holds")
+    return int(Quality.CONFIG_ERROR if wrong_type else Quality.SENSOR_FAILURE)
+
+
+def _name(found: Any) -> str:
+    name = getattr(found.StatusCode, "name", "")
+    return name or f"status 0x{int(found.StatusCode.value):08X}"

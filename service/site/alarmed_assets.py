@@ -1,0 +1,46 @@
+"""The assets of the configuration and of the store, as alarm settings need them."""
+
+from collections.abc import Collection, Mapping
+
+from service.site.alarm_overlay import AlarmedAsset
+from service.site.configuration import SettingsError, TomlTable
+from service.site.provisioning import check_asset, of_section
+from service.site.settings import Settings
+from service.site.wiring import wire
+
+
+def alarmed_assets(
+    settings: Settings,
+    tables: Mapping[str, TomlTable],
+    wanted: Collection[str] | None = None,
+) -> dict[str, AlarmedAsset]:
+    """Give assets by id; those of the store that do not fit the configuration are left out.
+
+    Parameters
+    ----------
+    settings
+        The configuration.
+    tables
+        Of the assets that are in the store, by id.
+    wanted
+        Which; None: all.
+    """
+    of_file = [one for one in settings.assets if wanted is None or one.id in wanted]
+    found: dict[str, AlarmedAsset] = {}
+    if wanted is None and of_file:
+        channels = wire(settings).channels
+        found = {one.id: AlarmedAsset(one, channels[one.id]) for one in of_file}
+    else:
+        for section in of_file:
+            facts = of_section(settings, section).wiring.channels[section.id]
+            found[section.id] = AlarmedAsset(section, facts)
+    for name, table in tables.items():
+        if name in found or (wanted is not None and name not in wanted):
+            continue
+        try:
+            checked = check_asset(settings, name, table)
+        except SettingsError:
+            continue
+        facts = checked.wiring.channels[name]
+        found[name] = AlarmedAsset(checked.section, facts, "provisioned")
+    return found

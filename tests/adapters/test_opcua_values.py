@@ -1,0 +1,123 @@
+"""What an OPC UA server may say, and what becomes of it."""
+
+import datetime as dt
+import math
+from typing import Any
+
+import pytest
+from asyncua import ua
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from adapters.configuration import ConfigurationError
+from adapters.drivers.opcua.codes import has_overflown, quality_of, status_code
+from adapters.drivers.opcua.config import OpcUaChannel, OpcUaSource, check
+from adapters.drivers.opcua.values import microseconds, moment_of, reading_of
+from adapters.protocol import ChannelBinding, PlanBinding
+from adapters.samples import Quality, is_bad, is_good
+
+NOW_US = 1_800_000_000_000_000
+LOCAL = {"name": "plc", "endpoint": "opc.tcp://127.0.0.1:4840/plc"}
+
+
+@given(st.sampled_from(Quality), st.integers(0, 3))
+def test_every_quality_comes_back_from_its_status_code(quality: Quality, limits: int) -> None:
+    byte = (int(quality) & ~3) | limits
+    assert quality_of(status_code(byte)) == byte
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_status_code_becomes_better_than_its_severity(code: int) -> None:
+    quality = quality_of(code)
+    assert 0 <= quality <= 255
+    severity = code >> 30
+    assert is_good(quality) == (severity == 0)
+    assert is_bad(quality) == (severity >= 2)
+    assert not has_overflown(code) or code & 0xC00 == 0x400
+
+
+moments = st.none() | st.datetimes(
+    dt.datetime(1601, 1, 1), dt.datetime(2200, 1, 1), timezones=st.none() | st.just(dt.UTC)
+)
+raw = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64)
+    | st.floats()
+    | st.text(max_size=5)
+    | st.binary(max_size=5)
+    | st.lists(st.floats(), max_size=3)
+    | st.datetimes()
+)
+
+
+@given(raw, st.integers(0, 2**32 - 1), moments, moments, st.sampled_from([1.0, -0.1, 1e300]))
+def test_a_value_is_good_only_if_all_of_it_is(
+    value: Any, code: int, source: Any, server: Any, scale: float
+) -> None:
+    config = OpcUaChannel(source="plc", node="i=1", scale=scale, valid_range=(-1e6, 1e6))
+    found = ua.DataValue(
+        Value=None if value is None else _Value(value),
+        StatusCode=ua.StatusCode(code),
+        SourceTimestamp=source,
+        ServerTimestamp=server,
+    )
+    reading = reading_of(found, config, NOW_US)
+    assert is_bad(reading.quality) == math.isnan(reading.value)
+    assert (reading.kind == "") == (reading.reason == "") == is_good(reading.quality)
+    assert reading.time_us <= NOW_US + 60_000_000
+    if is_good(reading.quality):
+        assert code >> 30 == 0
+        assert reading.value == float(value) * scale
+        assert abs(reading.value) <= 1e6
+        assert reading.time_us == microseconds(source)
+
+
+class _Value:
+    """A variant that takes whatever a server may send."""
+
+    def __init__(self, value: Any) -> None:
+        self.Value = value
+
+
+@given(st.integers(946_684_800_000_000, 4_000_000_000_000_000))
+def test_times_come_back(time_us: int) -> None:
+    assert microseconds(moment_of(time_us)) == time_us
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"endpoint": "http://127.0.0.1/"}, "opc.tcp://HOST:PORT"),
+        ({"endpoint": "opc.tcp://a:b@127.0.0.1:4840"}, "no user in the address"),
+        ({"endpoint": "opc.tcp://plc.example.com:4840"}, "outside this machine"),
+        ({"endpoint": "opc.tcp://192.0.2.1:4840"}, "outside this machine"),
+        ({"security_policy": "Basic256Sha256"}, "needs server_certificate, certificate"),
+        ({"certificate": "client.der"}, "certificates need security_policy"),
+        ({"user": "twin"}, "user and password_variable"),
+    ],
+)
+def test_wrong_settings_say_what_is_expected(changed: dict[str, str], expected: str) -> None:
+    with pytest.raises(ValidationError, match=expected):
+        OpcUaSource.model_validate({**LOCAL, **changed})
+
+
+@pytest.mark.parametrize("node", ["TIC101", "ns=x;s=a", "ns=2;i=abc", "ns=2;s=", "nsu=;s=a"])
+def test_a_wrong_node_id_is_refused(node: str) -> None:
+    with pytest.raises(ValidationError, match="expected a node id"):
+        OpcUaChannel(source="plc", node=node)
+
+
+def test_what_is_missing_is_said_before_anything_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PLC_PASSWORD", raising=False)
+    channel = ChannelBinding("bench", "load_n", OpcUaChannel(source="plc", node="i=1"))
+    settings = {**LOCAL, "user": "twin", "password_variable": "PLC_PASSWORD"}
+    with pytest.raises(ConfigurationError, match=r"'PLC_PASSWORD'.* is not set"):
+        check(OpcUaSource.model_validate(settings), [channel], [])
+    with pytest.raises(ConfigurationError, match="a plan needs a Modbus source"):
+        check(OpcUaSource.model_validate(LOCAL), [], [PlanBinding("bench", channel.config)])
+    files = dict.fromkeys(("server_certificate", "certificate", "private_key"), "gone.der")
+    settings = {**LOCAL, "security_policy": "Basic256Sha256", **files}
+    with pytest.raises(ConfigurationError, match=r"gone\.der' cannot be read: No such file"):
+        check(OpcUaSource.model_validate(settings), [channel], [])

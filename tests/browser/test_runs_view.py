@@ -1,0 +1,117 @@
+"""Runs in the history view: listed, compared over each other, named, annotated, reported."""
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.clock import rfc3339
+from tests.browser.plant import BEARING, Plant
+from tests.browser.test_page_quality import axe, violations
+from tests.processes import wait_until
+
+__all__ = ["axe"]  # a fixture
+
+pytestmark = pytest.mark.browser
+
+Screen = Callable[..., Page]
+US = 1_000_000
+NAME = "cold start <b>$1$</b>"
+NOTE = "noise at <i>10:00</i>"
+
+
+@pytest.fixture(scope="module")
+def past(started_plant: Plant) -> int:
+    """Two runs of half an hour, long ago, the second warmer; gives the start of the first in µs."""
+    start_us = started_plant.clock.now_us() // (60 * US) * 60 * US - 60 * 86_400 * US
+    samples = [
+        {"channel": channel, "time": rfc3339(start_us + second * US), "value": value}
+        for second in range(-600, 6000, 20)
+        for run in [0 <= second < 1800 or 3600 <= second < 5400]
+        for channel, value in (
+            ("speed_rpm", 1500.0 if run else 0.0),
+            ("t_inner_ring_c", 20 + (second % 3600) / 180 + (8 if second >= 3600 else 0)),
+        )
+    ]
+    for first in range(0, len(samples), 5000):
+        started_plant.push(BEARING, samples[first : first + 5000])
+    return start_us
+
+
+def open_runs(page: Page) -> None:
+    button = page.get_by_role("button", name="Runs", exact=True)
+    expect(button).to_have_attribute("aria-expanded", "false")
+    button.press("Enter")
+    expect(button).to_have_attribute("aria-expanded", "true")
+    expect(page.locator(".p-runs tbody tr").last).to_be_visible()
+
+
+def test_runs_from_the_list_to_the_report(
+    screen: Screen, plant: Plant, past: int, problems: list[str], axe: str
+) -> None:
+    runs = f"/assets/{BEARING}/runs"
+    wait_until(lambda: len(plant.get(runs)["items"]) == 3, 60, "the present run to be one")
+    page = screen(f"history/{BEARING}", role="operator")
+    open_runs(page)
+    rows = page.locator(".p-runs tbody tr")
+    expect(rows).to_have_count(3)
+    expect(rows.nth(0)).to_contain_text("goes on")
+    first, second = rows.nth(2), rows.nth(1)
+    expect(first).to_contain_text("30 min")
+    expect(first).to_contain_text("standstill")
+
+    first.get_by_role("checkbox").check()
+    second.get_by_role("checkbox").check()
+    plot = page.locator(".runs-plot")
+    expect(page.locator(".runs-legend li")).to_have_count(2)
+    plot.focus()
+    plot.press("Home")
+    for _ in range(30):
+        plot.press("ArrowRight")
+    tip = plot.locator(".tip")
+    expect(tip).to_contain_text("after the start")
+    values = [float(text.split()[-2]) for text in tip.locator("div").all_inner_texts()[1:]]
+    assert len(values) == 2, "the values of both runs at the same time after their starts"
+    assert values[1] - values[0] == pytest.approx(8.0, abs=0.2)
+
+    first.get_by_role("button", name="Name ").click()
+    page.get_by_label("Name (empty: none)").fill(NAME)
+    page.get_by_role("button", name="Save", exact=True).click()
+    expect(first.locator(".name")).to_have_text(NAME)
+    expect(page.locator(".runs-legend li").first).to_contain_text(NAME)
+
+    first.get_by_role("button", name=f"Show {NAME}").press("Enter")
+    expect(page.locator(".p-past [role=status]")).to_contain_text("values")
+    page.get_by_role("button", name="Note…").click()
+    page.get_by_label("Note (everyone can read it)").fill(NOTE)
+    page.get_by_role("button", name="Add", exact=True).click()
+    expect(page.locator(".notes li")).to_contain_text(NOTE)
+    run = plant.get(runs)["items"][-1]
+    assert run["name"] == NAME
+    kept = plant.get(f"{runs}/{run['id']}")["annotations"]
+    assert [one["text"] for one in kept] == [NOTE]
+
+    for format, begin in (("PDF", b"%PDF-"), ("CSV", b"\xef\xbb\xbfRun,item")):
+        with page.expect_download() as saved:
+            first.get_by_role("button", name=f"Report of {NAME} as {format}").click()
+        content = saved.value.path().read_bytes()
+        assert content.startswith(begin)
+    assert NOTE.encode() in content
+    page.evaluate(axe)
+    assert violations(page, "history") == []
+    page.get_by_role("button", name=f"Remove the note {NOTE}").click()
+    expect(page.locator(".notes li")).to_have_count(0)
+    assert problems == []
+
+
+def test_a_viewer_reads_and_changes_nothing(screen: Screen, past: int, problems: list[str]) -> None:
+    page = screen(f"history/{BEARING}", role="viewer")
+    page.set_viewport_size({"width": 390, "height": 800})
+    open_runs(page)
+    row = page.locator(".p-runs tbody tr").last
+    expect(row.get_by_role("button", name="Name ")).to_be_disabled()
+    row.get_by_role("button", name="Show ").click()
+    expect(page.get_by_role("button", name="Note…")).to_be_disabled()
+    wide = page.evaluate("document.documentElement.scrollWidth - innerWidth")
+    assert wide <= 0, "nothing is wider than a phone"
+    assert problems == []

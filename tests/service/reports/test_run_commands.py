@@ -1,0 +1,49 @@
+"""Runs and their reports on the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.main import app
+from service.store import Store
+from tests.service.reports.conftest import START_US, fill, section
+
+CONFIGURATION = """
+[[assets]]
+id = "bench-1"
+bearing = "6311"
+low_risk = { speed_rpm_max = 4300, load_n_max = 3400 }
+[assets.channels]
+speed_rpm = { source = "push" }
+load_n = { source = "push" }
+t_inner_ring_c = { source = "push" }
+"""
+
+
+def test_a_run_is_listed_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text(CONFIGURATION)
+
+    def call(*arguments: str) -> tuple[int, str]:
+        result = CliRunner().invoke(app, [*arguments, "-c", "c.toml"])
+        return result.exit_code, result.output + str(result.exception or "")
+
+    assert call("runs", "bench-1") == (0, "bench-1: no run is stored.\n")
+    assert "no run is stored" in call("report", "bench-1", "--out", "r.pdf")[1]
+    with Store.open("", tmp_path / "var") as store:
+        end_us = fill(store, section(nodes=0), 1.0, every_s=20)
+    status, printed = call("runs", "bench-1", "--json")
+    (run,) = json.loads(printed)["items"]
+    assert (status, run["ended"], run["duration_s"]) == (0, "standstill", (end_us - START_US) / 1e6)
+    assert run["id"] in call("runs", "bench-1")[1]
+    for out, begin in (("r.pdf", b"%PDF-"), ("r.png", b"\x89PNG"), ("r.csv", b"\xef\xbb\xbfRun")):
+        assert call("report", "bench-1", "--out", out)[0] == 0
+        assert Path(out).read_bytes().startswith(begin)
+        again = f"again-{out}"
+        assert call("report", "bench-1", "--out", again, "--run", run["id"])[0] == 0
+        assert Path(again).read_bytes() == Path(out).read_bytes()
+    assert "expected one of last, " in call("report", "bench-1", "--out", "r.pdf", "--run", "x")[1]
+    assert "ends in .pdf, .png or .csv" in call("report", "bench-1", "--out", "r.doc")[1]
+    assert "no such asset" in call("runs", "bench-2")[1]
