@@ -7,6 +7,7 @@ text editor can read it.
 import hashlib
 import json
 import stat
+import threading
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -15,6 +16,8 @@ from service.files import make_private_folder, replacing
 
 FOLDER: Final = "configurations"
 BY_HAND: Final = "by hand"
+#: One change at a time: of two that are based on the same text, the second is refused.
+_turn = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +106,13 @@ def save(
     FileError
         If a file cannot be written.
     """
-    place = file.resolve()
+    with _turn:
+        return _save(file.resolve(), data_dir, text, based_on, who, what, now_us)
+
+
+def _save(
+    place: Path, data_dir: Path, text: str, based_on: str, who: str, what: str, now_us: int
+) -> FileVersion | None:
     before = read_file(place)
     if revision_of(before) != based_on:
         raise FileChangedError("the configuration file has been changed meanwhile; read it again")

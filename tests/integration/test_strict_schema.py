@@ -286,6 +286,7 @@ def test_every_other_route_answers_as_published(published: Published) -> None:
     call("POST", f"{A}/grease-renewed", 200, json={"comment": "regreased"})
     change_a_limit(published)
     provision(published)
+    commission(published)
     call("GET", f"{ALARMS}/statistics", 200)
     call("GET", f"{ALARMS}/journal", 200)
     call("GET", f"{ALARMS}/journal", 200, params={"format": "csv", "limit": 3})

@@ -1,5 +1,6 @@
 """Puts the web side together."""
 
+import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from importlib.metadata import version
@@ -95,6 +96,7 @@ def create_app(context: ServiceContext) -> FastAPI:
     app.state.trail = trail
     app.state.turns = turns
     app.state.probes = probes
+    app.state.uploads = asyncio.Lock()
     install_handlers(app)
     _take_in_routes(app)
     app.router.routes.append(page_route(_DASHBOARD / "index.html"))

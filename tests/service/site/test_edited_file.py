@@ -1,6 +1,8 @@
 """The page writes the file that a person would: comments stay, and nothing else changes."""
 
+import contextlib
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +73,25 @@ def test_every_version_can_be_had_again_also_one_by_hand(tmp_path: Path) -> None
         (2, "admin", "a = 1\n"),
         (1, "by hand", ""),
     ]
+
+
+def test_of_many_changes_of_one_text_one_is_saved_and_the_others_are_refused(
+    tmp_path: Path,
+) -> None:
+    file, data = tmp_path / "bench.toml", tmp_path / "var"
+
+    def change(number: int) -> bool:
+        with contextlib.suppress(FileChangedError):
+            text, base = f"a = {number}\n", revision_of("")
+            save(file, data, text, based_on=base, who="admin", what="test", now_us=number)
+            return True
+        return False
+
+    with ThreadPoolExecutor(8) as threads:
+        saved = list(threads.map(change, range(32)))
+    assert saved.count(True) == 1
+    assert file.read_text() == f"a = {saved.index(True)}\n"
+    assert [one.number for one in versions(data)] == [2, 1]
 
 
 CAN = {"name": "c", "driver": "can", "interface": "socketcand", "channel": "can0", "dbc": "b.dbc"}

@@ -4,6 +4,7 @@ What asks a device runs in a process of its own (`service.web.probes`). Nothing 
 a device.
 """
 
+import asyncio
 import tomllib
 from functools import partial
 from pathlib import Path as FilePath
@@ -138,17 +139,19 @@ async def post_dbc(context: Context, request: Request, trail: Trail, body: DbcUp
     name it. The new one then has a number behind its name.
     """
     folder = _file(context).resolve().parent
-    try:
-        name = await to_thread.run_sync(_place, folder, body.name, body.text)
-        found = await _probes(request).run(probe_worker.dbc_signals, folder / f"{name}.part")
-        await to_thread.run_sync((folder / f"{name}.part").replace, folder / name)
-    except ConfigurationError as error:
-        raise pointer_problem("/text", f"not {str(error).rpartition(' is not ')[2]}") from error
-    except FileError as error:
-        raise Problem(409, str(error)) from error
-    finally:
-        for part in folder.glob("*.dbc.part"):
-            part.unlink(missing_ok=True)
+    turn: asyncio.Lock = request.app.state.uploads
+    async with turn:  # two of the same name take two names
+        try:
+            name = await to_thread.run_sync(_place, folder, body.name, body.text)
+            found = await _probes(request).run(probe_worker.dbc_signals, folder / f"{name}.part")
+            await to_thread.run_sync((folder / f"{name}.part").replace, folder / name)
+        except ConfigurationError as error:
+            raise pointer_problem("/text", f"not {str(error).rpartition(' is not ')[2]}") from error
+        except FileError as error:
+            raise Problem(409, str(error)) from error
+        finally:
+            for part in folder.glob("*.dbc.part"):
+                part.unlink(missing_ok=True)
     await trail.note(actor(request), "commissioning.dbc", name, f"{len(found)} signals")
     return json_response(DbcDocument(name=name, signals=found), 201)
 

@@ -25,7 +25,7 @@ export class LimitScales {
         width: Math.max(at(limits.alarm) - at(limits.warning), 0) }),
       s('rect', { class: 'alarm', x: at(limits.alarm), y: 10, width: WIDTH - at(limits.alarm), height: 12 }),
       value != null && s('path', { class: 'now', d: `M${at(value)},4v24` }),
-      [0, 50, 100, 150].map((one) => s('text', { x: Math.min(Math.max(at(one), 8), WIDTH - 10), y: 33,
+      [0, 50, 100, 150].map((one) => s('text', { x: Math.min(Math.max(at(one), 8), WIDTH - 13), y: 33,
         'text-anchor': 'middle' }, one)));
     draw();
     const input = (key, word) => h('input', { type: 'number', min: -50, max: 500, step: 'any', value: limits[key],
