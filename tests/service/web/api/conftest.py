@@ -514,10 +514,17 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-async def world(tmp_path: Path, empty_store: Path, patient: None) -> AsyncIterator[World]:
+def settings() -> Settings:
+    """The configuration of the world; a module that needs another one has its own."""
+    return Settings()
+
+
+@pytest.fixture
+async def world(
+    tmp_path: Path, empty_store: Path, settings: Settings, patient: None
+) -> AsyncIterator[World]:
     shutil.copy(empty_store, tmp_path)
     clock = ProcessClock()
-    settings = Settings()
     joint, registry = MemoryBus(), CollectorRegistry()
     bus = Bus(clock)
     taken: list[Sample] = []
