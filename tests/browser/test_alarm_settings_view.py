@@ -13,7 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.plant import BEARING, Plant
 from tests.processes import wait_until
 
-from .test_page_quality import axe, violations
+from .test_page_quality import axe, violations_in_all_sizes
 
 __all__ = ["axe"]
 
@@ -59,12 +59,12 @@ def test_a_setting_is_edited_and_undone_by_keyboard_on_a_phone(
     panel.get_by_label("Filter alarms").fill("inner ring: measured limit (warning)")
     expect(panel.locator("tbody tr")).to_have_count(1)
     page.evaluate(axe)
-    assert not violations(page, "alarm settings")
+    assert not violations_in_all_sizes(page, "alarm settings")
     page.set_viewport_size(PHONE)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     panel.get_by_role("button", name=f"Edit {NAME}").press("Enter")
     dialog = page.get_by_role("dialog")
-    assert not violations(page, "dialog of a setting")
+    assert not violations_in_all_sizes(page, "dialog of a setting")
     dialog.get_by_label("Setpoint, °C").fill("66.5")
     dialog.get_by_label("Remarks").fill("=1+1")
     dialog.get_by_label("Reason").fill("as the maker says")
@@ -73,7 +73,7 @@ def test_a_setting_is_edited_and_undone_by_keyboard_on_a_phone(
     expect(
         dialog.get_by_role("row", name=re.compile("measured limit.*warning setpoint 70 66.5"))
     ).to_be_visible()
-    assert not violations(page, "differences")
+    assert not violations_in_all_sizes(page, "differences")
     dialog.get_by_role("button", name="Change", exact=True).press("Enter")
     expect(panel.get_by_text("1 alarm changed, in effect now.")).to_be_visible()
     assert (warning(settings)["setpoint"], warning(settings)["remarks"]) == (66.5, "=1+1")
@@ -82,7 +82,7 @@ def test_a_setting_is_edited_and_undone_by_keyboard_on_a_phone(
     panel.get_by_role("button", name="History").press("Enter")
     undo = panel.get_by_role("button", name=re.compile("Undo setpoint: 66.5"))
     expect(panel.locator(".told li").first).to_contain_text("as the maker says")
-    assert not violations(page, "history of settings")
+    assert not violations_in_all_sizes(page, "history of settings")
     undo.first.press("Enter")
     page.get_by_role("dialog").get_by_role("button", name="Change", exact=True).press("Enter")
     wait_until(lambda: warning(settings)["setpoint"] == 70, 60, "the undone setpoint")

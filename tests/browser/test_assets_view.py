@@ -16,7 +16,7 @@ from service.site.settings import load_settings
 from service.store import Store
 from tests.browser.conftest import WAIT_MS
 from tests.browser.plant import Plant
-from tests.browser.test_page_quality import violations
+from tests.browser.test_page_quality import violations_in_all_sizes
 from tests.service.store.test_fleet_runs import RUN
 
 pytestmark = pytest.mark.browser
@@ -416,20 +416,20 @@ def test_forms_and_faults_meet_wcag_aa(screen: Screen, hall: Hall, tmp_path: Pat
     page.get_by_label("Configuration", exact=True).fill("{")
     page.get_by_role("button", name="Add asset", exact=True).click()
     expect(page.get_by_text("Not valid JSON")).to_be_visible()
-    found = violations(page, "form")
+    found = violations_in_all_sizes(page, "form")
     page.get_by_role("button", name="Import CSV…").click()
     faulty = tmp_path / "fleet.csv"
     faulty.write_text("id,template\naxle-3,axle\n")
     page.get_by_label("CSV file", exact=True).set_input_files(faulty)
     expect(page.locator("table.ft")).to_be_visible()
-    found += violations(page, "import")
+    found += violations_in_all_sizes(page, "import")
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Edit axle-1").click()
     expect(page.get_by_label("warning", exact=True)).to_have_value("70")
-    found += violations(page, "edit")
+    found += violations_in_all_sizes(page, "edit")
     page.get_by_role("button", name="Remove axle-1").click()
     expect(page.get_by_role("dialog")).to_be_visible()
-    found += violations(page, "question")
+    found += violations_in_all_sizes(page, "question")
     assert not found, "\n".join(found)
 
 
@@ -457,7 +457,7 @@ def test_nights_show_how_far_they_are_and_what_they_cost(screen: Screen, hall: H
     expect(panel.locator("tbody tr").last).to_contain_text("stopped before the end")
     expect(panel.get_by_role("listitem")).to_have_text("m-1: 3 workers died of it")
     page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
-    assert not violations(page, "nights")
+    assert not violations_in_all_sizes(page, "nights")
     page.set_viewport_size(PHONE)  # type: ignore[arg-type]
     assert overflow_px(page) <= 0
 

@@ -29,7 +29,7 @@ from strange_bench import (
 )
 
 from tests.browser.conftest import WAIT_MS
-from tests.browser.test_page_quality import violations
+from tests.browser.test_page_quality import violations_in_all_sizes
 
 pytestmark = [pytest.mark.browser, pytest.mark.wires, pytest.mark.timeout(600)]
 
@@ -203,7 +203,7 @@ def test_a_saved_bench_is_undone_and_had_again(
     axe = files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8")
     page.evaluate(axe)
     expect(page.get_by_text("in the file now")).to_be_visible()
-    found = violations(page, "commissioning")
+    found = violations_in_all_sizes(page, "commissioning")
     page.set_viewport_size(PHONE)  # type: ignore[arg-type]
     shot(page, "6-phone")
     wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
@@ -214,7 +214,7 @@ def test_a_saved_bench_is_undone_and_had_again(
     expect(page.get_by_text("in the file now")).to_be_visible()
     page.evaluate(axe)
     shot(page, "7-light")
-    found += violations(page, "commissioning, other theme")
+    found += violations_in_all_sizes(page, "commissioning, other theme")
     assert not found, "\n".join(found)
     page.get_by_role("button", name="Have version 1 again").click()
     page.get_by_role("dialog").get_by_role("button", name="Have it again").click()

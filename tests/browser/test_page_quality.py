@@ -67,6 +67,7 @@ def axe() -> str:
     return files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
 
 
+SIZES = ((390, 844), (768, 1024), (1280, 800), (1920, 1080))
 WHOLE = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
 
@@ -89,6 +90,21 @@ def violations(page: Page, view: str) -> list[str]:
         for one in found
         for node in one["nodes"]
     ]
+
+
+def violations_in_all_sizes(page: Page, view: str) -> list[str]:
+    """As `violations`, on a telephone, a tablet, a notebook and a wall screen."""
+    before = page.viewport_size
+    found: list[str] = []
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        page.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        found += violations(page, f"{view} at {width} px")
+    if before is not None:
+        page.set_viewport_size(before)
+    return found
 
 
 def test_words_of_every_priority_are_read_on_their_tint(parts: Page, axe: str) -> None:
@@ -124,15 +140,15 @@ def test_every_view_meets_wcag_aa(screen: Screen, plant: Plant, axe: str) -> Non
         expect(page.locator("nav.tabs a[aria-current]")).to_have_text(title)
         expect(page.locator("main h1, main .card").first).to_be_attached()
         page.wait_for_timeout(500)
-        found += violations(page, view)
+        found += violations_in_all_sizes(page, view)
     plant.silent.update((BEARING, GEARBOX))
     page.goto(f"{plant.address}/#operator/{BEARING}")
     expect(page.locator("#lost")).to_contain_text("No temperature")
-    found += violations(page, "without data")
+    found += violations_in_all_sizes(page, "without data")
     page.goto(f"{plant.address}/#alarms")
     page.get_by_role("button", name=re.compile("^More on")).first.click()
     expect(page.get_by_role("dialog")).to_be_visible()
-    found += violations(page, "dialog")
+    found += violations_in_all_sizes(page, "dialog")
     assert not found, "\n".join(found)
 
 

@@ -7,7 +7,7 @@ from playwright.sync_api import Page, expect
 
 from service.clock import rfc3339
 from tests.browser.plant import BEARING, Plant
-from tests.browser.test_page_quality import axe, violations
+from tests.browser.test_page_quality import axe, violations_in_all_sizes
 from tests.processes import wait_until
 
 __all__ = ["axe"]  # a fixture
@@ -98,7 +98,7 @@ def test_runs_from_the_list_to_the_report(
         assert content.startswith(begin)
     assert NOTE.encode() in content
     page.evaluate(axe)
-    assert violations(page, "history") == []
+    assert violations_in_all_sizes(page, "history") == []
     page.get_by_role("button", name=f"Remove the note {NOTE}").click()
     expect(page.locator(".notes li")).to_have_count(0)
     assert problems == []

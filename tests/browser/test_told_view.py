@@ -12,7 +12,7 @@ from tests.browser.plant import BEARING, Plant
 from tests.processes import wait_until
 
 from .test_alarm_views import hot, row
-from .test_page_quality import axe, violations
+from .test_page_quality import axe, violations_in_all_sizes
 
 __all__ = ["axe", "hot"]
 
@@ -48,7 +48,7 @@ def test_a_test_is_sent_and_a_silence_planned_and_ended_by_keyboard_on_a_phone(
     panel.get_by_role("button", name="Silence…").press("Enter")
     dialog = page.get_by_role("dialog")
     page.evaluate(axe)
-    assert not violations(page, "silence dialog")
+    assert not violations_in_all_sizes(page, "silence dialog")
     dialog.get_by_label("Alarms of").select_option(BEARING)
     dialog.get_by_label("Duration in minutes").fill("600")
     dialog.get_by_label("Reason").fill("bearing is being regreased")
@@ -56,7 +56,7 @@ def test_a_test_is_sent_and_a_silence_planned_and_ended_by_keyboard_on_a_phone(
     silence = panel.locator("[data-silence]")
     expect(silence).to_contain_text(f"Silence: {BEARING}")
     expect(silence).to_contain_text("bearing is being regreased (engineer")
-    assert not violations(page, "a silence")
+    assert not violations_in_all_sizes(page, "a silence")
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     silence.get_by_role("button").press("Enter")
     expect(silence).to_have_count(0)
