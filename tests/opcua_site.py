@@ -76,7 +76,13 @@ async def inside(
     """Serve the tags of bench-1, or of all assets; a host that is not loopback asks for keys."""
     port = free_port()
     section = OpcUaSection(enabled=True, endpoint=f"opc.tcp://{host}:{port}/bearing-twin")
-    host_of_it = Host(Authenticator(store), AuditTrail(outbox), folder)
+    host_of_it = Host(
+        Authenticator(store),
+        AuditTrail(outbox),
+        folder,
+        channels_of=lambda asset: (RING,),
+        history=store.channel_history,
+    )
     publisher = OpcUaPublisher(section)
     rounds = PublisherRounds(
         "opcua", publisher, PERIOD_S, assets or {"bench-1": asset}, Bus(ProcessClock()), host_of_it

@@ -1,8 +1,8 @@
 """What a publisher is: whatever hands tags and alarms on to other systems.
 
 A publisher is a folder of this package with one line in `service.plant.publishers.PUBLISHERS`.
-It gets values and gives none back: it holds neither a twin nor a store, so that nothing that a
-stranger sends to it can change anything.
+It gets values and gives none back: it holds no twin, and of the store only what reads a history,
+so that nothing that a stranger sends to it can change anything.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -16,6 +16,7 @@ from service.site.settings import Settings
 if TYPE_CHECKING:  # the supervisor asks what is enabled, and needs no store for it
     from service.security.audit_trail import AuditTrail
     from service.security.authenticator import Authenticator
+    from service.store.channel_history import ChannelHistory
 
 
 class TagValue(TypedDict):
@@ -42,6 +43,10 @@ class Host:
     tags_of : callable
         The tags of an asset at this moment, as its snapshot: what is old is not called good, and
         no verdict of it is safe. None without such an asset, or before its first snapshot.
+    channels_of : callable
+        Names of the tags of an asset that are kept in the store.
+    history : ChannelHistory, optional
+        What was stored of them.
     now_us : callable
         Process time, microseconds since 1970 UTC.
     """
@@ -50,6 +55,8 @@ class Host:
     trail: "AuditTrail"
     data_dir: Path
     tags_of: Callable[[str], Mapping[str, TagValue] | None] = lambda asset: None
+    channels_of: Callable[[str], Collection[str]] = lambda asset: ()
+    history: "ChannelHistory | None" = None
     now_us: Callable[[], int] = wall_us
 
 

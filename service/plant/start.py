@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Final
 
@@ -115,7 +115,15 @@ async def _run(settings: Settings, stop: asyncio.Event, ready: Callable[[], None
             await stack.enter_async_context(background(work, name, stop))
         while not following.caught_up.is_set():
             await _pause(stop)
-        host = Host(authenticator, trail, data_dir, partial(_tags_of, replicas), clock.now_us)
+        host = Host(
+            authenticator,
+            trail,
+            data_dir,
+            tags_of=partial(_tags_of, replicas),
+            channels_of=partial(_channels_of, replicas),
+            history=store.channel_history,
+            now_us=clock.now_us,
+        )
         for one in make_publishers(settings, replicas.assets, bus, host, registry):
             await stack.enter_async_context(background(one.run(), one.name, stop))
         ready()
@@ -138,6 +146,11 @@ def _tags_of(replicas: Replicas, asset: str) -> Mapping[str, TagValue] | None:
     return (
         replica.snapshot()["tags"] if replica is not None and replica.is_known("snapshot") else None
     )
+
+
+def _channels_of(replicas: Replicas, asset: str) -> Collection[str]:
+    replica = replicas.assets.get(asset)
+    return replica.channels if replica is not None and replica.is_known("facts") else ()
 
 
 async def _refresh(replicas: Replicas) -> None:

@@ -44,10 +44,12 @@ class Samples(NamedTuple):
     def within(self, begin_us: int, end_us: int) -> "Samples":
         """Give those of a half-open span."""
         first, last = np.searchsorted(self.times_us, (begin_us, end_us))
+        return self.taken(slice(first, last))
+
+    def taken(self, which: slice) -> "Samples":
+        """Give those at some places."""
         times_us, values, qualities, received_us = self
-        return Samples(
-            times_us[first:last], values[first:last], qualities[first:last], received_us[first:last]
-        )
+        return Samples(times_us[which], values[which], qualities[which], received_us[which])
 
 
 class _Received(msgspec.Struct, frozen=True):

@@ -203,12 +203,12 @@ def _read(
             break
         begin_us = first_us - first_us % bucket_us
         chunk_end_us = min(begin_us + (limit - len(found)) * bucket_us, end_us)
-        found += _chunk(connection, channel_id, begin_us, chunk_end_us, bucket_us, horizon_us)
+        found += chunk(connection, channel_id, begin_us, chunk_end_us, bucket_us, horizon_us)
         begin_us = chunk_end_us
     return found
 
 
-def _chunk(
+def chunk(
     connection: Connection,
     channel_id: int,
     begin_us: int,

@@ -97,9 +97,16 @@ def first_time_us(connection: Connection, channel_id: int, start_us: int) -> int
     return None
 
 
-def newest(connection: Connection, channel_id: int, after_us: int) -> Row | None:
-    """Give the newest packed sample of a channel, if there is one after a time."""
-    before_us = 2**63 - 1
+def last_time_us(connection: Connection, channel_id: int, end_us: int) -> int | None:
+    """Time of the last packed sample of a channel before a time."""
+    row = newest(connection, channel_id, -1, end_us)
+    return None if row is None else row[0]
+
+
+def newest(
+    connection: Connection, channel_id: int, after_us: int, before_us: int = 2**63 - 1
+) -> Row | None:
+    """Give the newest packed sample of a channel between two times, both not included."""
     while True:
         query = _select().where(
             PackedHourRow.channel_id == channel_id,
@@ -112,9 +119,10 @@ def newest(connection: Connection, channel_id: int, after_us: int) -> Row | None
             return None
         hour = PackedHour(*row)
         samples = samples_of(connection, hour)
-        if samples.times_us.size:
-            return rows(samples.within(after_us + 1, before_us))[-1]
-        before_us = hour.hour_us  # its block is damaged: the one before it
+        inside = samples.within(after_us + 1, before_us)
+        if inside.times_us.size:
+            return rows(inside)[-1]
+        before_us = hour.hour_us  # its block is damaged, or it begins later: the one before it
 
 
 def count(connection: Connection, channel_id: int) -> int:

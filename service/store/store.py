@@ -8,6 +8,7 @@ from service.store.alarm_journal import AlarmJournal
 from service.store.alarm_settings import AlarmSettings
 from service.store.asset_states import AssetStates
 from service.store.audit import Audit
+from service.store.channel_history import ChannelHistory
 from service.store.closable import Closable
 from service.store.database import Database, Fence, damaged
 from service.store.fleet_runs import FleetRuns
@@ -48,6 +49,8 @@ class Store(Closable):
         Statistics per minute and hour, and what is kept for how long.
     history : History
         Statistics of the samples per bucket of time.
+    channel_history : ChannelHistory
+        One channel as a historian reads it.
     models : ModelVersions
         Versions of each asset's model, and which is active.
     jobs : Jobs
@@ -86,6 +89,7 @@ class Store(Closable):
         self.packing = Packing(database)
         self.rollups = Rollups(database, self.samples)
         self.history = History(database)
+        self.channel_history = ChannelHistory(database)
         self.models = ModelVersions(database)
         self.jobs = Jobs(database)
         self.nights = Nights(database)

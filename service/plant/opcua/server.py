@@ -10,7 +10,7 @@ would bring filters of clients, which the library evaluates without a bound.
 import asyncio
 import logging
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from urllib.parse import urlsplit
@@ -21,6 +21,8 @@ from asyncua import Server, ua
 from service.live.guard import Guard
 from service.plant.opcua.certificate import load_certificate
 from service.plant.opcua.codes import status_code, unit_id
+from service.plant.opcua.history import StoreHistory
+from service.plant.opcua.history_nodes import describe_history, mark_historical
 from service.plant.opcua.sessions import KeyedServer
 from service.plant.opcua.users import KeyUsers
 from service.plant.opcua.wire import BoundedServer
@@ -61,6 +63,8 @@ class OpcUaPublisher:
         self._local = is_loopback(urlsplit(section.endpoint).hostname or "")
         self._users: KeyUsers
         self._namespace = 0
+        self._history: StoreHistory | None = None
+        self._channels_of: Callable[[str], Collection[str]] = lambda asset: ()
         # Assets with an object, and the tags that have a variable there.
         self._variables: dict[str, set[str]] = {}
         # One for each tag: the others go on when one cannot be shown.
@@ -74,6 +78,11 @@ class OpcUaPublisher:
         local = self._local
         self._users = KeyUsers(host.authenticator, host.trail, anonymous=local)
         self.server = server = BoundedServer(KeyedServer(self._users), encrypted=not local)
+        self._channels_of = host.channels_of
+        self._history = None
+        if host.history is not None:  # before `init`, which sets the library's own up
+            self._history = StoreHistory(server.iserver, host.history)
+            server.iserver.history_manager = self._history
         server.application_type = ua.ApplicationType.Server
         server.product_uri = NAMESPACE
         server.manufacturer_name = "Bearing Twin"
@@ -95,6 +104,8 @@ class OpcUaPublisher:
         )
         self._namespace = await server.register_namespace(NAMESPACE)
         self._variables = {}
+        if self._history is not None:
+            await describe_history(server, ua.NodeId("history", self._namespace))
 
     async def run(self) -> None:
         """Listen, and keep revoked keys out, until cancelled."""
@@ -127,6 +138,8 @@ class OpcUaPublisher:
         deleted = [self._node_id(asset, tag) for tag in tags]
         for node_id in deleted:
             self._guards.pop(node_id, None)
+            if self._history is not None:
+                self._history.channels.pop(node_id, None)
         await self._detach(object_id, ua.ObjectIds.HasComponent, deleted)
         if not variables:
             del self._variables[asset]
@@ -219,6 +232,9 @@ class OpcUaPublisher:
                 ),
             )
         self._variables[asset].add(tag)
+        if self._history is not None and tag in self._channels_of(asset):
+            await mark_historical(variable, ua.NodeId("history", self._namespace))
+            self._history.channels[node_id] = (asset, tag)
 
 
 def _unit_node_id(variable: ua.NodeId) -> ua.NodeId:
