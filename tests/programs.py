@@ -3,10 +3,13 @@
 import os
 import shutil
 from collections.abc import Collection
+from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
+#: Where the packages of Node.js are that tests use.
+FOREIGN = Path(__file__).with_name("foreign")
 #: Why a test is skipped; the command that installs what is missing follows.
 MISSING = "missing: "
 APT = "apt-get install "
@@ -32,6 +35,12 @@ def needed(package: str, *commands: str) -> str:
     """
     found = path_of(*(commands or (package,)))
     return found or missing(APT + package)
+
+
+def node_package(name: str) -> Path:
+    """Folder of a package of Node.js, without which the test is skipped."""
+    found = FOREIGN / "node_modules" / name
+    return found if found.is_dir() else missing("npm ci --ignore-scripts --prefix tests/foreign")
 
 
 def missing(command: str) -> NoReturn:
