@@ -28,9 +28,7 @@ async def run(tool: str, address: str, *arguments: str) -> str:
 
 
 @pytest.mark.wires
-async def test_a_value_and_a_history_are_read(
-    tmp_path: Path, store: Store, outbox: Outbox
-) -> None:
+async def test_a_value_and_a_history_are_read(tmp_path: Path, store: Store, outbox: Outbox) -> None:
     begin_us = 1_767_225_600_000_000
     store.samples.write(
         [Sample("bench-1", RING, begin_us + k * 1_000_000, 20.5 + k, 192, 0) for k in range(3)]

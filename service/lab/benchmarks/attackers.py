@@ -6,9 +6,11 @@ Each goes on for so many seconds, says on its standard output how many answers o
 got, and knows nothing of the service but its address and, where it is a user of it, a key.
 """
 
+import asyncio
 import gzip
 import http.client
 import json
+import logging
 import os
 import resource
 import secrets
@@ -21,7 +23,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from service.domain.roles import Role
 
@@ -35,6 +37,7 @@ OPCUA_PORT = "OPCUA_PORT"
 #: Every attacker but the owner of the service comes from another address.
 SOURCE = "127.0.0.9"
 
+_DAY = timedelta(days=1)
 _chunk = bytes(65_536)
 _tail = b"%x\r\n%s\r\n" % (len(_chunk), _chunk)
 
@@ -364,6 +367,37 @@ def opcua_frame(attack: Attack) -> None:
     attack.side_by_side(4, once)
 
 
+def opcua_history(attack: Attack) -> None:
+    """Clients of OPC UA that have a day of history averaged, again and again."""
+    address = f"opc.tcp://{attack.host}:{os.environ[OPCUA_PORT]}/"
+
+    def once(number: int) -> None:
+        asyncio.run(_read_history(attack, address, f"ns=2;s={PUSHED_ASSET}/{PUSHED[number]}"))
+
+    attack.side_by_side(4, once)
+
+
+async def _read_history(attack: Attack, address: str, node_id: str) -> None:
+    from asyncua import Client, ua  # it takes a second, and the other attackers do not need it
+
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+    now = datetime.now(UTC)
+    try:
+        async with Client(address, timeout=60) as client:
+            node = client.get_node(node_id)
+            # Much to read, and little to answer: the caller has no work of it.
+            details = ua.ReadProcessedDetails(
+                StartTime=now - _DAY,
+                EndTime=now,
+                ProcessingInterval=59 * 60_000.0,
+                AggregateType=[ua.NodeId(ua.ObjectIds.AggregateFunction_Average)],
+            )
+            while not attack.over:
+                attack.note((await node.history_read(details)).StatusCode.name)
+    except (ua.UaError, TimeoutError) as error:
+        attack.note(type(error).__name__)
+
+
 ATTACKS: dict[Callable[[Attack], None], Role] = {
     gzip_tail_without_key: "viewer",
     gzip_tail_with_key: "gateway",
@@ -377,6 +411,7 @@ ATTACKS: dict[Callable[[Attack], None], Role] = {
     assets: "viewer",
     cookies: "viewer",
     opcua_frame: "viewer",
+    opcua_history: "viewer",
     streams: "viewer",
 }
 """Every attacker, and the role of its key."""

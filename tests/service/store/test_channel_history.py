@@ -40,7 +40,7 @@ def fill(store: Store, series: Series, done_us: int) -> str:
 
 
 @given(series=SERIES, done=DONE, span=st.tuples(MOMENTS, MOMENTS), limit=st.integers(1, 50))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_first_and_last_samples_of_a_span(
     shared_store: Store, series: Series, done: int, span: tuple[int, int], limit: int
 ) -> None:
@@ -57,7 +57,7 @@ def test_first_and_last_samples_of_a_span(
 
 
 @given(series=SERIES, done=DONE, moments=st.lists(MOMENTS, max_size=12))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_a_value_holds_until_the_next_and_for_an_hour(
     shared_store: Store, series: Series, done: int, moments: list[int]
 ) -> None:
@@ -83,7 +83,7 @@ def test_a_value_holds_until_the_next_and_for_an_hour(
     ),
     count=st.integers(1, 40),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_statistics_of_intervals_from_any_moment(
     shared_store: Store, series: Series, done: int, begin: int, interval: int, count: int
 ) -> None:
