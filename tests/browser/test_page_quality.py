@@ -152,29 +152,54 @@ def test_every_view_meets_wcag_aa(screen: Screen, plant: Plant, axe: str) -> Non
     assert not found, "\n".join(found)
 
 
-def test_everything_is_reached_by_keyboard(screen: Screen, plant: Plant) -> None:
-    page = screen(f"operator/{BEARING}", "operator")
-    expect(page.locator(".ans .word").first).to_be_visible()
-    page.locator("body").press("Tab")
-    reached: list[str] = []
-    for _ in range(60):
-        told = page.evaluate(
-            """() => {
-              const at = document.activeElement;
-              const look = getComputedStyle(at);
-              return at === document.body ? null : [at.textContent.trim() || at.ariaLabel,
-                look.outlineStyle, parseFloat(look.outlineWidth)];
-            }"""
-        )
-        if told is None:
-            break
-        name, style, width = told
-        reached.append(name)
-        assert style == "solid", f"no focus ring on {name!r}"
-        assert width >= 2, f"no focus ring on {name!r}"
-        page.keyboard.press("Tab")
-    for wanted in ("Skip to content", "Fleet", "What-if", "3 h", "Journal"):
-        assert wanted in reached
+NAME_OF = """(at) => [at.tagName, at.type ?? '', at.ariaLabel ?? '', at.getAttribute('href') ?? '',
+  at.name ?? '', at.id, at.textContent.trim().slice(0, 60)].join(' ')"""
+#: What can be used on a page, and what looks as if it could.
+USABLE = f"""() => {{
+  const name = {NAME_OF};
+  const usable = 'a[href], button, input, select, textarea, summary, [tabindex]';
+  const shown = (at) =>
+    at.checkVisibility({{ visibilityProperty: true }}) && !at.closest('[inert]');
+  const reachable = [...document.querySelectorAll(usable)].filter((at) =>
+    shown(at) && !at.disabled && at.tabIndex >= 0 && !(at.type === 'radio' && !at.checked));
+  const pressable = [...document.body.querySelectorAll('*')].filter((at) =>
+    shown(at) && getComputedStyle(at).cursor === 'pointer' &&
+    !at.closest(usable + ', label, svg, option'));
+  return [reachable.map(name), pressable.map(name)];
+}}"""
+
+
+def test_every_view_is_used_by_keyboard(screen: Screen, plant: Plant) -> None:
+    """Tab comes to all that can be pressed or filled in, with a ring that shows where it is."""
+    page = screen("fleet", "admin")
+    found: list[str] = []
+    for view in (*VIEWS, "commissioning"):
+        page.goto(f"{plant.address}/#{view}")
+        expect(page.locator("body")).to_have_attribute("data-view", view.split("/")[0])
+        expect(page.locator("main h1, main .card").first).to_be_attached()
+        page.wait_for_timeout(500)
+        page.evaluate("document.activeElement.blur()")
+        reached: set[str] = set()
+        for _ in range(400):
+            page.keyboard.press("Tab")
+            told = page.evaluate(
+                f"""() => {{
+                  const at = document.activeElement, look = getComputedStyle(at);
+                  return at === document.body ? null :
+                    [({NAME_OF})(at), look.outlineStyle, parseFloat(look.outlineWidth)];
+                }}"""
+            )
+            if told is None:
+                break
+            name, style, width = told
+            reached.add(name)
+            if style == "none" or width < 2:
+                found.append(f"{view}: no focus ring on {name}")
+        reachable, pressable = page.evaluate(USABLE)
+        assert len(reachable) > 5
+        found += [f"{view}: not reached: {name}" for name in reachable if name not in reached]
+        found += [f"{view}: for the mouse alone: {name}" for name in pressable]
+    assert not found, "\n".join(found)
 
 
 def test_motion_stops_where_it_is_not_wanted(screen: Screen, plant: Plant) -> None:
