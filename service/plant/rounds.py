@@ -52,6 +52,8 @@ class PublisherRounds:
         The publisher's name.
     problem : str or None
         Why it hands nothing on, or not everything; None while all is well.
+    begun : asyncio.Event
+        Set once all tags have been handed on for the first time.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class PublisherRounds:
     ) -> None:
         self.name = name
         self.problem: str | None = "not opened yet"
+        self.begun = asyncio.Event()
         self._publisher = publisher
         self._period_s = period_s
         self._assets = assets
@@ -88,6 +91,7 @@ class PublisherRounds:
                 await self._publisher.open(self._host)
                 self._known = {asset: dict.fromkeys(tags) for asset, tags in self._known.items()}
                 await self.publish_tags()
+                self.begun.set()
                 backoff.reset()
                 away = False
                 async with asyncio.TaskGroup() as tasks:
