@@ -14,7 +14,7 @@ def modbus_map(
     config: ConfigFile = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="CSV on standard output.")] = False,
 ) -> None:
-    """Print the registers of the Modbus server of a configuration, for who programs the PLC.
+    """Print the registers of the Modbus server of a configuration, to program the PLC with.
 
     Addresses count from 0. Registers are input and holding registers, bits are discrete inputs
     and coils. The map version is register 1 of the running server.
