@@ -33,9 +33,9 @@ MOST_VALUES: Final = 10_000
 MOST_NODES: Final = 100
 #: Single times that are asked for at once, for one node.
 MOST_TIMES: Final = 1000
-#: Intervals are made of so much history at most for one answer, where raw samples are read for it.
+#: Of processed reads all nodes of a request share so much history, where raw samples are read ...
 _MOST_SPAN_US: Final = 7 * 24 * HOUR_US
-#: Long intervals of one answer.
+#: ... and so many long intervals.
 _MOST_LONG: Final = 500
 _SHORTEST_MS: Final = 1.0
 _LAST_US: Final = 2**62
@@ -92,7 +92,7 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
         super().__init__(server)
         self.channels: dict[ua.NodeId, tuple[str, str]] = {}
         self._store = store
-        # One read at a time: no client makes the tags of the others late.
+        # One node at a time: no client makes the tags of the others late.
         self._turn = asyncio.Lock()
 
     async def init(self) -> None:
@@ -124,11 +124,9 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
             raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
         reads = _reads(details, len(nodes))
         most = MOST_VALUES // len(nodes)
-        async with self._turn:
-            return [
-                await self._answer(node, read, most)
-                for node, read in zip(nodes, reads, strict=True)
-            ]
+        return [
+            await self._answer(node, read, most) for node, read in zip(nodes, reads, strict=True)
+        ]
 
     async def _answer(
         self, node: ua.HistoryReadValueId, read: "_Read", most: int
@@ -136,7 +134,8 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
         result = ua.HistoryReadResult()
         try:
             work = partial(read, self._store, *self._channel(node), _point(node), most)
-            page = await asyncio.to_thread(work)
+            async with self._turn:
+                page = await asyncio.to_thread(work)
         except _RefusedError as error:
             result.StatusCode = ua.StatusCode(error.status)
             return result
@@ -254,7 +253,8 @@ def _processed(
     begin_us = start_us if point_us is None else point_us
     if not start_us <= begin_us < end_us or (begin_us - start_us) % interval_us:
         raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
-    most = min(most, _MOST_LONG if interval_us >= HOUR_US else _MOST_SPAN_US // interval_us)
+    bound = _MOST_LONG if interval_us >= HOUR_US else _MOST_SPAN_US // interval_us
+    most = max(min(most, bound * most // MOST_VALUES), 1)
     whole, rest_us = divmod(end_us - begin_us, interval_us)
     buckets = store.intervals(asset, channel, begin_us, interval_us, min(whole, most))
     cut = rest_us > 0 and whole < most  # the last interval ends before its time

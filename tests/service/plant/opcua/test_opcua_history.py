@@ -207,6 +207,9 @@ async def test_aggregates_of_intervals(asking: Any, monkeypatch: pytest.MonkeyPa
             point = page.ContinuationPoint
         assert [len(one) for one in pages] == [4, 4, 2]
         assert sum(map(sum, pages)) == 23
+        # Several nodes share what is read; each has its own point to go on from.
+        two = await request(client, processed(0, 25, 2.5, COUNT, AVERAGE), ring, ring)
+        assert [len(one.HistoryData.DataValues) for one in two] == [2, 2]
 
     await asking(look)
 
