@@ -12,9 +12,8 @@ from service.cli.known_assets import find_asset, no_such_asset
 from service.cli.serve import ConfigFile
 from service.clock import ProcessClock
 from service.files import replacing
-from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError
-from service.site.settings import load_settings
+from service.site.settings import Settings, load_settings
 
 if TYPE_CHECKING:
     from service.store import Store
@@ -37,7 +36,7 @@ def runs(
     """
     from service.documents.runs import run_document
 
-    with _opened(config, asset) as (store, _, _):
+    with _opened(config, asset) as (_, store, _):
         page = store.runs.page(asset, _MOST)
     documents = [run_document(run) for run in page.items]
     if as_json:
@@ -66,11 +65,12 @@ def report(
     not.
     """
     from service.reports.files import FORMATS, report_file
+    from service.reports.run_limits import asset_of_run
 
     format = next((one for one in FORMATS if out.suffix.lower() == f".{one}"), None)
     if format is None:
         raise SettingsError(f"--out {out}: expected a name that ends in .pdf, .png or .csv")
-    with _opened(config, asset) as (store, section, now_us):
+    with _opened(config, asset) as (settings, store, now_us):
         latest = store.runs.page(asset, 1).items
         found = next(iter(latest), None) if run == LAST else store.runs.get(asset, run)
         if found is None:
@@ -80,6 +80,9 @@ def report(
                 if latest
                 else f"{asset}: no run is stored; expected speed_rpm in its history"
             )
+        section = asset_of_run(settings, store, found)
+        if section is None:
+            raise no_such_asset(settings, asset)
         data = report_file(store, section, found, format, now_us)
     with replacing(out, binary=True) as file:
         file.write(data)
@@ -87,15 +90,14 @@ def report(
 
 
 @contextmanager
-def _opened(config: Path | None, asset: str) -> "Iterator[tuple[Store, AssetSection, int]]":
-    """The store with the runs of an asset as they are now, its section and the process time."""
+def _opened(config: Path | None, asset: str) -> "Iterator[tuple[Settings, Store, int]]":
+    """The configuration, the store with the runs of an asset as they are now, the process time."""
     from service.store import Store
 
     settings = load_settings(config)
-    section = find_asset(settings, asset)
-    if section is None:
+    if find_asset(settings, asset) is None:
         raise no_such_asset(settings, asset)
     now_us = ProcessClock.resume(settings.clock.rate, settings.data_dir).now_us()
     with Store.open(settings.service.database_url, settings.data_dir) as store:
         store.runs.refresh(asset, now_us)
-        yield store, section, now_us
+        yield settings, store, now_us

@@ -147,7 +147,7 @@ def _channels(report: Report) -> Table:
     return Table(
         "Maxima, limits and quality of the data", columns, rows, "There are no data.",
         "A negative margin to the alarm limit means that the value was over it. The limits are "
-        "those of the present configuration. Good: share of the run's spans of "
+        "those at the end of the run. Good: share of the run's spans of "
         f"{duration(report.bucket_s)} with a good value.",
     )  # fmt: skip
 

@@ -74,11 +74,21 @@ class AlarmSettings(StorePart):
             return _revision(connection)
 
     def present(
-        self, assets: Collection[str] | None = None
+        self, assets: Collection[str] | None = None, until_us: int | None = None
     ) -> dict[str, dict[AlarmName, dict[str, Any]]]:
-        """Give what differs from the configuration, by asset and alarm; of all assets or some."""
+        """Give what differs from the configuration, by asset and alarm.
+
+        Parameters
+        ----------
+        assets
+            Which; None: all.
+        until_us
+            As it was at this time, UTC microseconds; None: as it is.
+        """
         row = AlarmSettingRow
         latest = select(func.max(row.id)).group_by(row.asset, row.kind, row.channel, row.level)
+        if until_us is not None:
+            latest = latest.where(row.at_us <= until_us)
         query = select(*_COLUMNS).where(row.id.in_(latest))
         if assets is not None and len(assets) == 1:
             query = query.where(row.asset.in_(assets))

@@ -119,8 +119,12 @@ def windows(asset: str) -> "Sequence[WindowDocument]":
 def report(asset: str, run: "Run", format: "ReportFormat", now_us: int) -> bytes:
     """Make the report of a run."""
     from service.reports.files import report_file
+    from service.reports.run_limits import asset_of_run
 
-    return report_file(_store(), _asset(asset), run, format, now_us)
+    section = asset_of_run(_prepared(), _store(), run)
+    if section is None:
+        raise NotReadyError(f"asset {asset!r} was removed, or does not fit the configuration")
+    return report_file(_store(), section, run, format, now_us)
 
 
 def _asset(name: str) -> "AssetSection":

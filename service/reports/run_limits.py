@@ -1,0 +1,35 @@
+"""The limits that a machine had when it ran."""
+
+from service.site.alarm_overlay import in_effect
+from service.site.alarmed_assets import alarmed_assets
+from service.site.asset_section import AssetSection
+from service.site.settings import Settings
+from service.store import Run, Store
+
+
+def asset_of_run(settings: Settings, store: Store, run: Run) -> AssetSection | None:
+    """Give the section of a run's asset with the limits in effect at the end of the run.
+
+    What was changed later over REST or on the page is left out, so that the report of a run stays
+    as it is. Of the configuration file only the present state is known.
+
+    Parameters
+    ----------
+    settings, store
+        Where assets and changed limits are.
+    run
+        One that goes on has the limits of now.
+
+    Returns
+    -------
+    AssetSection or None
+        None without such an asset, or where it does not fit the configuration.
+    """
+    in_file = any(one.id == run.asset for one in settings.assets)
+    stored = None if in_file else store.assets.get(run.asset)
+    tables = {} if stored is None or stored.table is None else {run.asset: stored.table}
+    found = alarmed_assets(settings, tables, {run.asset}).get(run.asset)
+    if found is None:
+        return None
+    changed = store.alarm_settings.present({run.asset}, until_us=run.end_us)
+    return in_effect(found, changed.get(run.asset, {})).section
