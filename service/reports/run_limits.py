@@ -1,7 +1,6 @@
 """The limits that a machine had when it ran."""
 
-from service.site.alarm_overlay import in_effect
-from service.site.alarmed_assets import alarmed_assets
+from service.site.alarmed_assets import asset_in_effect
 from service.site.asset_section import AssetSection
 from service.site.settings import Settings
 from service.store import Run, Store
@@ -27,9 +26,6 @@ def asset_of_run(settings: Settings, store: Store, run: Run) -> AssetSection | N
     """
     in_file = any(one.id == run.asset for one in settings.assets)
     stored = None if in_file else store.assets.get(run.asset)
-    tables = {} if stored is None or stored.table is None else {run.asset: stored.table}
-    found = alarmed_assets(settings, tables, {run.asset}).get(run.asset)
-    if found is None:
-        return None
     changed = store.alarm_settings.present({run.asset}, until_us=run.end_us)
-    return in_effect(found, changed.get(run.asset, {})).section
+    table = None if stored is None else stored.table
+    return asset_in_effect(settings, run.asset, table, changed.get(run.asset, {}))

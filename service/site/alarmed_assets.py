@@ -2,7 +2,8 @@
 
 from collections.abc import Collection, Mapping
 
-from service.site.alarm_overlay import AlarmedAsset
+from service.site.alarm_overlay import AlarmedAsset, Overlay, in_effect
+from service.site.asset_section import AssetSection
 from service.site.configuration import SettingsError, TomlTable
 from service.site.provisioning import check_asset, of_section
 from service.site.settings import Settings
@@ -44,3 +45,29 @@ def alarmed_assets(
         facts = checked.wiring.channels[name]
         found[name] = AlarmedAsset(checked.section, facts, "provisioned")
     return found
+
+
+def asset_in_effect(
+    settings: Settings, name: str, table: TomlTable | None, overlay: Overlay
+) -> AssetSection | None:
+    """Give the section of an asset with its limits in effect.
+
+    Parameters
+    ----------
+    settings
+        The configuration.
+    name
+        Which asset.
+    table
+        Its table, for one that is in the store.
+    overlay
+        What was changed of its alarms.
+
+    Returns
+    -------
+    AssetSection or None
+        None without such an asset, or where it does not fit the configuration.
+    """
+    tables = {} if table is None else {name: table}
+    found = alarmed_assets(settings, tables, {name}).get(name)
+    return None if found is None else in_effect(found, overlay).section

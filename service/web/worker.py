@@ -129,8 +129,7 @@ def report(asset: str, run: "Run", format: "ReportFormat", now_us: int) -> bytes
 
 def _asset(name: str) -> "AssetSection":
     """Section of an asset with its limits in effect; the same object until one of them changes."""
-    from service.site.alarm_overlay import in_effect
-    from service.site.alarmed_assets import alarmed_assets
+    from service.site.alarmed_assets import asset_in_effect
     from service.store import StoreUnavailableError
 
     settings, store = _prepared(), _store()
@@ -147,12 +146,10 @@ def _asset(name: str) -> "AssetSection":
     revisions = overlays, stored.revision if stored else 0
     known = _sections.get(name)
     if known is None or known[0] != revisions:
-        tables = {} if stored is None or stored.table is None else {name: stored.table}
-        found = alarmed_assets(settings, tables, {name})
-        if name not in found:
-            raise NotReadyError(f"asset {name!r} does not fit the configuration")
         overlay = store.alarm_settings.present({name}).get(name, {})
-        section = in_effect(found[name], overlay).section
+        section = asset_in_effect(settings, name, stored.table if stored else None, overlay)
+        if section is None:
+            raise NotReadyError(f"asset {name!r} does not fit the configuration")
         if known is not None and known[1] == section:  # of another asset: keep what is computed
             section = known[1]
         known = _sections[name] = revisions, section
