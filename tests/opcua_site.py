@@ -1,6 +1,7 @@
 """An OPC UA server over an asset that a test drives, and clients in an event loop of their own."""
 
 import asyncio
+import math
 import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -14,7 +15,7 @@ from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from processes import free_port, wait_until
 
-from adapters.samples import Quality
+from adapters.samples import Quality, Sample
 from service.bus.stream import Bus
 from service.clock import ProcessClock
 from service.plant.opcua import PERIOD_S
@@ -53,6 +54,24 @@ class Asset:
 
     def snapshot(self) -> dict[str, Any]:
         return {"tags": dict(self.tags)}
+
+
+def fill_seconds(store: Store, begin_us: int, count: int) -> None:
+    """Store once a second 20, 21 ... °C; the sixth of a broken sensor, the eighth uncertain."""
+    quality = {5: Quality.SENSOR_FAILURE, 7: Quality.UNCERTAIN}
+    store.samples.write(
+        [
+            Sample(
+                "bench-1",
+                RING,
+                begin_us + k * 1_000_000,
+                math.nan if k == 5 else 20.0 + k,
+                int(quality.get(k, Quality.GOOD)),
+                0,
+            )
+            for k in range(count)
+        ]
+    )
 
 
 @dataclass

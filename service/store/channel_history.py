@@ -13,12 +13,11 @@ from service.store.blocks import UNKNOWN_US, Samples
 from service.store.buckets import Bucket
 from service.store.history import chunk
 from service.store.part import StorePart
-from service.store.samples import channel_ids, last_time_us, raw_horizon_us
+from service.store.samples import channel_ids, raw_horizon_us
 from service.store.tables import SampleRow
 
 #: A value is the one of a later time too, at most so long.
 HELD_US: Final = HOUR_US
-_LAST_US: Final = 2**63 - 1
 _UNITS_US: Final = (HOUR_US, MINUTE_US)
 
 
@@ -208,8 +207,6 @@ def _joined(parts: Sequence[Samples]) -> Samples:
 
 def _last_us(connection: Connection, number: int, end_us: int) -> int | None:
     """Time of the last sample before a time."""
-    if end_us >= _LAST_US:
-        return last_time_us(connection, number)
     query = select(SampleRow.time_us).where(*_inside(number, 0, end_us))
     from_table = connection.scalar(query.order_by(SampleRow.time_us.desc()).limit(1))
     from_blocks = packed.last_time_us(connection, number, end_us)

@@ -2,39 +2,19 @@
 
 import asyncio
 import json
-import math
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
-from opcua_site import RING, Asset, node_id, serving
+from opcua_site import RING, Asset, fill_seconds, node_id, serving
 from programs import needed, node_package
 
-from adapters.samples import Sample
 from service.store import Outbox, Store
 
 HERE = Path(__file__).parent
 BEGIN, END = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
 BEGIN_US = 1_767_225_600_000_000
-
-
-def fill(store: Store, count: int) -> None:
-    """Once a second 20, 21 ... °C; the sixth of a broken sensor, the eighth uncertain."""
-    quality = {5: 16, 7: 64}
-    store.samples.write(
-        [
-            Sample(
-                "bench-1",
-                RING,
-                BEGIN_US + k * 1_000_000 + 123_000,
-                math.nan if k == 5 else 20.0 + k,
-                quality.get(k, 192),
-                0,
-            )
-            for k in range(count)
-        ]
-    )
 
 
 async def read(folder: Path, store: Store, outbox: Outbox, page: int) -> dict[str, Any]:
@@ -61,7 +41,7 @@ async def read(folder: Path, store: Store, outbox: Outbox, page: int) -> dict[st
 async def test_node_opcua_reads_samples_aggregates_and_single_times(
     tmp_path: Path, store: Store, outbox: Outbox
 ) -> None:
-    fill(store, 25)
+    fill_seconds(store, BEGIN_US + 123_000, 25)
     found = await read(tmp_path, store, outbox, page=7)
     begin_ms = BEGIN_US // 1000
     expected = [[begin_ms + 1000 * k + 123, 20.0 + k, "Good"] for k in range(25)]
@@ -89,7 +69,7 @@ async def test_node_opcua_reads_samples_aggregates_and_single_times(
 
 @pytest.mark.wires
 async def test_node_opcua_reads_a_day_at_once(tmp_path: Path, store: Store, outbox: Outbox) -> None:
-    fill(store, 86_400)
+    fill_seconds(store, BEGIN_US, 86_400)
     found = await read(tmp_path, store, outbox, page=0)
     assert (found["count"], found["pages"]) == (86_400, 9)
     print(f"a day at 1 Hz: {found['seconds']:.2f} s")  # noqa: T201 - a figure, with pytest -s

@@ -72,6 +72,17 @@ class _Page:
     next_us: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """What is read of one node: where it is, from when it goes on, how many values at most."""
+
+    store: ChannelHistory
+    asset: str
+    channel: str
+    point_us: int | None
+    most: int
+
+
 class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no types
     """Answers reads of history from the store.
 
@@ -133,9 +144,9 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
     ) -> ua.HistoryReadResult:
         result = ua.HistoryReadResult()
         try:
-            work = partial(read, self._store, *self._channel(node), _point(node), most)
+            wanted = _Wanted(self._store, *self._channel(node), _point(node), most)
             async with self._turn:
-                page = await asyncio.to_thread(work)
+                page = await asyncio.to_thread(read, wanted)
         except _RefusedError as error:
             result.StatusCode = ua.StatusCode(error.status)
             return result
@@ -159,7 +170,7 @@ class StoreHistory(HistoryManager):  # type: ignore[misc]  # the library has no 
         return self.channels[node.NodeId]
 
 
-_Read = Callable[[ChannelHistory, str, str, int | None, int], _Page]
+_Read = Callable[[_Wanted], _Page]
 
 
 def _reads(details: Any, count: int) -> Sequence[_Read]:
@@ -175,29 +186,25 @@ def _reads(details: Any, count: int) -> Sequence[_Read]:
     raise ServiceError(ua.StatusCodes.BadHistoryOperationUnsupported)
 
 
-def _raw(
-    details: ua.ReadRawModifiedDetails,
-    store: ChannelHistory,
-    asset: str,
-    channel: str,
-    point_us: int | None,
-    most: int,
-) -> _Page:
+def _raw(details: ua.ReadRawModifiedDetails, wanted: _Wanted) -> _Page:
     """Read samples as they are stored; from the end backwards when the start is later, or open."""
     start_us, end_us = _time_us(details.StartTime), _time_us(details.EndTime)
     if start_us is None and end_us is None:
         raise _RefusedError(ua.StatusCodes.BadHistoryOperationInvalid)
-    most = min(details.NumValuesPerNode or most, most)
+    store, point_us = wanted.store, wanted.point_us
+    most = min(details.NumValuesPerNode or wanted.most, wanted.most)
     if start_us is None or (end_us is not None and start_us > end_us):
         first_us = 0 if start_us is None else (end_us or 0) + 1
         given = (one for one in (point_us, start_us, end_us) if one is not None)
-        found = store.last_samples(asset, channel, first_us, next(given) + 1, most + 1)
+        found = store.last_samples(
+            wanted.asset, wanted.channel, first_us, next(given) + 1, most + 1
+        )
         found = found.taken(slice(None, None, -1))
     else:
         # The end does not belong to the span, but start = end is a span of one moment.
         before_us = _LAST_US if end_us is None else max(end_us, start_us + 1)
         begin_us = start_us if point_us is None else point_us
-        found = store.samples(asset, channel, begin_us, before_us, most + 1)
+        found = store.samples(wanted.asset, wanted.channel, begin_us, before_us, most + 1)
     return _Page(
         found.times_us[:most],
         found.values[:most],
@@ -206,19 +213,12 @@ def _raw(
     )
 
 
-def _at_times(
-    details: ua.ReadAtTimeDetails,
-    store: ChannelHistory,
-    asset: str,
-    channel: str,
-    point_us: int | None,
-    most: int,
-) -> _Page:
+def _at_times(details: ua.ReadAtTimeDetails, wanted: _Wanted) -> _Page:
     """Read the value that holds at each time: the last one before, for an hour at most."""
     times_us = [_time_us(one) or 0 for one in details.ReqTimes or ()]
-    if not times_us or len(times_us) > min(MOST_TIMES, most):
+    if not times_us or len(times_us) > min(MOST_TIMES, wanted.most):
         raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
-    found: Samples = store.at_times(asset, channel, times_us)
+    found: Samples = wanted.store.at_times(wanted.asset, wanted.channel, times_us)
     asked_us = np.array(times_us, np.int64)
     statuses = status_codes(found.qualities)
     statuses[found.times_us != asked_us] |= _INTERPOLATED
@@ -226,41 +226,25 @@ def _at_times(
     return _Page(asked_us, found.values, statuses)
 
 
-def _processed(
-    details: ua.ReadProcessedDetails,
-    aggregate: ua.NodeId,
-    store: ChannelHistory,
-    asset: str,
-    channel: str,
-    point_us: int | None,
-    most: int,
-) -> _Page:
+def _processed(details: ua.ReadProcessedDetails, aggregate: ua.NodeId, wanted: _Wanted) -> _Page:
     """Aggregate the good samples of each interval."""
     take = AGGREGATES.get(aggregate.Identifier) if aggregate.NamespaceIndex == 0 else None
     if take is None:
         raise _RefusedError(ua.StatusCodes.BadAggregateNotSupported)
     if not details.AggregateConfiguration.UseServerCapabilitiesDefaults:
         raise _RefusedError(ua.StatusCodes.BadAggregateConfigurationRejected)
-    start_us, end_us = _time_us(details.StartTime), _time_us(details.EndTime)
-    interval_ms = details.ProcessingInterval  # 0: the whole span
-    if not (interval_ms == 0 or _SHORTEST_MS <= interval_ms < math.inf):
-        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
-    if start_us is None or end_us is None or start_us == end_us:
-        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
-    if start_us > end_us:
-        raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
-    interval_us = min(round(interval_ms * 1000) or end_us - start_us, end_us - start_us)
-    begin_us = start_us if point_us is None else point_us
+    start_us, end_us, interval_us = _intervals(details)
+    begin_us = start_us if wanted.point_us is None else wanted.point_us
     if not start_us <= begin_us < end_us or (begin_us - start_us) % interval_us:
         raise _RefusedError(ua.StatusCodes.BadContinuationPointInvalid)
     bound = _MOST_LONG if interval_us >= HOUR_US else _MOST_SPAN_US // interval_us
-    most = max(min(most, bound * most // MOST_VALUES), 1)
+    most = max(min(wanted.most, bound * wanted.most // MOST_VALUES), 1)
     whole, rest_us = divmod(end_us - begin_us, interval_us)
-    buckets = store.intervals(asset, channel, begin_us, interval_us, min(whole, most))
+    read = partial(wanted.store.intervals, wanted.asset, wanted.channel)
+    buckets = read(begin_us, interval_us, min(whole, most))
     cut = rest_us > 0 and whole < most  # the last interval ends before its time
     if cut:
-        last_us = begin_us + whole * interval_us
-        buckets += store.intervals(asset, channel, last_us, rest_us, 1)
+        buckets += read(begin_us + whole * interval_us, rest_us, 1)
     count = min(whole, most) + cut
     is_count = aggregate.Identifier == ua.ObjectIds.AggregateFunction_Count
     values = np.full(count, 0.0 if is_count else np.nan)
@@ -283,6 +267,20 @@ def _processed(
         statuses,
         next_us if next_us < end_us else None,
     )
+
+
+def _intervals(details: ua.ReadProcessedDetails) -> tuple[int, int, int]:
+    """Start, end and length of the intervals that are asked for, microseconds."""
+    start_us, end_us = _time_us(details.StartTime), _time_us(details.EndTime)
+    interval_ms = details.ProcessingInterval  # 0: the whole span
+    if not (interval_ms == 0 or _SHORTEST_MS <= interval_ms < math.inf):
+        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
+    if start_us is None or end_us is None or start_us == end_us:
+        raise _RefusedError(ua.StatusCodes.BadInvalidArgument)
+    if start_us > end_us:
+        raise _RefusedError(ua.StatusCodes.BadHistoryOperationUnsupported)
+    span_us = end_us - start_us
+    return start_us, end_us, min(round(interval_ms * 1000) or span_us, span_us)
 
 
 def _point(node: ua.HistoryReadValueId) -> int | None:

@@ -41,14 +41,8 @@ def history_data(
     statuses : numpy.ndarray
         Status codes.
     """
-    number, kind = (
-        ("<i4", ua.VariantType.Int32)
-        if values.dtype == np.int32
-        else (
-            "<f8",
-            ua.VariantType.Double,
-        )
-    )
+    whole = values.dtype == np.int32
+    number, kind = ("<i4", ua.VariantType.Int32) if whole else ("<f8", ua.VariantType.Double)
     with_value = np.dtype([("mask", "u1"), ("type", "u1"), ("value", number), *_END])
     has_value = ~np.isnan(values)
     lengths = np.where(has_value, with_value.itemsize, _WITHOUT_VALUE.itemsize)

@@ -13,9 +13,8 @@ from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import extensionobject_from_binary, extensionobject_to_binary
 from hypothesis import given
 from hypothesis import strategies as st
-from opcua_site import RING, Asset, apart, inside, make_client, node_id, serving
+from opcua_site import RING, Asset, apart, fill_seconds, inside, make_client, node_id, serving
 
-from adapters.samples import Sample
 from service.plant.opcua import history
 from service.plant.opcua.codes import status_code
 from service.plant.opcua.history_encoding import history_data, status_codes
@@ -42,21 +41,7 @@ def at(second: float) -> datetime:
 
 @pytest.fixture
 def stored(store: Store) -> Store:
-    """Once a second 20, 21 ... 44 °C; the sixth of a broken sensor, the eighth uncertain."""
-    quality = {5: 16, 7: 64}
-    store.samples.write(
-        [
-            Sample(
-                "bench-1",
-                RING,
-                T0_US + k * 1_000_000 + 123_456,
-                math.nan if k == 5 else 20.0 + k,
-                quality.get(k, 192),
-                0,
-            )
-            for k in range(25)
-        ]
-    )
+    fill_seconds(store, T0_US + 123_456, 25)
     return store
 
 
